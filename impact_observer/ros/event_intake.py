@@ -18,7 +18,7 @@ SLICE = 5_000_000
 """Longest time for events before estimates and services have their turn, ns."""
 PATIENCE = 30 * NS_PER_S
 """How long an event may wait for an observer that cannot keep up, ns."""
-_FEW = 64
+_FEW = 8
 """Events that are given to the observer together at first."""
 _QUICK = NS_PER_S // 2
 """How long a batch may take for the next one to be larger, ns."""
