@@ -99,10 +99,10 @@ def test_every_kind_and_model_is_in_both_groups() -> None:
 )
 def test_wrong_plant_starts_as_the_exact_one_and_departs_from_it(plant: WrongPlant) -> None:
     """In the coordinates of the model, within the first seconds with impacts."""
-    found = plant.run(3, 4.0)
+    found = plant.run(3, 3.0)
     (exact,) = (each for each in EXACT if each.model is plant.model)
-    states: NDArray[np.float64] = exact.run(3, 4.0).states
-    assert found.states.shape == (201, 2 * plant.model.n)
+    states: NDArray[np.float64] = exact.run(3, 3.0).states
+    assert found.states.shape == (151, 2 * plant.model.n)
     np.testing.assert_array_equal(found.states[0], states[0])
     assert np.max(np.abs(found.states - states)) > 1e-6
 

@@ -55,7 +55,7 @@ def rounding(*states: Array) -> float:
 
 @pytest.mark.slow
 @CORRECTING
-@examples(60)
+@examples(40)
 @given(st.data())
 def test_distance_of_two_replicas_never_rises_under_any_switching(
     law: type[ReplicaLaw], data: st.DataObject
@@ -106,7 +106,7 @@ def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> li
 
 @pytest.mark.slow
 @CORRECTING
-@examples(25)
+@examples(15)
 @given(st.data())
 def test_distance_of_a_replica_to_its_plant_never_rises(
     law: type[ReplicaLaw], data: st.DataObject

@@ -259,7 +259,7 @@ def passes_eigenvalue_test(model: System) -> bool:
 
 @pytest.mark.slow
 @LAWS
-@examples(40)
+@examples(20)
 @given(st.data())
 def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
     """Under any switching of contacts, each replica sticking and slipping by itself."""
@@ -292,7 +292,7 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
 
 @pytest.mark.slow
 @LAWS
-@examples(25)
+@examples(20)
 @given(st.data())
 def test_distance_of_a_replica_to_its_plant_never_rises(
     law: type[ReplicaLaw], data: st.DataObject

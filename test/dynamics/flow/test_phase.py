@@ -134,7 +134,7 @@ def drawn(data: st.DataObject, model: System, *, fix: bool) -> tuple[Contacts, C
 @pytest.mark.slow
 @pytest.mark.parametrize("fix", [False, True], ids=["held", "fixed"])
 @pytest.mark.parametrize("rigid", [False, True], ids=["elastic", "rigid"])
-@examples(20)
+@examples(12)
 @given(st.data())
 def test_phase_is_the_integrated_one(fix: bool, rigid: bool, data: st.DataObject) -> None:
     """Any contacts held, others slipping, K singular or not, damped, gyroscopic and forced."""
@@ -210,7 +210,7 @@ def test_contact_that_sees_no_rigid_mode_is_held_where_it_is() -> None:
 
 
 @pytest.mark.slow
-@examples(40)
+@examples(24)
 @given(st.data())
 def test_distance_of_two_motions_of_one_phase_never_grows(data: st.DataObject) -> None:
     """``1/2 du^T M du + 1/2 dq^T K dq`` falls while the same contacts are held and fixed."""
