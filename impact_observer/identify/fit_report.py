@@ -9,6 +9,7 @@ from rich.table import Table
 
 from impact_observer import __version__
 from impact_observer.draw.text_tables import plain_table, print_report
+from impact_observer.errors import ModelError
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
@@ -33,6 +34,21 @@ def _initial_state(found: Identification) -> Vector:
     at = np.array([episode.start - episode.epoch])
     states = found.family.system_at(found.values).from_frame(at, found.start[None])
     return np.asarray(states[0])
+
+
+def _inside(found: Identification) -> str:
+    """What is wrong with the initial state where a body is inside a stop; empty elsewhere."""
+    system = found.family.system_at(found.values)
+    names = [system.contact_names[i] for i in system.penetrated(found.start[: system.n])]
+    if not names:
+        return ""
+    episode = found.recording.episode
+    before = seconds_between(episode.start, episode.keys[0].stamp)
+    return (
+        f"the initial state is inside the stop {names[0]!r}: it holds {before:.3g} s before the"
+        " first impact, where the rig moved otherwise; give import an --epoch shortly before that"
+        " impact"
+    )
 
 
 def _initial_errors(found: Identification) -> Vector:
@@ -135,7 +151,8 @@ def _about_start(found: Identification) -> str:
     if found.recording.start:
         return f"The start is {found.recording.start:.9g} s after the epoch."
     named = found.recording.episode.start == found.recording.episode.keys[0].stamp
-    return "The start is the first impact." if named else "The start is the epoch."
+    where = "The start is the first impact." if named else "The start is the epoch."
+    return f"{where} But {wrong}." if (wrong := _inside(found)) else where
 
 
 def _about_fit(found: Identification) -> Iterator[str]:
@@ -238,8 +255,10 @@ def model_text(
         initial: whether to write the initial state too.
 
     Raises:
-        ModelError: the fitted values make no valid model.
+        ModelError: the fitted values make no valid model, or the initial state is in a stop.
     """
+    if initial and (wrong := _inside(found)):
+        raise ModelError(str(output), wrong)
     document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     provenance: dict[str, object] = {

@@ -52,6 +52,30 @@ def test_identified_parameters_are_printed_and_written(
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_start_inside_a_stop_is_named_with_its_remedy(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The times of a ball begin five seconds before its first bounce; then shortly before it."""
+    flights = 2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(1, 9)
+    times = 5 + np.append(0.0, np.cumsum(flights))
+    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
+    imported = ["import", "bounces.csv", "--model", "bouncing_ball"]
+    words = ["--free", "restitution", "--clock-error", "1e-6"]
+    assert main([*imported, "-o", "early"]) == 0
+    assert main(["identify", "early", *words]) == 0
+    wrong = "the initial state is inside the stop 'floor': it holds 5 s before the first impact"
+    assert wrong in " ".join(capsys.readouterr().out.split())
+    assert main(["identify", "early", *words, "-o", "ball.yaml", "--initial-state"]) == 2
+    assert wrong in capsys.readouterr().err
+    assert not Path("ball.yaml").exists()
+    assert main([*imported, "--epoch", "5.9", "-o", "late"]) == 0
+    assert main(["identify", "late", *words, "-o", "ball.yaml", "--initial-state"]) == 0
+    height, speed = np.concatenate(read_model("ball.yaml").initial_state())
+    assert height + speed**2 / (2 * 9.81) == pytest.approx(1.0, abs=1e-5)
+
+
 def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And nothing else on standard output."""
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
