@@ -53,11 +53,11 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
-        most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
         most: estimates that are made, at most.
         progress: called with the number of estimates made and of those to be made.
-        warn: called with what was wrong with samples of live forces and grounds.
+        warn: called with what was wrong with samples of live forces and grounds, and where events
+            come after the last estimate.
 
     Returns:
         The number of estimates, and how many final verdicts there are of each kind.
@@ -69,6 +69,8 @@ def observe_bag(
     stamps = sample_stamps(reader, events, rate, epoch)
     has_covariance = observer.law.has_covariance
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
+    if rate is None and (line := unseen_events(events, stamps, epoch)):
+        warn(line)
     problems = Counter(give_recorded(reader, observer.live))
     for problem, count in problems.items():
         warn(f"{count} samples are left out: {problem}")
@@ -123,8 +125,22 @@ def sample_stamps(
     if not used:
         return np.empty(0, dtype=np.int64)
     start = epoch or used[0].epoch or used[0].stamp
-    last = int(_stamps_of(reader, truth).max()) if truth else max(each.stamp for each in used)
+    last = max(each.stamp for each in used)
+    if truth:
+        last = max(last, int(_stamps_of(reader, truth).max()))
     return grid(start, last, rate)
+
+
+def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps, epoch: int) -> str:
+    """A warning where events come after the last estimate; empty where none does."""
+    end = int(stamps.max()) if stamps.size else 0
+    used = [each.event for each in placed(events, epoch) if each.period >= 0]
+    if not (later := sum(each.stamp > end for each in used)):
+        return ""
+    return (
+        f"{later} of {len(used)} events are stamped after the last estimate, {text(end)} s, where"
+        " the true states end; --rate makes estimates up to the last event"
+    )
 
 
 def check_size(

@@ -20,6 +20,7 @@ from impact_observer.io.observed_bag import (
     check_size,
     events_from,
     sample_stamps,
+    unseen_events,
 )
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics
@@ -100,6 +101,8 @@ def smooth_bag(
         raise BagError(f"{reader.path}: {error}") from None
     counts = Counter(problems)
     left_out = [f"{count} samples are left out: {each}" for each, count in counts.items()]
+    if rate is None and (line := unseen_events(events, stamps, options.epoch)):
+        left_out.append(line)
     own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)
     with all_or_nothing(output, flush) as writer:
         topics, not_copied = carried_topics(reader, writer, own)

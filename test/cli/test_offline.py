@@ -15,7 +15,7 @@ from impact_observer.model import read_model
 from impact_observer.observer import Observer, initial_state, law_named
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
-from impact_observer.stamps import grid
+from impact_observer.stamps import NS_PER_S, grid
 
 EPOCH = 1_000_000_000
 CERTIFIED = ("geometric", "unilateral")
@@ -266,3 +266,27 @@ def test_observation_that_fails_leaves_no_bag(
     assert main(["observe", str(plant), "--initial", "0,1", "-o", str(output)]) == 1
     assert "has no solution" in capsys.readouterr().err
     assert not output.exists()
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+@pytest.mark.parametrize("command", ["observe", "smooth"])
+def test_events_after_the_true_states_are_warned_of(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At a rate there are estimates up to the last event."""
+    flights = 2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(1, 5)
+    bounces = 0.45152 + np.append(0.0, np.cumsum(flights))
+    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in bounces.tolist()))
+    Path("true.csv").write_text("time,q_height,u_height\n0,1,0\n0.4,0.21520,-3.924\n")
+    imported = ["import", "bounces.csv", "--model", "bouncing_ball", "--truth", "true.csv"]
+    assert main([*imported, "-o", "bag"]) == 0
+    capsys.readouterr()
+    assert main([command, "bag", "-o", "short"]) == 0
+    line = "5 of 5 events are stamped after the last estimate, 1.400000000 s"
+    assert line in capsys.readouterr().out
+    assert main([command, "bag", "--rate", "10", "-o", "whole"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    topic = "/observer/state" if command == "observe" else "/smoother/state"
+    with BagReader(Path("whole")) as reader:
+        stamps = reader.observer_states(topic).stamps
+    assert stamps[-1] == EPOCH + int(bounces[-1] * 10) * NS_PER_S // 10
