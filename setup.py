@@ -119,7 +119,8 @@ setup(
         "parquet": ["pyarrow>=14"],
         "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
         "test": requirements("test"),
-        "dev": [*requirements("test"), *requirements("lint")],
+        "docs": requirements("docs"),
+        "dev": [*requirements("test"), *requirements("lint"), *requirements("docs")],
     },
     zip_safe=False,
     entry_points={

@@ -59,8 +59,8 @@ def test_the_readme_is_read_in_ten_minutes() -> None:
 
 def test_every_page_is_in_the_reading_order() -> None:
     """A page that no index names is not found."""
-    index = (ROOT / "docs" / "index.md").read_text()
-    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    index = (ROOT / "docs" / "README.md").read_text()
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"README.md"}
     assert pages == set(re.findall(r"\]\(([\w]+\.md)\)", index))
 
 
