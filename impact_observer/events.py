@@ -124,6 +124,28 @@ class SmoothedImpact(NamedTuple):
     deviation: float
 
 
+class MeasurementVerdict(NamedTuple):
+    """What became of a sample of a sensor; mirrors ``impact_observer_msgs/MeasurementVerdict``.
+
+    Attributes:
+        stamp: when the sample holds, ns.
+        name: of the sensor.
+        value: as it was measured.
+        innovation: the value less what the estimate predicts of it, in the same unit.
+        normalized: the magnitude of that in standard deviations; -1 where a law has none.
+        accepted: whether it was used.
+        reason: why it was not used, or only in part; empty otherwise.
+    """
+
+    stamp: int
+    name: str
+    value: float
+    innovation: float = 0.0
+    normalized: float = -1.0
+    accepted: bool = False
+    reason: str = ""
+
+
 REVISED = "revised: "
 """Prefix of the reason of a verdict that replaces an earlier one."""
 

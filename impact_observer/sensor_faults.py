@@ -1,4 +1,4 @@
-"""What can be wrong with a sensor of impacts: one table for commands, nodes and sweeps."""
+"""What can be wrong with sensors: one table for commands, nodes and sweeps."""
 
 from impact_observer.options import Option
 
@@ -27,3 +27,26 @@ SENSOR_FAULTS = (
     Option("transport", 0.0, "mean of an exponential transport time of events", "s", 0.0, 10.0),
 )
 """In the order of the fields of ``plant.SensorModel``; the defaults are an ideal sensor."""
+
+MEASUREMENT_FAULTS = (
+    Option("measurement_rate", 100.0, "samples of each sensor", "Hz", 0.001, 1e5),
+    Option(
+        "measurement_noise",
+        -1.0,
+        "standard deviation of samples, in their unit; -1: as declared",
+        "",
+        -1.0,
+        1e9,
+    ),
+    Option("measurement_dropouts", 0.0, "probability that a sample is lost", "", 0.0, 1.0),
+    Option(
+        "measurement_quantisation",
+        0.0,
+        "samples are rounded to a multiple of this",
+        "",
+        0.0,
+        1e9,
+    ),
+    Option("measurement_transport", 0.0, "mean of an exponential transport time", "s", 0.0, 10.0),
+)
+"""Of sensors beside the impacts, in the order of the fields of ``io.SampleFaults``."""

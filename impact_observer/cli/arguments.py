@@ -138,6 +138,15 @@ def add_model(
     parser.add_argument("--model", metavar="MODEL", help=meaning)
 
 
+def add_measurements(parser: "argparse._ActionsContainer") -> None:
+    """What is measured beside the impacts."""
+    parser.add_argument(
+        "--measurements",
+        metavar="FILE",
+        help="a file that declares what sensors measure beside the impacts, or a sample",
+    )
+
+
 def add_estimates(parser: "argparse._ActionsContainer") -> None:
     """Add how many estimates to make, and the most."""
     parser.add_argument(

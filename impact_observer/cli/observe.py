@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import (
     add_bag_output,
     add_estimates,
+    add_measurements,
     add_model,
     add_namespace,
     add_observer_arguments,
@@ -30,6 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
+    add_measurements(parser)
+    add(
+        "--measurement-verdicts",
+        choices=("auto", "all", "none"),
+        default="auto",
+        help="verdicts on samples: of sensors up to 50 Hz, of all, or of none (default auto)",
+    )
     add_estimates(parser)
     add_bag_output(parser)
 
@@ -40,16 +48,22 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.errors import BagError
     from impact_observer.estimation.misfit import MISFIT
     from impact_observer.events import Remark, Ruling
+    from impact_observer.io.measured_samples import MeasuredTopics
     from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
+    from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observer import make_observer
     from impact_observer.stamps import seconds_between
 
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
-        observer = make_observer(read.system, chosen, read.elements)
+        sensors = read_measurements(args.measurements) if args.measurements else ()
+        observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
+        measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
+        for line in (*measured.problems, *unused_lines(observer)):
+            progress.line(f"warning: {line}")
 
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)
@@ -62,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
             epoch=chosen.epoch,
             most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,
+            measured=measured,
             progress=show,
             warn=lambda line: progress.line(f"warning: {line}"),
         )
@@ -70,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         decided = f"verdicts: {', '.join(verdicts) or 'none'}"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
-        for line in parameter_lines(observer):
+        for line in (*parameter_lines(observer), *sample_lines(observer)):
             progress.line(line)
         if observer.last_event and observer.epoch:
             seconds = seconds_between(observer.epoch, observer.last_event)
@@ -88,6 +103,26 @@ def run(args: argparse.Namespace) -> int:
             f"{none}; is it a bag of the model {read.system.name}, with contacts {names}?"
         )
     return 0
+
+
+def unused_lines(observer: "Observer") -> "Iterator[str]":
+    """A line where the law uses no measurements."""
+    law = observer.law
+    if observer.samples.sensors and not law.uses_measurements:
+        names = ", ".join(each.name for each in observer.samples.sensors)
+        yield f"{law.name} uses no measurements: {names} change nothing"
+
+
+def sample_lines(observer: "Observer") -> "Iterator[str]":
+    """What became of the samples of each sensor, and the deviations that were learned."""
+    learned = observer.learned_deviations
+    for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
+        kinds = ("accepted", "rejected", "unused", "invalid")
+        found = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
+        line = f"{sensor.name}: {counts['samples']} samples: {found or 'none used yet'}"
+        if sensor.name in learned:
+            line += f"; learned: deviation {learned[sensor.name]:.3g} {sensor.measurement.unit}"
+        yield line
 
 
 def parameter_lines(observer: "Observer") -> "Iterator[str]":

@@ -2,10 +2,17 @@
 
 import argparse
 
-from impact_observer.cli.arguments import add_bag_output, add_option, positive, seed, stamp
+from impact_observer.cli.arguments import (
+    add_bag_output,
+    add_measurements,
+    add_option,
+    positive,
+    seed,
+    stamp,
+)
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
-from impact_observer.sensor_faults import SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,15 +45,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
         add_option(group, each)
+    group = parser.add_argument_group("measurements", "what is measured beside the impacts")
+    add_measurements(group)
+    for each in MEASUREMENT_FAULTS:
+        add_option(group, each)
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate a plant and write its bag."""
+    import numpy as np
+
     from impact_observer import plant
     from impact_observer.cli.progress import Progress
     from impact_observer.io.recordings import write_run
+    from impact_observer.io.simulated_samples import (
+        SampleFaults,
+        SampleSimulation,
+        simulated_samples,
+    )
     from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
+    from impact_observer.model.measurements_file import read_measurements
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     check_free(args.output)
@@ -58,6 +77,13 @@ def run(args: argparse.Namespace) -> int:
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
     sensor.check(model.system)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
+    sensors = read_measurements(args.measurements) if args.measurements else ()
+    of_samples = {each.name: getattr(args, each.name) for each in MEASUREMENT_FAULTS}
+    if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
+        raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")
+    faults = SampleFaults.of(of_samples)
+    simulation = SampleSimulation(sensors, model.system, faults, args.seed)
+    sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:
 
         def show(impact: int) -> None:
@@ -70,7 +96,9 @@ def run(args: argparse.Namespace) -> int:
             integrator=args.integrator,
             step=step,
         )
-        done = plant.simulate(master, stamps, progress=show)
+        done = plant.simulate(master, np.union1d(stamps, sampled), progress=show)
+        samples = simulated_samples(simulation, done.at(sampled)) if sensors else []
+        done = done.at(stamps)
         progress.show(f"writing {args.output}")
         how = described(args.integrator, step)
         events = write_run(
@@ -81,6 +109,8 @@ def run(args: argparse.Namespace) -> int:
             integrator=how,
             sensor=sensor,
             flush=args.flush,
+            samples=samples,
+            types=simulation.types,
         )
         if warning := model.system.held_force(duration):
             progress.line(f"warning: {warning}")
@@ -88,5 +118,6 @@ def run(args: argparse.Namespace) -> int:
         progress.line(
             f"{args.output}: {model.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
+            f"{f', {len(samples)} samples' if sensors else ''}"
         )
     return 0

@@ -122,6 +122,7 @@ class FilterBank:
 
     Attributes:
         filter: predicts and corrects the state of each of them.
+        trusts_estimate: whether nothing makes its covariance wrong.
     """
 
     def __init__(
@@ -142,7 +143,7 @@ class FilterBank:
         }
         self._trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
-        self._trusts_estimate = self._trusts_events and uncertainty.unknowns is None
+        self.trusts_estimate = self._trusts_events and uncertainty.unknowns is None
         learns_error = uncertainty.model_error is None and clocks
         self.errors = ErrorAccounts(filter_, clocks) if learns_error else None
         self._missed, self._reported = _logs(uncertainty.missed)
@@ -154,6 +155,16 @@ class FilterBank:
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
         self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
+
+    def likely(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those of ``ordered``, the likeliest first, that are kept."""
+        count = min(_likely(ordered), self._most)
+        found, rest = [*ordered[:count]], ordered[count:]
+        if self._judges and any(not h.is_exact for h in found):
+            enough = ordered[0].weight + FORLORN
+            exact = [h for h in rest if h.is_exact and h.weight > enough]
+            found += exact[: _likely(exact) if exact else 0]
+        return found
 
     @property
     def log_priors(self) -> LogPriors:
@@ -173,8 +184,8 @@ class FilterBank:
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
         likely += self._unlikely_exact(branches, len(likely))
-        made = self._distinct([h for h in self._made(change, likely) if h.state.is_finite])
-        if not self._trusts_estimate:
+        made = self.distinct([h for h in self._made(change, likely) if h.state.is_finite])
+        if not self.trusts_estimate:
             made = [*made, *self._restarted(change, branches, made, restarts)]
         return normalised(sorted(made, key=_weight))
 
@@ -279,7 +290,7 @@ class FilterBank:
         if leads and self.errors is not None:
             for other, chance in self.errors.others(h, here, likelihood):
                 yield prior + self._reported + chance, other, here, ""
-        if leads and depth > SURPRISE and not self._trusts_estimate:
+        if leads and depth > SURPRISE and not self.trusts_estimate:
             for factor in WIDENING:
                 wider = h._replace(state=self.filter.widened(h.state, factor * depth))
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
@@ -359,7 +370,7 @@ class FilterBank:
         weight = h.penalised_weight + len(change.contacts) * odds
         return _Branch(weight, h, None, reason, likelihood)
 
-    def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those with the same latest decisions, in order (N-scan pruning).
 
         Those that differ in older decisions only have nearly the same state.
@@ -369,7 +380,8 @@ class FilterBank:
         found: dict[object, Hypothesis] = {}
         for h in made:
             decisions = (note.decision for note in h.notes[-self._scan :])
-            same = (h.clock, h.error.kind, h.subset, h.is_exact, *decisions)
+            inserted = tuple((each.contact, each.kind) for each in h.missed)
+            same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
         return sorted(found.values(), key=_weight)
@@ -383,6 +395,8 @@ class FilterBank:
         is in error.
         """
         levels = [each.acceleration_error for each in hypotheses]
+        if any(each.missed for each in hypotheses):
+            hypotheses = [each.later(s) for each in hypotheses]
         if self._trusts_events:
             states = self.filter.priors(t, s, [each.state for each in hypotheses], levels)
             return tuple(
@@ -492,7 +506,7 @@ def _is_now(dip: Dip, now: float, clock: float) -> bool:
     return not dip.over and now - (dip.below if dip.began is None else dip.began) <= LATE * clock
 
 
-def _likely(ordered: Sequence[_Branch]) -> int:
+def _likely(ordered: Sequence[Hypothesis | _Branch]) -> int:
     """How many of ``ordered``, the likeliest first, are kept."""
     shares = [math.exp(each.weight - ordered[0].weight) for each in ordered]
     left = NEGLIGIBLE * sum(shares)

@@ -139,6 +139,10 @@ class Hypothesis(NamedTuple):
         """The level of white accelerations, m/s^1.5."""
         return self.error.level if self.error.kind is ErrorKind.ACCELERATION else 0.0
 
+    def later(self, s: float) -> "Hypothesis":
+        """Its missed switches are another ``s`` seconds ago."""
+        return self._replace(missed=tuple(m._replace(ago=m.ago + s) for m in self.missed))
+
     def is_as_reported(self, event: tuple[int, int]) -> bool:
         """Whether ``event``, the latest, happened as it was reported, and nothing before it."""
         latest = [*takewhile(lambda note: note.event == event, reversed(self.notes))]

@@ -25,7 +25,7 @@ class Access(NamedTuple):
 
     Attributes:
         publishes: topics.
-        subscribes: topics; those of sensors come from the detector's own file.
+        subscribes: topics; those of sensors come from files of detector and observer.
         serves: names of services.
     """
 
@@ -36,6 +36,8 @@ class Access(NamedTuple):
 
 SENSOR = Interface("switch", "std_msgs/msg/Bool")
 """The sensor of the sample ``config/detector/switch.yaml``."""
+ENCODER = Interface("encoder", interfaces.JOINT_STATE)
+"""The sensor of the sample ``config/measurements/encoder.yaml``."""
 LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
 """Received where the model has live forces or grounds, or turns with a drive."""
 NODES = {
@@ -54,10 +56,11 @@ NODES = {
             interfaces.OBSERVER_STATES,
             interfaces.OBSERVER_JOINT_STATES,
             interfaces.OBSERVER_VERDICTS,
+            interfaces.OBSERVER_MEASUREMENTS,
             interfaces.OBSERVER_BOUND,
             interfaces.DIAGNOSTIC_ARRAYS,
         ),
-        (interfaces.IMPACTS, *LIVE),
+        (interfaces.IMPACTS, *LIVE, ENCODER),
         ("~/reset", "~/set_state"),
     ),
     "detector": Access(

@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.events import Verdict
+from impact_observer.events import MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.state_blocks import encode
@@ -16,22 +16,23 @@ from impact_observer.states import Estimate, Estimates
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
 _OWN = (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
+_Judged: TypeAlias = Verdict | MeasurementVerdict
 OBSERVER = "observer"
 """The node that publishes estimates, where none other is named."""
 
 
 def in_log_order(
-    items: Iterable[Estimates | Verdict],
-) -> Iterator[tuple[int, Estimates | Verdict]]:
+    items: Iterable[Estimates | _Judged],
+) -> Iterator[tuple[int, Estimates | _Judged]]:
     """Estimates and verdicts with log times (ns) that never go back.
 
     The log time of an estimate is its stamp. A verdict that is given before the estimates up to
     its stamp waits for them. One on an earlier stamp, a revision, is logged when it is given.
     """
-    waiting: list[tuple[int, int, Verdict]] = []
+    waiting: list[tuple[int, int, _Judged]] = []
     last = 0
     for k, item in enumerate(items):
-        if isinstance(item, Verdict):
+        if not isinstance(item, Estimates):
             heapq.heappush(waiting, (max(item.stamp, last), k, item))
             continue
         begin, size = 0, item.stamps.size

@@ -82,6 +82,10 @@ LATCHED = Quality(transient_local=True, depth=1)
 
 INPUTS = Quality(depth=2000)
 """Samples of live forces and grounds: none may be lost, and many may wait."""
+SAMPLES = Quality(depth=100)
+"""What became of samples: many come at once after a late one."""
+SENSORS = Quality(reliable=False, depth=100)
+"""Samples of sensors, as their drivers publish them."""
 
 SMOOTHER = "smoother"
 """The owner of the topics of smoothed recordings."""
@@ -89,6 +93,7 @@ IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
 CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
 OBSERVER_STATE = "impact_observer_msgs/msg/ObserverState"
 EVENT_VERDICT = "impact_observer_msgs/msg/EventVerdict"
+MEASUREMENT_VERDICT = "impact_observer_msgs/msg/MeasurementVerdict"
 SMOOTHED_IMPACT = "impact_observer_msgs/msg/SmoothedImpact"
 ESTIMATE_ERROR = "impact_observer_msgs/msg/EstimateError"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -151,6 +156,7 @@ PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
 OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
 OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
 OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
+OBSERVER_MEASUREMENTS = Interface("observer/measurements", MEASUREMENT_VERDICT, SAMPLES)
 OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
@@ -168,6 +174,7 @@ INTERFACES = (
     OBSERVER_JOINT_STATES,
     OBSERVER_STATES,
     OBSERVER_VERDICTS,
+    OBSERVER_MEASUREMENTS,
     OBSERVER_BOUND,
     SMOOTHED_IMPACTS,
     MONITOR_ERROR,

@@ -20,6 +20,7 @@ from impact_observer.events import (
     REVISED,
     ImpactEvent,
     Kind,
+    MeasurementVerdict,
     Ruling,
     SmoothedImpact,
     Switch,
@@ -168,6 +169,18 @@ class Messages:
             contact=impact.contact,
             verdict=int(impact.ruling),
             deviation=_number("SmoothedImpact.deviation", impact.deviation),
+        )
+
+    def measurement_verdict(self, verdict: MeasurementVerdict) -> AnyMessage:
+        """``verdict`` as ``impact_observer_msgs/MeasurementVerdict``."""
+        return self._classes(interfaces.MEASUREMENT_VERDICT)(
+            header=self._header("MeasurementVerdict", verdict.stamp),
+            name=verdict.name,
+            value=_number("MeasurementVerdict.value", verdict.value),
+            innovation=_number("MeasurementVerdict.innovation", verdict.innovation),
+            normalized=_number("MeasurementVerdict.normalized", verdict.normalized),
+            accepted=verdict.accepted,
+            reason=verdict.reason,
         )
 
     def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
@@ -362,6 +375,23 @@ def read_smoothed_impact(message: AnyMessage) -> SmoothedImpact:
         contact=message.contact,
         ruling=_member(Ruling, "SmoothedImpact.verdict", message.verdict),
         deviation=float(message.deviation),
+    )
+
+
+def read_measurement_verdict(message: AnyMessage) -> MeasurementVerdict:
+    """The verdict on a sample in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0.
+    """
+    return MeasurementVerdict(
+        stamp=read_stamp("MeasurementVerdict.header.stamp", message.header.stamp),
+        name=message.name,
+        value=float(message.value),
+        innovation=float(message.innovation),
+        normalized=float(message.normalized),
+        accepted=bool(message.accepted),
+        reason=message.reason,
     )
 
 

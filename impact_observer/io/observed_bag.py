@@ -3,7 +3,7 @@
 import heapq
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from operator import itemgetter
@@ -12,10 +12,18 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.events import DECIDING, ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.events import (
+    DECIDING,
+    ImpactEvent,
+    MeasurementVerdict,
+    Ruling,
+    Verdict,
+    final_rulings,
+)
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import in_log_order, messages_of
 from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_recorded
+from impact_observer.io.measured_samples import MeasuredTopics
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
@@ -42,6 +50,7 @@ def observe_bag(
     epoch: int = 0,
     most: int = MOST_ESTIMATES,
     flush: float = FLUSH,
+    measured: MeasuredTopics | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, Counter[Ruling]]:
@@ -54,7 +63,7 @@ def observe_bag(
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
         flush: longest time until a message is on the disk, s.
-        most: estimates that are made, at most.
+        measured: what sensors have measured; None for nothing.
         progress: called with the number of estimates made and of those to be made.
         warn: called with what was wrong with samples of live forces and grounds, and where events
             come after the last estimate.
@@ -76,19 +85,35 @@ def observe_bag(
         warn(f"{count} samples are left out: {problem}")
     copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
+    if measured is not None:
+        topics += [topic for topic in measured.topics if topic not in topics]
     with all_or_nothing(output, flush) as writer:
         for topic in topics:
             info = reader.topics[topic]
-            writer.declare(topic, type_name=info.type, quality=info.quality)
+            own = info.definition if measured is not None and topic in measured.topics else ""
+            writer.declare(topic, type_name=info.type, quality=info.quality, definition=own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         messages = _ObserverMessages(
             writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
         )
-        made = messages.of(replay_batches(observer, events, stamps, rejects=True))
+        samples = () if measured is None else measured.samples
+        items = replay_batches(observer, events, stamps, rejects=True, samples=samples)
+        loud = set() if measured is None else measured.published
+        made = messages.of(_with_samples(items, observer, loud))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
     rulings = count_rulings(messages.final, {event.stamp for event in events})
     return messages.estimates, +(messages.others + rulings)
+
+
+def _with_samples(
+    items: Iterable[Estimates | Verdict], observer: Observer, published: Collection[str]
+) -> Iterator[Estimates | Verdict | MeasurementVerdict]:
+    """``items``, and the verdicts on samples of the sensors of these names before them."""
+    for item in items:
+        yield from (each for each in observer.samples.take() if each.name in published)
+        yield item
+    yield from (each for each in observer.samples.take() if each.name in published)
 
 
 def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
@@ -194,7 +219,9 @@ class _ObserverMessages:
         self._progress = progress
         self._bound = -1.0
 
-    def of(self, items: Iterable[Estimates | Verdict]) -> Iterator[tuple[int, str, bytes]]:
+    def of(
+        self, items: Iterable[Estimates | Verdict | MeasurementVerdict]
+    ) -> Iterator[tuple[int, str, bytes]]:
         """Log times (ns), topics and messages of ``items``."""
         make, serialize = bag_messages(), self._serialize
         for log_time, item in in_log_order(items):
@@ -203,6 +230,10 @@ class _ObserverMessages:
                 yield log_time, topic, serialize(topic, make.verdict(item))
                 self.final |= final_rulings([item])
                 self.others[item.ruling] += item.ruling not in DECIDING
+                continue
+            if isinstance(item, MeasurementVerdict):
+                topic = interfaces.OBSERVER_MEASUREMENTS.topic
+                yield log_time, topic, serialize(topic, make.measurement_verdict(item))
                 continue
             messages = messages_of(item, self._names, serialize)
             yield from islice(messages, 2)  # of the first estimate

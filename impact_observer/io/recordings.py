@@ -2,10 +2,11 @@
 
 import heapq
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 
 from impact_observer import __version__
 from impact_observer.errors import BagError, ImpactObserverError
@@ -14,6 +15,7 @@ from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
+from impact_observer.io.simulated_samples import SimulatedMessage
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
@@ -99,6 +101,8 @@ def write_run(
     integrator: str = EVENT_DRIVEN,
     sensor: SensorModel = IDEAL,
     flush: float = FLUSH,
+    samples: Sequence[SimulatedMessage] = (),
+    types: Mapping[str, str] = MappingProxyType({}),
 ) -> int:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
@@ -112,6 +116,8 @@ def write_run(
         integrator: a description of the integrator.
         sensor: its faults.
         flush: longest time until a message is on the disk, s.
+        samples: messages of sensors beside the impacts, as they arrive.
+        types: of these messages, by topic.
 
     Returns:
         The number of events.
@@ -129,6 +135,8 @@ def write_run(
     with all_or_nothing(path, flush) as writer:
         for each in PLANT_TOPICS:
             writer.declare(each.topic)
+        for topic, kind in types.items():
+            writer.declare(topic, type_name=kind, quality=interfaces.SENSORS)
         start = int(run.stamps[0])
         model_message = make.model(published_model(model, seed, integrator, sensor))
         writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
@@ -144,7 +152,7 @@ def write_run(
             for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
         )
         # At equal stamps the event is first: the state there is the one after it.
-        for stamp, topic, message in heapq.merge(events, states, key=itemgetter(0)):
+        for stamp, topic, message in heapq.merge(events, states, samples, key=itemgetter(0)):
             writer.write(topic, stamp, message)
     return len(received)
 

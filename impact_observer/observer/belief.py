@@ -125,6 +125,7 @@ class Belief(NamedTuple):
         hypotheses: of a law that carries several, the likeliest first; empty for others. The
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where such a law restarts; None for others.
+        behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
         account: of parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty while it does.
         onset: of an impact that lasts: its other states are those after the jump, as if that
@@ -142,6 +143,7 @@ class Belief(NamedTuple):
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
+    behind: tuple[float, float] = (0.0, 0.0)
     account: Account | None = None
     misfit: str = ""
     onset: Onset | None = None

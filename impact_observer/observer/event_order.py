@@ -27,6 +27,10 @@ Superseding: TypeAlias = Sequence[tuple[int, int]]
 """Indices of contacts of whose IMPACT a CLOSE supersedes, each with the number of that event."""
 
 
+AFTER_EVENTS = 1 << 64
+"""Sequence of the sample of the first sensor, so that samples come after events of their stamp."""
+
+
 class EventKey(NamedTuple):
     """An event in its order: by stamp, then by sequence, then by contact for unnumbered ones.
 
@@ -34,11 +38,23 @@ class EventKey(NamedTuple):
         stamp: ns.
         sequence: of the event; 0 where the sender does not count.
         switches: index of a contact and how it switches, in the event's order.
+        sample: instead of an event, the number that a sensor has measured; empty for an event.
     """
 
     stamp: int
     sequence: int
     switches: tuple[tuple[int, Kind], ...]
+    sample: tuple[float, ...] = ()
+
+    @classmethod
+    def measured(cls, stamp: int, sensor: int, value: float) -> "EventKey":
+        """A sample of a sensor, by its index, which comes after the events of its stamp."""
+        return cls(stamp, AFTER_EVENTS + sensor, (), (value,))
+
+    @property
+    def sensor(self) -> int:
+        """Index of the sensor of a sample."""
+        return self.sequence - AFTER_EVENTS
 
 
 class OverruledSwitch(NamedTuple):

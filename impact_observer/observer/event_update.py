@@ -1,10 +1,13 @@
 """One event applied: interpret it, predict the belief to its stamp, correct that by the law."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
 from impact_observer.observer.belief import Prediction
 from impact_observer.observer.event_order import EventKey, Superseding, interpret
 from impact_observer.observer.laws.law import Law
@@ -20,13 +23,21 @@ class EventUpdate:
         law: what the replicas do at an event, and in between.
         test: of their synchronization.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
+        sensors: of what is measured beside the impacts.
     """
 
-    def __init__(self, law: Law, test: SynchronizationTest, epoch: int) -> None:
+    def __init__(
+        self,
+        law: Law,
+        test: SynchronizationTest,
+        epoch: int,
+        sensors: Sequence[DeclaredSensor] = (),
+    ) -> None:
         """Use ``law`` and ``test``."""
         self.law = law
         self.test = test
         self.epoch = epoch
+        self.sensors = sensors
 
     def apply(self, previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
         """The entry of ``event``, from the one before it.
@@ -36,9 +47,15 @@ class EventUpdate:
             DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
                 finite.
         """
+        if event.sample:
+            return self._measured(previous, event, *event.sample)
+        last = event.stamp, event.sequence
         meaning = interpret(event, previous.closed, previous.latest, superseding)
         if not meaning.switches:
-            return replace(previous, key=event, latest=meaning.latest, overruled=meaning.overruled)
+            latest, overruled = meaning.latest, meaning.overruled
+            return replace(
+                previous, key=event, latest=latest, overruled=overruled, last=last, outcome=None
+            )
         stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
         prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
         change = ContactChange.of(
@@ -60,7 +77,58 @@ class EventUpdate:
                 " uncertainty too large, or the model another one?"
             )
         return Entry(
-            event, stamp, posterior, result, change.closed, meaning.latest, meaning.overruled
+            event,
+            stamp,
+            posterior,
+            result,
+            change.closed,
+            meaning.latest,
+            meaning.overruled,
+            last,
+            stamp if change.hit else previous.impact,
+            known=previous.known,
+        )
+
+    def _measured(self, previous: Entry, event: EventKey, value: float) -> Entry:
+        """The entry of a sample; one that is not used leaves the motion as it is.
+
+        Raises:
+            DynamicsError: the estimate is not finite.
+        """
+        stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
+        epoch, impact = self.epoch or stamp, previous.impact
+        reading = Reading(
+            self.sensors[event.sensor],
+            value,
+            Elapsed(stamp - epoch),
+            stamp - epoch,
+            seconds_between(impact, stamp) if impact else math.inf,
+            previous.closed,
+            previous.known.get(event.sensor, SensorState()),
+        )
+        if reason := _silenced(reading, previous):
+            outcome = SampleOutcome(0.0, -1.0, False, reason)
+            return replace(previous, key=event, overruled=(), outcome=outcome)
+        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
+        posterior, outcome, known = self.law.measure(reading, prior)
+        now = previous.known
+        if known != reading.known:
+            now = {**now, event.sensor: known}
+        if posterior is prior:
+            return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
+        result = self.test.measured(previous.synchronization, posterior)
+        if not isfinite(result.energy):
+            raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+        return replace(
+            previous,
+            key=event,
+            since=stamp,
+            belief=posterior,
+            synchronization=result,
+            overruled=(),
+            outcome=outcome,
+            known=now,
+            prediction=None,
         )
 
     def prediction(self, entry: Entry) -> Prediction:
@@ -69,3 +137,14 @@ class EventUpdate:
             t = Elapsed(entry.since - (self.epoch or entry.since))
             entry.prediction = self.law.predict(t, entry.belief, entry.closed)
         return entry.prediction
+
+
+def _silenced(reading: Reading, previous: Entry) -> str:
+    """Why a sample says nothing so soon after an impact; empty where it does."""
+    onset, ago = previous.belief.onset, reading.since_impact
+    if onset is not None and ago < 2 * onset.lasts:
+        return f"contact: an impact that lasts {2 * onset.lasts:.3g} s was {ago:.3g} s ago"
+    if reading.is_blanked:
+        blanking = reading.sensor.measurement.blanking
+        return f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
+    return ""

@@ -11,6 +11,7 @@ from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.live_signals import connected
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
@@ -24,13 +25,14 @@ def make_observer(
     others: Matrix | None = None,
     *,
     law: type[Law] | None = None,
+    measurements: Sequence[Measurement] = (),
 ) -> Observer:
     """An observer of ``system`` that has received no event yet.
 
     ``options`` are None for the defaults. The system was assembled of ``elements``: their
     parameters can be estimated one by one. The ``others`` are initial states of the replicas that
     run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn. Another ``law``
-    than that of the options may be given.
+    than that of the options may be given. The ``measurements`` are made beside the impacts.
 
     Raises:
         UsageError: an option cannot be used, by its name.
@@ -58,6 +60,7 @@ def make_observer(
         others=others,
         agreed=options.agreed,
         live=live,
+        measurements=measurements,
     )
 
 

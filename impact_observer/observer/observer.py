@@ -1,5 +1,6 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
+import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
+from impact_observer.estimation.readings import sensors_of
 from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import (
     REVISED,
@@ -22,10 +24,12 @@ from impact_observer.events import (
 )
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.run_history import RunHistory, misplaced
+from impact_observer.observer.samples import SampleStream, SensorSample
 from impact_observer.observer.sender_runs import SenderRun, SenderRuns
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, initial_entry
@@ -86,6 +90,7 @@ class Observer:
         given_epoch: the epoch that was given, ns; 0 for none.
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
+        samples: of sensors beside the impacts, and what became of them.
     """
 
     def __init__(
@@ -101,6 +106,7 @@ class Observer:
         others: Matrix | None = None,
         agreed: float = Options.agreed,
         live: LiveSignals | None = None,
+        measurements: Sequence[Measurement] = (),
     ) -> None:
         """Make an observer that has received nothing yet.
 
@@ -115,6 +121,7 @@ class Observer:
             others: initial states of the others, shape (ensemble - 1, 2n); None for drawn ones.
             agreed: V distance at which they count as synchronized, relative to the energy.
             live: the signals of ``system``, where it has live ones.
+            measurements: what is measured beside the impacts.
 
         Raises:
             UsageError: a wrong state, or a number that is not positive.
@@ -126,6 +133,8 @@ class Observer:
         if live is None:
             refused(system, "an observer without signals")
         self.live = live
+        self.samples = SampleStream(sensors_of(measurements, system))
+        self._revised: list[Verdict] = []
         self._is_inserting = False
         self.system = system
         self.law = law
@@ -152,6 +161,7 @@ class Observer:
         self._aside: tuple[SenderRun, RunHistory] | None = None
         self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
         self._first_pulse = 0
+        self.samples.clear()
         self._begin_run(self.given_epoch)
 
     def take_pulse(self, stamp: int) -> None:
@@ -166,7 +176,7 @@ class Observer:
     def _begin_run(self, epoch: int) -> None:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
         epoch = epoch or self._first_pulse
-        update = EventUpdate(self.law, self._test, epoch)
+        update = EventUpdate(self.law, self._test, epoch, self.samples.sensors)
         self._run = RunHistory(update, self._first_entry, self._history)
         if self.live is not None and epoch:
             self.live.follow(epoch)
@@ -203,6 +213,8 @@ class Observer:
             self._adopt(self._runs.in_use.epoch)
         if weighed.replaces:
             self._begin_run(self.epoch)
+        if weighed.replaces or weighed.previous is not None:
+            self.samples.again(self.epoch or event.stamp)
         released = weighed.released
         if self._without_epoch and self.epoch:
             released = (*self._without_epoch, *released)
@@ -305,12 +317,35 @@ class Observer:
                 yield from self._receive_waiting(run, of_run)
 
     def _follow(self) -> None:
-        """Use the samples of live signals that have come, but not while events are inserted."""
-        if self.live is None or self._is_inserting or not self.epoch:
+        """Use the samples that have come, but not while events are inserted."""
+        if self._is_inserting:
             return
-        changed = self.live.follow(self.epoch)
-        if changed is not None:
-            self._run.rerun(changed - self._lasts)
+        if self.live is not None and self.epoch:
+            changed = self.live.follow(self.epoch)
+            if changed is not None:
+                self._run.rerun(changed - self._lasts)
+        waiting = self.samples.waiting
+        if waiting and (self.epoch or not self.system.depends_on_time):
+            outcomes, revised = self._run.measure(waiting)
+            waiting.clear()
+            for each in outcomes:
+                self.samples.judge(*each)
+            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in revised)
+            self._revised += revised
+
+    def measure(self, samples: Iterable[SensorSample]) -> tuple[Verdict, ...]:
+        """Use samples of sensors, each at its own stamp, whenever they arrive.
+
+        What becomes of them is in ``samples``. They wait while the epoch of the forcing is not
+        known.
+
+        Returns:
+            Verdicts on earlier events that have changed.
+        """
+        self.samples.add(samples)
+        self._follow()
+        revised, self._revised = tuple(self._revised), []
+        return revised
 
     def forget_silence(self, now: int) -> None:
         """Keep memory bounded where samples come for long without any event.
@@ -463,6 +498,18 @@ class Observer:
     def epoch(self) -> int:
         """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
         return self._run.update.epoch
+
+    @property
+    def learned_deviations(self) -> dict[str, float]:
+        """Standard deviations of sensors that are learned, by name, as the latest samples say."""
+        if (timeline := self._run.timeline) is None:
+            return {}
+        known = timeline.entries[-1].known
+        return {
+            each.name: math.sqrt(max(known[each.index].variance, 0.0))
+            for each in self.samples.sensors
+            if each.measurement.deviation is None and each.index in known
+        }
 
     @property
     def agreed(self) -> float:

@@ -11,6 +11,7 @@ from impact_observer.errors import DynamicsError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.observer.event_order import NEAR_NUMBERS, NEAR_STAMPS
 from impact_observer.observer.observer import Observer
+from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import Placed, Weighed, placed
 from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Estimate, Estimates, Stamps
@@ -50,28 +51,45 @@ def replay_batches(
     *,
     only_states: bool = False,
     rejects: bool = False,
+    samples: Sequence[SensorSample] = (),
 ) -> Iterator[Estimates | Verdict]:
     """``replay`` with the estimates between two events in batches.
 
     See ``Observer.estimates`` for ``only_states``. An event to which the law has no solution is an
     error; with ``rejects`` it is rejected, as by a node, and an error where no event was applied.
+    What becomes of the ``samples`` of sensors, in order of stamps, is in ``observer.samples``.
     """
     errors: list[DynamicsError] | None = [] if rejects else None
     pending = _in_order_of_sending(placed(events, observer.given_epoch))[::-1]
+    waiting = [*samples][::-1]
     while stamps.size:
         while pending and _due(pending[-1], observer) <= stamps[0]:
+            yield from _measured(observer, waiting, pending[-1].event.stamp)
             yield from _received(observer, pending.pop(), errors)
+        yield from _measured(observer, waiting, int(stamps[0]) + 1)
         end = min(stamps.size, _BATCH)
         if pending:
             end = min(int(np.searchsorted(stamps, _due(pending[-1], observer))), end)
+        if waiting:
+            end = min(int(np.searchsorted(stamps, waiting[-1].stamp)), end)
         here, stamps = stamps[:end], stamps[end:]
         if observer.start is not None:
             known = here[np.searchsorted(here, observer.start) :]
             yield from observer.estimates(known, only_states=only_states)
     while pending:
+        yield from _measured(observer, waiting, pending[-1].event.stamp)
         yield from _received(observer, pending.pop(), errors)
+    yield from _measured(observer, waiting, MAX_STAMP)
     if errors and not observer.last_event:
         raise errors[0]
+
+
+def _measured(observer: Observer, waiting: list[SensorSample], before: int) -> Sequence[Verdict]:
+    """Verdicts on events that change by the samples ``before`` a stamp (ns), the next one last."""
+    due = list[SensorSample]()
+    while waiting and waiting[-1].stamp < before:
+        due.append(waiting.pop())
+    return observer.measure(due) if due else ()
 
 
 def _received(

@@ -1,18 +1,19 @@
 """What an observer keeps of one run of the sender: its events, and the estimates between them."""
 
-from collections.abc import Callable, Collection, Container, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import UsageError
+from impact_observer.estimation.readings import SampleOutcome
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.sequence_numbers import SequenceNumbers
-from impact_observer.observer.timeline import Entry, Insertion, Timeline
+from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between, text
 from impact_observer.states import (
@@ -27,6 +28,8 @@ from impact_observer.states import (
 
 MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
+MOST_SAMPLES = 20_000
+"""Samples of sensors that are kept beside them."""
 
 Refusal = tuple[Ruling, str, Remark]
 """Why an event is refused: its ruling, its reason, and how it is counted."""
@@ -97,8 +100,7 @@ class RunHistory:
     @property
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
-        newest = self.timeline.newest if self.timeline else None
-        return newest.stamp if newest and newest.switches else 0
+        return self.timeline.entries[-1].last[0] if self.timeline else 0
 
     def require_epoch(self) -> None:
         """Raise UsageError where the forcing depends on time and its epoch is unknown."""
@@ -162,11 +164,53 @@ class RunHistory:
         timeline = self.timeline
         assert timeline is not None, "events were inserted"
         first = received[0][1].entry.key.stamp
-        if timeline.forget_before(timeline.newest.stamp - self._history, MOST_EVENTS):
-            self._issued.forget_before(timeline.start.stamp)
-            self.numbers.forget_before(timeline.start.stamp)
+        self._forget(timeline)
         # Verdicts on what has been forgotten are final, also where the event itself is late.
         return self._issued.complete(received, max(first - self._history, timeline.start.stamp))
+
+    def _forget(self, timeline: Timeline) -> None:
+        """Forget what is too old."""
+        most = MOST_EVENTS + MOST_SAMPLES if self.update.sensors else MOST_EVENTS
+        if timeline.forget_before(timeline.newest.stamp - self._history, most):
+            self._issued.forget_before(timeline.start.stamp)
+            self.numbers.forget_before(timeline.start.stamp)
+
+    def measure(
+        self, keys: Iterable[EventKey]
+    ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
+        """Put samples into their places; late ones together, so that others run again once only.
+
+        Returns:
+            What became of each; and verdicts on events that samples have changed.
+        """
+        ordered = sorted(set(keys))
+        timeline = self.timeline_from_start(ordered[0].stamp)
+        refused, new = list[tuple[EventKey, SampleOutcome]](), list[EventKey]()
+        for key in ordered:
+            reason = ""
+            if not timeline.accepts(key):
+                reason = f"too late: {_before(timeline.start.stamp)}"
+            elif timeline.has_sample(*key[:2]) or (new and new[-1][:2] == key[:2]):
+                reason = "the sensor has another sample of the same stamp"
+            if reason:
+                refused.append((key, SampleOutcome(0.0, -1.0, False, reason)))
+            else:
+                new.append(key)
+        found = outcome(timeline.inserting(new))
+        refused += [(k, SampleOutcome(0.0, -1.0, False, str(e))) for k, e in found.failed.items()]
+        self._forget(timeline)
+        made = found.insertions
+        outcomes = [(m.entry.key, m.entry.outcome) for m in made if m.entry.outcome is not None]
+        return [*refused, *outcomes], self._revisions(made[-1]) if made else ()
+
+    def _revisions(self, insertion: Insertion) -> tuple[Verdict, ...]:
+        """Verdicts on events, where samples have made another account of them the likeliest."""
+        timeline = self.timeline
+        assert timeline is not None, "samples were inserted"
+        if self._issued.are_of(timeline.entries[-1]):
+            return ()
+        start = max(insertion.entry.key.stamp - self._history, timeline.start.stamp)
+        return self._issued.complete([((), insertion)], start)[1]
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""
@@ -184,7 +228,6 @@ class RunHistory:
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         x = self._before_jump(entry, s, x)
         closed = prediction.closed(s)
-        is_event = bool(entry.key.switches)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
         x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
@@ -203,8 +246,8 @@ class RunHistory:
             misfit=belief.misfit,
             clock_offset=belief.clock_offset,
             parameters=belief.parameters,
-            last_sequence=entry.key.sequence if is_event else 0,
-            last_event=entry.key.stamp if is_event else 0,
+            last_sequence=entry.last[1],
+            last_event=entry.last[0],
         )
 
     def _before_jump(self, entry: Entry, s: float, x: Vector) -> Vector:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
+from impact_observer.estimation.readings import SampleOutcome, SensorState
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
@@ -39,6 +40,10 @@ class Entry:
         closed: indices of the contacts with ``chi = 1`` after it, ascending.
         latest: sequence numbers of the events that have switched each contact.
         overruled: those of its switches whose effect another event changes.
+        last: stamp (ns) and sequence of the last event so far; zeros before the first.
+        impact: stamp of the last impact so far, ns; 0 before the first.
+        outcome: of a sample; None of an event.
+        known: what is known of each sensor so far, by its index.
         prediction: from ``since`` on; None until it is needed.
     """
 
@@ -49,7 +54,16 @@ class Entry:
     closed: Contacts = ()
     latest: LatestSequences = field(default_factory=dict)
     overruled: tuple[OverruledSwitch, ...] = ()
+    last: tuple[int, int] = (0, 0)
+    impact: int = 0
+    outcome: SampleOutcome | None = None
+    known: Mapping[int, SensorState] = field(default_factory=dict)
     prediction: Prediction | None = field(default=None, repr=False)
+
+    @property
+    def is_event(self) -> bool:
+        """Whether it is of an event, and not of a sample or of the start."""
+        return bool(self.key.switches)
 
     @property
     def event(self) -> tuple[int, int]:
@@ -67,7 +81,7 @@ class Insertion(NamedTuple):
     Attributes:
         entry: of the event.
         overrules: switches of other events whose effect it changes, with their events.
-        again: how many events after it were applied again.
+        again: how many events, without samples, after it were applied again.
         entries: of the first event that was inserted with it, or an earlier one, and of all after.
         place: of its own entry among them.
     """
@@ -256,6 +270,11 @@ class Timeline:
         at = self._place(key)
         return at > 0 and self.entries[at - 1].key == key
 
+    def has_sample(self, stamp: int, sequence: int) -> bool:
+        """Whether there is a sample of the same sensor at the same stamp."""
+        at = bisect_right(self.entries, (stamp, sequence), key=lambda entry: entry.event)
+        return self.entries[at - 1].event == (stamp, sequence)
+
     def _place(self, key: EventKey) -> int:
         return bisect_right(self.entries, key, key=lambda entry: entry.key)
 
@@ -329,7 +348,7 @@ def _insertions(new: Container[EventKey], entries: Sequence[Entry]) -> tuple[Ins
     for place in reversed(range(len(entries))):
         entry = entries[place]
         if entry.key not in new:
-            again += 1
+            again += entry.is_event
             continue
         number = entry.key.sequence
         found = overrules.get((number, 0 if number else entry.key.stamp), ())

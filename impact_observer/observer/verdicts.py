@@ -31,6 +31,10 @@ class IssuedVerdicts:
         self._issued: dict[Subject, Note] = {}
         self._notes: tuple[Note, ...] = ()
 
+    def are_of(self, entry: Entry) -> bool:
+        """Whether the latest verdicts are those of the likeliest hypothesis of ``entry``."""
+        return _notes(entry) is self._notes
+
     def complete(
         self, received: Sequence[tuple[tuple[Verdict, ...], Insertion]], start: int
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:

@@ -1,7 +1,7 @@
 """A whole run of the plant: its events and its true states on a grid of stamps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,11 @@ class Run:
     states: Vector
     switchings: tuple[Switching, ...]
     events: tuple[ImpactEvent, ...]
+
+    def at(self, stamps: Stamps) -> "Run":
+        """The run with only the states at ``stamps``, which are some of its own."""
+        which = np.searchsorted(self.stamps, stamps)
+        return replace(self, stamps=stamps, states=self.states[which])
 
     @property
     def impacts(self) -> tuple[Switching, ...]:

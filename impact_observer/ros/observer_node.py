@@ -25,6 +25,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import MessageLimits
 from impact_observer.model import read_model
+from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import (
     LARGEST_INNOVATION,
     initial_state,
@@ -40,6 +41,7 @@ from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.serialized import EstimateSerializer
 from impact_observer.ros.subscribing import waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -49,6 +51,8 @@ _SIMULATED_BACKLOG = 20
 """Overdue estimates published after a jump of simulated time; older ones are skipped."""
 _BACKLOG = 8
 """Overdue estimates published in real time, less than the depth of their topics, 10."""
+_DISCOVERY_PERIOD = 0.1
+"""How often the graph is searched for the topics of sensors, s."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=0.01)
 """How long to wait for subscribers within a backlog."""
 
@@ -69,7 +73,13 @@ class ObserverNode(Node):
         model = read_model(values.text("model"))
         system = model.system
         self._initial = initial_state(options.initial_state, system)
-        self._observer = make_observer(model.system, options, model.elements)
+        sensors = values.text("measurements")
+        self._observer = make_observer(
+            system,
+            options,
+            model.elements,
+            measurements=read_measurements(sensors) if sensors else (),
+        )
         self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -78,6 +88,7 @@ class ObserverNode(Node):
         self._joint_states = self._publisher(interfaces.OBSERVER_JOINT_STATES)
         self._verdicts = self._publisher(interfaces.OBSERVER_VERDICTS)
         self._bounds = self._publisher(interfaces.OBSERVER_BOUND)
+        self._samples = self._publisher(interfaces.OBSERVER_MEASUREMENTS)
         self._diagnostics_topic = self.create_publisher(
             DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
         )
@@ -97,6 +108,7 @@ class ObserverNode(Node):
             if system.depends_on_time and not options.epoch
             else None,
         )
+        self._sensors = self._sensor_intake(values, options)
         self._diagnostics.inputs = self._inputs
         self._diagnostics.input_timeout = values.number("input_timeout")
         self._go_on = self.create_guard_condition(self._apply_events)
@@ -125,9 +137,32 @@ class ObserverNode(Node):
         parameters.on_change(self, parameters.OBSERVER, partial(_check_lag, options), self._change)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
         live = f" and samples of {', '.join(self._inputs.ages(0))}" if system.live else ""
+        topics = f" and publishers of {', '.join(t)}" if (t := self._sensors.topics) else ""
         introduce(
-            self, f"model {system.name}, law {options.law}{known}", f"events on impacts{live}"
+            self,
+            f"model {system.name}, law {options.law}{known}",
+            f"events on impacts{live}{topics}",
         )
+
+    def _sensor_intake(self, values: parameters.Values, options: Options) -> SensorIntake:
+        """The subscriptions to sensors, made as their topics appear."""
+        intake = SensorIntake(
+            self,
+            self._observer,
+            clock=(self._now, options.history, values.number("future")),
+            reliable=values.text("measurements_reliability") == "reliable",
+            verdicts=values.text("measurement_verdicts"),
+            on_samples=self._on_samples,
+            on_problem=self._lines.error,
+        )
+        names = ", ".join(each.name for each in self._observer.samples.sensors)
+        if names:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(_DISCOVERY_PERIOD, intake.discover, clock=steady)
+        if names and not self._observer.law.uses_measurements:
+            line = f"{options.law} uses no measurements: {names} change nothing"
+            self.get_logger().warning(printable(line))
+        return intake
 
     def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"
@@ -208,6 +243,22 @@ class ObserverNode(Node):
         if self._last is not None and stamp <= self._last_stamp:
             self._publish(self._last_stamp)
             self._counts["corrected"] += 1
+
+    def _on_samples(self, stamp: int, revised: Sequence[Verdict]) -> None:
+        """Publish what samples from ``stamp`` (ns) on change, and what became of them."""
+        self._correct_by_samples(stamp)
+        for each in revised:
+            self._diagnostics.count(each, large=each.innovation > LARGEST_INNOVATION)
+            self._log(each)
+            self._verdicts.publish(self._make.verdict(each, 0.0))
+        published = {
+            each.name
+            for each in self._observer.samples.sensors
+            if self._sensors.is_published(each.index)
+        }
+        for verdict in self._observer.samples.take():
+            if verdict.name in published:
+                self._samples.publish(self._make.measurement_verdict(verdict))
 
     def _publish_verdicts(self, event: ImpactEvent, verdicts: Iterable[Verdict]) -> None:
         latency = max(seconds_between(event.stamp, self._now()), 0.0)
@@ -343,7 +394,9 @@ class ObserverNode(Node):
         """Publish counts and faults to ``/diagnostics``."""
         self._lines.restore()
         self._observer.forget_silence(self._now())
-        array = DiagnosticArray(status=[self._diagnostics.status(self._now(), self._last)])
+        now = self._now()
+        status = [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]
+        array = DiagnosticArray(status=status)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_topic.publish(array)
 

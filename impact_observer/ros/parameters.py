@@ -96,6 +96,23 @@ OBSERVER = (
         choices=("volatile", "transient_local"),
     ),
     _INPUT_TIMEOUT,
+    Option(
+        "measurements",
+        "",
+        "a file of what sensors measure beside the impacts, or a sample; empty: nothing",
+    ),
+    Option(
+        "measurements_reliability",
+        "best_effort",
+        "of the subscriptions to sensors; reliable needs publishers that are",
+        choices=("best_effort", "reliable"),
+    ),
+    Option(
+        "measurement_verdicts",
+        "auto",
+        "verdicts on samples that are published: auto is those of sensors up to 50 Hz",
+        choices=("auto", "all", "none"),
+    ),
 )
 DETECTOR = (
     Option("sources", "", "a file of sensors, or the name of a sample", required=True),

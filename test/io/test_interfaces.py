@@ -20,6 +20,7 @@ QUALITIES = st.builds(Quality, st.booleans(), st.booleans(), st.integers(0, 10_0
         ("/observer/joint_states", interfaces.OBSERVER_JOINT_STATES),
         ("/observer_geometric/state", interfaces.OBSERVER_STATES),
         ("/rig/observer_open_loop/verdicts", interfaces.OBSERVER_VERDICTS),
+        ("/observer_geometric/measurements", interfaces.OBSERVER_MEASUREMENTS),
         ("/smoother/state", interfaces.OBSERVER_STATES),
         ("/rig/smoother/impacts", interfaces.SMOOTHED_IMPACTS),
         ("/monitor_geometric/error", interfaces.MONITOR_ERROR),

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 from systems import examples
 
-from impact_observer.events import ImpactEvent, Kind, Ruling, SmoothedImpact, Switch, Verdict
+from impact_observer.events import (
+    ImpactEvent,
+    Kind,
+    MeasurementVerdict,
+    Ruling,
+    SmoothedImpact,
+    Switch,
+    Verdict,
+)
 from impact_observer.io import interfaces
 from impact_observer.io import messages as m
 from impact_observer.io.messages import (
@@ -41,6 +49,9 @@ VERDICTS = st.builds(
     Verdict, STAMPS, st.sampled_from(Ruling), COUNTS, TEXTS, TEXTS, FLOATS, revises=st.just(False)
 )
 IMPACTS = st.builds(SmoothedImpact, STAMPS, EARLY, COUNTS, TEXTS, st.sampled_from(Ruling), FLOATS)
+SAMPLES = st.builds(
+    MeasurementVerdict, STAMPS, TEXTS, FLOATS, FLOATS, FLOATS, st.booleans(), TEXTS
+)
 NAMES = st.lists(TEXTS, max_size=3, unique=True).map(tuple)
 
 
@@ -138,6 +149,14 @@ def test_smoothed_impact_survives_its_message(impact: SmoothedImpact) -> None:
     """Stamps to the nanosecond, the deviation bit for bit."""
     back = through_bytes(bag_messages().smoothed_impact(impact), interfaces.SMOOTHED_IMPACT)
     assert m.read_smoothed_impact(back) == impact
+
+
+@given(verdict=SAMPLES)
+def test_verdict_on_a_sample_survives_its_message(verdict: MeasurementVerdict) -> None:
+    """Numbers bit for bit."""
+    made = bag_messages().measurement_verdict(verdict)
+    back = through_bytes(made, interfaces.MEASUREMENT_VERDICT)
+    assert m.read_measurement_verdict(back) == verdict
 
 
 @given(error=errors())

@@ -32,6 +32,7 @@ KEYS = st.builds(
             *(((0, Kind.IMPACT), (1, Kind.IMPACT)), ((0, Kind.CLOSE), (1, Kind.OPEN))),
         ]
     ),
+    st.just(()),
 )
 NONE = Synchronization(-1.0, 0.0)
 

@@ -26,6 +26,9 @@ forces: [{body: x, input: motor}]
 stops: [{name: plate, between: [table, x], gap: 1, restitution: 0.5}]
 initial_state: {position: [0], velocity: [0]}
 """
+ENCODER = """\
+measurements: [{name: a, topic: encoder, joint: x, quantity: position, deviation: 0.1}]
+"""
 ARGUMENTS = {"detector": ["-p", "sources:=switch"]}
 
 
@@ -60,7 +63,14 @@ def test_a_policy_allows_what_its_node_does_and_nothing_else(
     assert ros_environment
     (tmp_path / "live.yaml").write_text(LIVE_MODEL)
     given = ARGUMENTS.get(name, ["-p", f"model:={tmp_path / 'live.yaml'}"])
+    if name == "observer":
+        (tmp_path / "sensors.yaml").write_text(ENCODER)
+        given += ["-p", f"measurements:={tmp_path / 'sensors.yaml'}"]
     with spinning(["--ros-args", *given]) as spinner:
+        if name == "observer":
+            from sensor_msgs.msg import JointState
+
+            spinner.probe.create_publisher(JointState, "encoder", 10)
         if name == "detector":
             from std_msgs.msg import Bool
 

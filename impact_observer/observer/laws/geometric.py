@@ -62,6 +62,7 @@ class Geometric(ReplicaLaw):
 
     name: ClassVar[str] = "geometric"
     has_bound: ClassVar[bool] = True
+    holds_gaps: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare Newton's law and the projection."""

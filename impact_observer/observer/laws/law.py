@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -25,6 +26,7 @@ class Law(ABC):
         has_bound: whether it certifies a bound of V.
         has_covariance: whether it estimates a covariance.
         learns: whether it estimates unknown parameters of the model.
+        uses_measurements: whether samples of sensors correct its replicas.
         system: what plant and replicas share.
         uncertainty: as declared by the user.
     """
@@ -34,6 +36,7 @@ class Law(ABC):
     has_bound: ClassVar[bool] = False
     has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
+    uses_measurements: ClassVar[bool] = False
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the law for one ``system``.
@@ -69,6 +72,17 @@ class Law(ABC):
             ImpactLawError: the impact law has no solution on these contacts.
             DynamicsError: the loads of closed contacts cannot be found.
         """
+
+    def measure(
+        self, reading: Reading, prior: Belief
+    ) -> tuple[Belief, SampleOutcome, SensorState]:
+        """The posterior of a sample that is measured beside the impacts; by default the prior.
+
+        Returns:
+            The belief; what became of the sample; and what is known of its sensor.
+        """
+        reason = f"{self.name} uses no measurements"
+        return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
 
     @abstractmethod
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:

@@ -1,8 +1,8 @@
 """The Kalman filter of impact times, with a bank of hypotheses on what each event was."""
 
 import math
-from collections.abc import Sequence
-from functools import cached_property, partial
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +21,8 @@ from impact_observer.estimation.hypotheses import (
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import Fit, Residual
 from impact_observer.estimation.model_error import ErrorKind
+from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
+from impact_observer.estimation.sample_update import SampleUpdate
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Ruling
@@ -75,6 +77,7 @@ class MinimumVariance(Law):
     name: ClassVar[str] = "minimum-variance"
     has_covariance: ClassVar[bool] = True
     learns: ClassVar[bool] = True
+    uses_measurements: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the filter.
@@ -136,6 +139,9 @@ class MinimumVariance(Law):
             fit = belief.fit.after(likelihood.normalised if innovations else None)
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
+        if belief.behind[1]:
+            t, s = belief.behind
+            fallback = self._replica.motion(t, fallback, change.before)(s)
         before, fallback = fallback, self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
@@ -158,17 +164,55 @@ class MinimumVariance(Law):
             account = self._accounts.begin(state, fallback.largest, clocks)
         return self._posterior(corrected, fallback, fit, account, change)
 
+    def measure(
+        self, reading: Reading, prior: Belief
+    ) -> tuple[Belief, SampleOutcome, SensorState]:
+        """Each hypothesis is corrected and weighed; those with other parameters too."""
+        closed, account = reading.closed, prior.account
+        if self._single:
+            assert prior.root is not None, "a belief of another law"
+            differences = prior.ensemble.differences
+            state = GaussianState(prior.x, np.zeros(0), prior.root, differences, closed)
+            (h,), outcome, known = self._samples.after(
+                reading, [Hypothesis(state, self.clocks[0])]
+            )
+            if h.state is state:
+                return prior, outcome, known
+            return Belief(h.state.ensemble, h.state.root, fit=prior.fit), outcome, known
+        hypotheses, fallback = self._hypotheses_of(prior, closed)
+        found, outcome, known = self._samples.after(reading, hypotheses)
+        if len(found) == len(hypotheses) == 1 and found[0].state is hypotheses[0].state:
+            return prior, outcome, known
+        if account is not None:
+            account = self._accounts.measured(reading, account)
+        posterior = self._posterior(found, fallback, prior.fit, account)
+        return posterior._replace(behind=prior.behind), outcome, known
+
+    @cached_property
+    def _samples(self) -> SampleUpdate:
+        return SampleUpdate(self._bank)
+
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest hypothesis for the estimate, all of them for the next event."""
         if self._single:
             return SinglePrediction(self._bank.filter, t, belief, closed)
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
-        motion = self._replica.motion(t, fallback, closed)
+        since, ago = belief.behind if belief.behind[1] else (t, 0.0)
+
+        @cache
+        def replica() -> Callable[[float], Fallback]:
+            return self._replica.motion(since, fallback, closed)
+
+        def motion(s: float) -> Fallback:
+            return replica()(ago + s)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
             later = None if account is None else self._accounts.predicted(t, account, s)
-            return self._prior(predicted, motion(s), belief.fit, later)
+            if belief.fit.is_compared:
+                return self._prior(predicted, motion(s), belief.fit, later)
+            found = self._prior(predicted, fallback, belief.fit, later)
+            return found._replace(behind=(since, ago + s))
 
         shown = _shown(hypotheses, belief.fit)
         found: Prediction = (

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
@@ -20,6 +20,8 @@ from impact_observer.estimation.hypotheses import (
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import ESTABLISHED
+from impact_observer.estimation.readings import Reading
+from impact_observer.estimation.sample_update import SampleUpdate
 from impact_observer.estimation.square_root import lengths, triangular
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
@@ -138,6 +140,14 @@ class ParameterAccounts:
             w, n = self._system.W[:, change.hit[0]], self._system.n
             residual = float(w.dot(prior.x[:n]) + self._system.q_r[change.hit[0]])
         return Account(corrected, fit, residual)
+
+    def measured(self, reading: Reading, before: Account) -> Account:
+        """The account after a sample that is measured beside the impacts."""
+        return before._replace(hypotheses=self._samples.after(reading, before.hypotheses)[0])
+
+    @cached_property
+    def _samples(self) -> SampleUpdate:
+        return SampleUpdate(self._bank)
 
     def _doubted_again(self, state: GaussianState) -> GaussianState:
         """``state`` with all parameters in doubt, by as much as the most changed one has changed.

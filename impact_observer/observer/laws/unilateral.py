@@ -77,6 +77,15 @@ class Unilateral(Geometric):
         replicas = [self._projected(x, change.closed) for x in prior.replicas]
         return prior._replace(ensemble=Ensemble.of(np.array(replicas)))
 
+    def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
+        """No gap negative either."""
+        replicas, system = super().admitted(ensemble, closed).replicas, self.system
+        held = closed if self._unilateral.is_possible(closed) else ()
+        inside = np.any(replicas[:, : system.n] @ system.W + system.q_r < 0, axis=1)
+        for i in np.flatnonzero(inside | bool(held)):
+            replicas[i] = self._projected(replicas[i], held)
+        return Ensemble.of(replicas)
+
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """As with geometric, where all the contacts can be closed at once."""
         return (

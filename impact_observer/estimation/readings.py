@@ -1,0 +1,226 @@
+"""Samples of what is measured beside the impacts, as linear functions of the state."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.members import Members, MovingSystem
+from impact_observer.estimation.saltation import LEAST, ROUNDING
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.model.measurement import Coefficients, Measurement
+from impact_observer.states import Vector, frozen
+
+_STEP = 1000
+"""Half the distance of the instants by which speeds of grounds are differentiated, ns."""
+_NOTHING = np.zeros(0)
+_FADING = 4.0
+"""Power by which samples from which a deviation is learned fade with their number."""
+_MEMORY = 1000.0
+"""How many of them count in the end."""
+
+
+class Row(NamedTuple):
+    """A measured function ``h x + rest`` of a state.
+
+    Attributes:
+        h: by the state (q, u), shape (2n,).
+        rest: in the unit of the measurement.
+        of_theta: by the parameters that are estimated, shape (p,) or none.
+    """
+
+    h: Vector
+    rest: float
+    of_theta: Vector = _NOTHING
+
+    def value(self, x: Vector) -> float:
+        """At a state, shape (2n,)."""
+        return float(self.h.dot(x)) + self.rest
+
+    def rounding(self, sizes: Vector) -> float:
+        """Standard deviation of its rounding, positive; states have these ``sizes``, (2n,)."""
+        return ROUNDING * (float(np.abs(self.h).dot(sizes)) + abs(self.rest)) + LEAST
+
+
+class Place(NamedTuple):
+    """Where a measured function is linearised.
+
+    Attributes:
+        t: s since the epoch.
+        instant: the same, ns.
+        x: the state (q, u) then, in the frame, shape (2n,).
+        closed: contacts that are closed.
+    """
+
+    t: float
+    instant: int
+    x: Vector
+    closed: Contacts
+
+
+class DeclaredSensor:
+    """A declared measurement of one system.
+
+    Attributes:
+        measurement: as it was declared.
+        index: among all sensors.
+        is_dynamic: whether it measures accelerations, which depend on forces.
+    """
+
+    def __init__(self, measurement: Measurement, system: System, index: int = 0) -> None:
+        """Resolve names of coordinates and contacts.
+
+        Raises:
+            UsageError: the system does not have them, by file and key.
+        """
+        measurement.check(system)
+        self.measurement, self.index = measurement, index
+        self._system = system
+        n = system.n
+        p, v, a = (
+            _coefficients(each, system)
+            for each in (measurement.position, measurement.velocity, measurement.acceleration)
+        )
+        self._contact: int | None = None
+        self._offset = measurement.offset
+        if measurement.gap:
+            self._contact = system.contact_names.index(measurement.gap)
+            p = system.W[:, self._contact]
+            self._offset += float(system.q_r[self._contact])
+        self._p, self._v, self._a = p, v, a
+        self.is_dynamic = bool(np.any(a))
+        self._h = frozen(np.concatenate([p, v]))
+        self._still = Row(self._h, self._offset)
+        self._n = n
+
+    @property
+    def name(self) -> str:
+        """Of the sensor."""
+        return self.measurement.name
+
+    def row(self, moving: MovingSystem, at: Place) -> Row:
+        """The measured function of states near a place; ``moving`` between impacts."""
+        if not self.is_dynamic and (self._system.frame is None or self._contact is not None):
+            return self._still
+        h, rest = self._h, self._offset + self._shifted(at.instant)
+        if self.is_dynamic:
+            n, rates = self._n, moving.rates_at(at.t, at.x, at.closed)
+            h = h + self._a.dot(rates.A[n:])
+            forces = rates.B[n:].dot(moving.forces(at.t)[0]) + rates.b[n:]
+            rest += float(self._a.dot(forces))
+        return Row(h, rest)
+
+    def row_of(self, members: Members, theta: Vector, at: Place) -> Row:
+        """``row`` of the member of a family whose parameters are ``theta``, shape (p,)."""
+        member = members.at(theta)
+        row = self.row(member.moving, at)
+        of_theta = np.zeros(theta.size)
+        if self._contact is not None:
+            sensitivity = members.gap_sensitivity((self._contact,))[0]
+            of_theta, change = sensitivity, sensitivity.dot(theta - members.family.nominal)
+            row = row._replace(rest=row.rest + float(change))
+        if self.is_dynamic:
+            rates = members.rate_sensitivity(member, at.closed, at.x, at.t)[self._n :]
+            of_theta = of_theta + self._a.dot(rates)
+        return row._replace(of_theta=of_theta)
+
+    def _shifted(self, instant: int) -> float:
+        """What moving grounds add, as coordinates are those in the frame."""
+        frame = self._system.frame
+        if frame is None or self._contact is not None:
+            return 0.0
+        around = np.array([instant - _STEP, instant, instant + _STEP], dtype=np.int64)
+        s, speed = frame.displacements(around)
+        acceleration = (speed[2] - speed[0]) / (2e-9 * _STEP)
+        parts = zip((self._p, self._v, self._a), (s[1], speed[1], acceleration), strict=True)
+        return float(sum(row.dot(frame.shift.dot(motion)) for row, motion in parts))
+
+
+class SensorState(NamedTuple):
+    """What is known of a sensor from its samples.
+
+    Attributes:
+        variance: of its noise, as it was declared or learned; negative before the first sample.
+        samples: how many have taught it.
+        rejected: samples in a row that were rejected.
+    """
+
+    variance: float = -1.0
+    samples: int = 0
+    rejected: int = 0
+
+    def learned(self, residual: float) -> "SensorState":
+        """After a sample whose noise has had the square ``residual``, in the mean.
+
+        The weight of older samples fades as a power of their number: what was assumed at first
+        is soon forgotten, and in the end a thousand samples count.
+        """
+        samples = self.samples + 1
+        weight = max(_FADING / (samples + _FADING), 1.0 / _MEMORY)
+        return SensorState(self.variance + weight * (residual - self.variance), samples)
+
+
+class Reading(NamedTuple):
+    """A sample at its instant.
+
+    Attributes:
+        sensor: whose sample.
+        value: as it was measured.
+        t: s since the epoch.
+        instant: the same, ns.
+        since_impact: s since the last impact that was reported; infinite before any.
+        closed: contacts with ``chi = 1``.
+        known: what is known of its sensor.
+    """
+
+    sensor: DeclaredSensor
+    value: float
+    t: float
+    instant: int
+    since_impact: float = math.inf
+    closed: Contacts = ()
+    known: SensorState = SensorState()
+
+    @property
+    def is_blanked(self) -> bool:
+        """Whether an impact was too short a time ago."""
+        return self.since_impact < self.sensor.measurement.blanking
+
+
+class SampleOutcome(NamedTuple):
+    """What a law made of a sample.
+
+    Attributes:
+        innovation: value less predicted value.
+        normalized: its magnitude in standard deviations; -1 where a law has none.
+        accepted: whether it was used.
+        reason: why not; empty otherwise.
+    """
+
+    innovation: float
+    normalized: float = -1.0
+    accepted: bool = True
+    reason: str = ""
+
+
+def sensors_of(measurements: Sequence[Measurement], system: System) -> tuple[DeclaredSensor, ...]:
+    """The sensors of a system.
+
+    Raises:
+        UsageError: the system does not have a coordinate or contact, by file and key.
+    """
+    return tuple(map(partial(_sensor, system), range(len(measurements)), measurements))
+
+
+def _sensor(system: System, index: int, measurement: Measurement) -> DeclaredSensor:
+    return DeclaredSensor(measurement, system, index)
+
+
+def _coefficients(given: Coefficients, system: System) -> Vector:
+    found = np.zeros(system.n)
+    for name, value in given:
+        found[system.coordinates.index(name)] += value
+    return found

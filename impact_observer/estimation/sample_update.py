@@ -1,0 +1,254 @@
+"""The hypotheses of a bank, corrected and weighed by samples that are measured beside impacts."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from impact_observer.estimation.filter_bank import CONFIDENT, LATE, POSSIBLE, RESTART, FilterBank
+from impact_observer.estimation.forecast import Dip
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, normalised
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
+from impact_observer.estimation.scalar_update import Seen, updated
+from impact_observer.events import Kind
+from impact_observer.states import Vector
+
+DOUBTFUL = 3
+"""Samples of one sensor that are rejected in a row, before the covariance is doubted."""
+WIDENING = 3.0
+"""Factor of the normalised innovation by which it is widened then."""
+
+
+class SampleResult(NamedTuple):
+    """A state after a sample.
+
+    Attributes:
+        state: the state.
+        outcome: what became of the sample.
+        density: logarithm of the density of the sample, but for a constant.
+        residual: the expected square of its noise; negative where it says nothing about that.
+    """
+
+    state: GaussianState
+    outcome: SampleOutcome
+    density: float
+    residual: float = -1.0
+
+
+class _Weighed(NamedTuple):
+    """A sample under one hypothesis.
+
+    Attributes:
+        hypothesis: after it, with its weight.
+        outcome: what became of the sample.
+        residual: see ``SampleResult``.
+    """
+
+    hypothesis: Hypothesis
+    outcome: SampleOutcome
+    residual: float
+
+
+class SampleFilter:
+    """The update of one state by a sample.
+
+    Attributes:
+        filter: of the states.
+    """
+
+    def __init__(self, filter_: ImpactFilter) -> None:
+        """Samples of the system of ``filter_``."""
+        self.filter = filter_
+        self._sizes = filter_.phases.scales.sizes
+
+    def row(self, reading: Reading, state: GaussianState) -> Row:
+        """The measured function near a state."""
+        sensor, members = reading.sensor, self.filter.members
+        at = Place(reading.t, reading.instant, state.x, state.closed)
+        if state.parameters:
+            return sensor.row_of(members, state.theta, at)
+        return sensor.row(members.given.moving, at)
+
+    def noise(self, row: Row, state: GaussianState, variance: float) -> float:
+        """The variance of a sample, with its rounding."""
+        if variance > 0:
+            return variance
+        rounded = row.rounding(self._sizes(state.x))
+        return max(variance, 0.0) + rounded * rounded
+
+    def first(self, reading: Reading, state: GaussianState, known: SensorState) -> SensorState:
+        """``known`` with a variance: of a sensor that is to be learned, that of the prediction."""
+        if known.variance >= 0:
+            return known
+        declared = reading.sensor.measurement.deviation
+        if declared is not None:
+            return known._replace(variance=declared * declared)
+        row = self.row(reading, state)
+        seen = Seen.of(row, state)
+        innovation = reading.value - seen.value
+        return known._replace(variance=max(seen.spread, innovation * innovation))
+
+    def after(
+        self, reading: Reading, state: GaussianState, known: SensorState, jump: float = 0.0
+    ) -> "SampleResult":
+        """A state after a sample, unless its gate rejects that.
+
+        An impact that may have happened already, or not yet, would change the measured function by
+        ``jump``.
+        """
+        row, gate = self.row(reading, state), reading.sensor.measurement.gate
+        seen = Seen.of(row, state)
+        noise = self.noise(row, state, known.variance)
+        innovation, variance = reading.value - seen.value, seen.spread + noise
+        size = min(abs(innovation), abs(innovation - jump))
+        square = min(size * size / variance, gate * gate)
+        density = -(square + math.log(variance)) / 2 - (math.log(2.0) if jump else 0.0)
+        normalized = abs(innovation) / math.sqrt(variance)
+        if size > gate * math.sqrt(variance):
+            reason = f"gate: {normalized:.3g} standard deviations; {gate:g} are allowed"
+            outcome = SampleOutcome(innovation, normalized, False, reason)
+            share = noise / variance
+            residual = gate * gate * variance * share * share + seen.spread * share
+            return SampleResult(state, outcome, density, -1.0 if jump else residual)
+        if jump:
+            noise += jump * jump
+            after = updated(state, row, seen, innovation, noise)
+            reason = "in part: an impact is about to happen, or has just happened"
+            return SampleResult(
+                after, SampleOutcome(innovation, normalized, True, reason), density
+            )
+        after = updated(state, row, seen, innovation, noise)
+        if after.parameters:
+            after = self._within_bounds(after)
+        share = noise / variance
+        residual = (innovation * share) ** 2 + seen.spread * share
+        return SampleResult(after, SampleOutcome(innovation, normalized), density, residual)
+
+    def _within_bounds(self, state: GaussianState) -> GaussianState:
+        """``state`` with its parameters within their bounds."""
+        size, p = state.x.size, state.parameters
+        change = self.filter.members.bound_correction(
+            state.theta, state.root, slice(size, size + p)
+        )
+        return state._replace(x=state.x + change[:size], constants=state.constants + change[size:])
+
+
+class SampleUpdate:
+    """Corrects and weighs the hypotheses of a bank by samples."""
+
+    def __init__(self, bank: FilterBank) -> None:
+        """Samples for the hypotheses of ``bank``."""
+        self.bank = bank
+        self.one = SampleFilter(bank.filter)
+        self._system = bank.filter.system
+        self._directions = np.ascontiguousarray(self._system.W.T)
+
+    def after(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis]
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+        """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one."""
+        known = self.one.first(reading, hypotheses[0].state, reading.known)
+        doubt = known.rejected >= DOUBTFUL
+        if len(hypotheses) == 1 and not (hypotheses[0].penetrating or doubt):
+            weighed = [self._weighed(reading, hypotheses[0], known)]
+        else:
+            weighed = [
+                self._weighed(reading, branch, known)
+                for h in hypotheses
+                for branch in self._branches(reading, h, known, doubt=doubt)
+            ]
+        best = max(weighed, key=lambda each: each.hypothesis.weight)
+        found = self._kept([each.hypothesis for each in weighed])
+        accepted, residual = best.outcome.accepted, best.residual
+        rejected = 0 if accepted else known.rejected + 1
+        if reading.sensor.measurement.deviation is None and residual >= 0:
+            known = known.learned(residual)
+        return found, best.outcome, known._replace(rejected=rejected)
+
+    def _kept(self, found: list[Hypothesis]) -> tuple[Hypothesis, ...]:
+        if len(found) == 1:
+            return (found[0]._replace(weight=0.0),)
+        found.sort(key=lambda h: -h.weight)
+        return normalised(self.bank.distinct(self.bank.likely(found)))
+
+    def _branches(
+        self, reading: Reading, h: Hypothesis, known: SensorState, *, doubt: bool
+    ) -> Iterator[Hypothesis]:
+        """What may have happened before a sample, under one hypothesis."""
+        yield from self._settled(reading, h)
+        if doubt and not self.bank.trusts_estimate:
+            row = self.one.row(reading, h.state)
+            seen = Seen.of(row, h.state)
+            variance = seen.spread + self.one.noise(row, h.state, known.variance)
+            depth = abs(reading.value - seen.value) / math.sqrt(variance)
+            if depth > reading.sensor.measurement.gate:
+                wider = self.bank.filter.widened(h.state, WIDENING * depth)
+                yield h._replace(state=wider, weight=h.weight + RESTART)
+
+    def _settled(self, reading: Reading, h: Hypothesis) -> Iterator[Hypothesis]:
+        """``h``, and what it is if the impacts have happened that it penetrates.
+
+        A sample ends a dip: either the estimate is in error, or an impact was missed.
+        """
+        if not h.penetrating:
+            yield h
+            return
+        error = sum(h.penetrating.values())
+        yield h._replace(weight=h.weight + error, penetrating=NOTHING)
+        for contact, unlikely in h.penetrating.items():
+            depth = -float(special.ndtri_exp(unlikely))
+            missed = self.bank.log_priors.missed
+            if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
+                continue
+            dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, over=False)
+            state, kind = insert_switch(self.bank.filter, reading.t, h.state, dip)
+            weight = h.weight + missed + float(special.log_ndtr(depth)) + error - unlikely
+            inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth))
+            yield h._replace(
+                state=state, weight=weight, missed=inserted, penetrating=NOTHING, since=0.0
+            )
+
+    def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:
+        result = self.one.after(reading, h.state, known, self._jump_in_doubt(reading, h))
+        state, outcome, density, residual = result
+        blanking = reading.sensor.measurement.blanking
+        if h.missed and min(each.ago for each in h.missed) < blanking:
+            # What is not used does not judge: as likely as any sample that is expected.
+            density += (min(outcome.normalized, reading.sensor.measurement.gate) ** 2 - 1) / 2
+            reason = f"blanking: an impact that was missed is less than {blanking:g} s ago"
+            outcome = SampleOutcome(outcome.innovation, outcome.normalized, False, reason)
+            return _Weighed(h._replace(weight=h.weight + density), outcome, -1.0)
+        return _Weighed(h._replace(state=state, weight=h.weight + density), outcome, residual)
+
+    def _jump_in_doubt(self, reading: Reading, h: Hypothesis) -> float:
+        """By how much an impact changes a sample that may be before it, or after it.
+
+        An impact is stamped early or late by a few deviations of the clock. Meanwhile the estimate
+        is inside the stop, or has jumped too early.
+        """
+        state, system, n = h.state, self._system, self._system.n
+        gaps = self._directions.dot(state.x[:n]) + system.q_r
+        if not system.m or gaps.min() >= 0:
+            return 0.0
+        squares, row = 0.0, None
+        speeds = self._directions.dot(state.x[n:])
+        for i in np.flatnonzero(gaps < 0).tolist():
+            if i not in state.closed and -gaps[i] <= LATE * h.clock * abs(speeds[i]):
+                row = row or self.one.row(reading, state)
+                squares += self._jump(row, state.x, i, float(speeds[i])) ** 2
+        return math.sqrt(squares)
+
+    def _jump(self, row: Row, x: Vector, contact: int, speed: float) -> float:
+        """By how much an impact changes a measured function of a state."""
+        mirror = self.bank.filter.members.given.mirror_about(x, (contact,))
+        change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
+        eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
+        return change / eps if speed > 0 else change  # it has jumped: the state before was faster
+
+
+_LEAST_RESTITUTION = 1e-3

@@ -1,0 +1,249 @@
+"""Samples of declared sensors in messages of any type, and in bags."""
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from impact_observer.errors import BagError, UsageError
+from impact_observer.io import interfaces
+from impact_observer.io.messages import AnyMessage
+from impact_observer.io.reader import BagReader
+from impact_observer.message_fields import header_stamp, numbers_at
+from impact_observer.model.measurement import Measurement
+from impact_observer.observer.samples import SensorSample
+from impact_observer.stamps import NS_PER_S, from_seconds
+
+MOST_CLOCK_ERROR = 60.0
+"""How far the clock of a sensor may be from that of the impacts, s."""
+_COMPARED = 1000
+"""Messages of a topic by which clocks are compared."""
+SILENT_RATE = 50.0
+"""Rate of a sensor, Hz, beyond which the verdicts on its samples are not published by default."""
+
+AUTO, ALL, NONE = "auto", "all", "none"
+VERDICTS = (AUTO, ALL, NONE)
+"""Of which sensors verdicts are published: of those up to ``SILENT_RATE``, of all, of none."""
+
+
+class SensorReader:
+    """Reads the samples of one sensor from the messages of its topic.
+
+    Attributes:
+        measurement: as it was declared.
+        index: of the sensor.
+    """
+
+    def __init__(self, measurement: Measurement, index: int, type_name: str) -> None:
+        """A sensor on a topic with messages of the type ``type_name``.
+
+        Raises:
+            UsageError: by file and key, where a joint is wanted of other messages.
+        """
+        self.measurement, self.index = measurement, index
+        self._delay = from_seconds(measurement.delay)
+        self._path = measurement.path() if measurement.field else ()
+        if measurement.joint and type_name != interfaces.JOINT_STATE:
+            found = f"{measurement.topic} is {type_name}, which has no joints"
+            raise measurement.wrong(
+                "joint", f"{found}; expected {interfaces.JOINT_STATE}, or field"
+            )
+
+    def sample(self, message: AnyMessage, received: int) -> SensorSample | None:
+        """The sample in a message that was received at this time, ns.
+
+        None where a joint is not in it: joints may share a topic. It is NaN where an array is
+        shorter than those before.
+
+        Raises:
+            UsageError: by file and key: there is no such field, or it holds no number, or there is
+                no stamp in a header.
+        """
+        given = self.measurement
+        stamp = None if given.stamp == "receive" else header_stamp(message)
+        if stamp is None:
+            if given.stamp == "header":
+                problem = f"header found, but a message of {given.topic} has no stamp in one"
+                raise given.wrong("stamp", f"{problem}; expected receive")
+            stamp = received
+        value = self._of_joint(message) if given.joint else self._of_field(message)
+        return None if value is None else SensorSample(self.index, stamp - self._delay, value)
+
+    def _of_joint(self, message: AnyMessage) -> float | None:
+        given = self.measurement
+        if given.joint not in message.name:
+            return None
+        values = getattr(message, given.quantity)
+        i = list(message.name).index(given.joint)
+        return float(values[i]) if i < len(values) else None
+
+    def _of_field(self, message: AnyMessage) -> float:
+        given = self.measurement
+        try:
+            values = numbers_at(message, self._path)
+        except ValueError as error:
+            raise given.wrong("field", f"{given.topic}: {error}") from None
+        if len(values) != 1:
+            found = f"{given.field} found, {len(values)} numbers; name one of them"
+            raise given.wrong("field", found)
+        return values[0]
+
+
+class RecordedSamples(NamedTuple):
+    """The samples of a bag.
+
+    Attributes:
+        samples: by stamp.
+        arrivals: when each was recorded, ns.
+        problems: what was wrong, a line each.
+    """
+
+    samples: list[SensorSample]
+    arrivals: list[int]
+    problems: list[str]
+
+
+class MeasuredTopics(NamedTuple):
+    """What sensors have measured in a bag, for ``observe_bag``.
+
+    Attributes:
+        samples: in order of their stamps.
+        topics: of the sensors, to be copied.
+        published: names of the sensors whose verdicts are written.
+        problems: what was wrong, a line each.
+    """
+
+    samples: Sequence[SensorSample] = ()
+    topics: Sequence[str] = ()
+    published: frozenset[str] = frozenset()
+    problems: Sequence[str] = ()
+
+    @classmethod
+    def of(
+        cls, reader: BagReader, measurements: Sequence[Measurement], verdicts: str = AUTO
+    ) -> "MeasuredTopics":
+        """Those of a bag; ``verdicts`` is one of ``VERDICTS``.
+
+        Raises:
+            UsageError, BagError: as ``samples_in``.
+        """
+        if not measurements:
+            return cls()
+        samples, _, problems = samples_in(reader, measurements)
+        topics = [t for each in measurements if (t := topic_in(reader, each)) is not None]
+        stamps: dict[int, list[int]] = {}
+        for each in samples:
+            stamps.setdefault(each.sensor, []).append(each.stamp)
+        loud = {
+            measurements[i].name
+            for i, own in stamps.items()
+            if verdicts == ALL or (verdicts == AUTO and rate_of(own) <= SILENT_RATE)
+        }
+        return cls(samples, [*dict.fromkeys(topics)], frozenset(loud), problems)
+
+
+def rate_of(stamps: Sequence[int]) -> float:
+    """The mean rate of samples at ``stamps`` (ns), ascending, Hz; 0 of a single one."""
+    span = stamps[-1] - stamps[0] if stamps else 0
+    return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
+
+
+def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> RecordedSamples:
+    """The samples of all sensors in a bag; a topic that is missing is a problem.
+
+    Raises:
+        UsageError: by file and key, where a field or a joint is not there; or no sensor is.
+        BagError: the bag is damaged.
+    """
+    found, problems = list[tuple[int, SensorSample]](), list[str]()
+    clock = _clock_of_impacts(reader)
+    for topic, readers in _by_topic(reader, measurements, problems).items():
+        decode = reader.decoder(topic)
+        own = [(raw.log_time, decode(raw.data)) for raw in reader.raw([topic])]
+        for each in readers:
+            made = [(at, s) for at, m in own if (s := _tried(each, m, at, problems)) is not None]
+            if own and not made:
+                given, joints = each.measurement, ", ".join(own[0][1].name) or "none"
+                problem = f"no {given.quantity} of {given.joint!r} on {topic}"
+                first = f"joints in its first message: {joints}"
+                raise given.wrong("joint", f"{problem}; {first}")
+            if problem := _clock_problem(each.measurement, made, clock):
+                problems.append(problem)
+                continue
+            found += made
+    found.sort(key=lambda item: (item[1].stamp, item[1].sensor))
+    counted = Counter(problems)
+    lines = [line if n == 1 else f"{line} ({n} times)" for line, n in counted.items()]
+    return RecordedSamples([s for _, s in found], [at for at, _ in found], lines)
+
+
+def _tried(
+    each: SensorReader, message: AnyMessage, received: int, problems: list[str]
+) -> SensorSample | None:
+    """A sample; NaN where its array is too short, unless that of the first message is."""
+    try:
+        return each.sample(message, received)
+    except UsageError as error:
+        if each.measurement.field and "[" in each.measurement.field:
+            problems.append(f"{each.measurement.name}: a sample is left out: {error}")
+            return None
+        raise
+
+
+def _by_topic(
+    reader: BagReader, measurements: Sequence[Measurement], problems: list[str]
+) -> dict[str, list[SensorReader]]:
+    """Readers of the sensors whose topics are in the bag."""
+    found: dict[str, list[SensorReader]] = {}
+    for i, each in enumerate(measurements):
+        topic = topic_in(reader, each)
+        if topic is None:
+            in_bag = ", ".join(reader.topics) or "none"
+            wanted = f"{each.name}: no topic {each.topic} in {reader.path}; it has {in_bag}"
+            problems.append(wanted)
+            continue
+        found.setdefault(topic, []).append(SensorReader(each, i, reader.topics[topic].type))
+    if measurements and not found:
+        raise BagError(problems[0])
+    return found
+
+
+def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
+    """The topic of a sensor in a bag, in its namespace; None where there is none."""
+    name = measurement.topic
+    for each in (f"{reader.namespace}/{name.lstrip('/')}", f"/{name.lstrip('/')}"):
+        if each in reader.topics:
+            return each
+    return None
+
+
+def _clock_of_impacts(reader: BagReader) -> float | None:
+    """By how much impacts are recorded after their stamps, s; None without any."""
+    topic = reader.find(interfaces.IMPACTS)
+    if topic is None:
+        return None
+    decode, late = reader.decoder(topic), list[float]()
+    for raw in reader.raw([topic]):
+        stamp = header_stamp(decode(raw.data))
+        if stamp is not None:
+            late.append((raw.log_time - stamp) / NS_PER_S)
+        if len(late) == _COMPARED:
+            break
+    return statistics.median(late) if late else None
+
+
+def _clock_problem(
+    measurement: Measurement, samples: Sequence[tuple[int, SensorSample]], clock: float | None
+) -> str:
+    """Why the stamps of a sensor cannot be those of the impacts' clock; empty if they may."""
+    if not samples or clock is None:
+        return ""
+    late = [(at - sample.stamp) / NS_PER_S for at, sample in samples[:_COMPARED]]
+    off = statistics.median(late) - clock
+    if abs(off) <= MOST_CLOCK_ERROR:
+        return ""
+    return (
+        f"{measurement.name}: its clock is {abs(off):.0f} s"
+        f" {'behind' if off > 0 else 'ahead of'} that of the impacts; its {len(samples)} samples"
+        " are left out: correct its stamps, or use stamp: receive"
+    )

@@ -1,0 +1,223 @@
+"""What sensors beside the impacts would measure on a simulated plant, as messages."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.readings import Place, sensors_of
+from impact_observer.events import Contacts
+from impact_observer.io import interfaces
+from impact_observer.io.messages import AnyMessage, bag_messages
+from impact_observer.io.typestores import typestore
+from impact_observer.message_fields import FieldPath
+from impact_observer.model import System
+from impact_observer.model.measurement import Measurement
+from impact_observer.plant import Run
+from impact_observer.sensor_faults import MEASUREMENT_FAULTS
+from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.states import Stamps, Vector
+
+_TYPES = {
+    "data": "std_msgs/msg/Float64",
+    "range": "sensor_msgs/msg/Range",
+    "vector": "geometry_msgs/msg/Vector3Stamped",
+    "point": "geometry_msgs/msg/PointStamped",
+    "linear_acceleration": "sensor_msgs/msg/Imu",
+    "angular_velocity": "sensor_msgs/msg/Imu",
+    "wrench": "geometry_msgs/msg/WrenchStamped",
+    "twist": "geometry_msgs/msg/TwistStamped",
+    "pose": "geometry_msgs/msg/PoseStamped",
+}
+"""The message type that has a field, by the first part of its path."""
+_STREAM = 1923
+"""Of the random numbers, so that they are others than those of the sensor of impacts."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleFaults:
+    """How samples are taken; fields as in ``MEASUREMENT_FAULTS``.
+
+    Attributes:
+        rate: of each sensor, Hz.
+        noise: standard deviation, in the sensor's unit; negative for the declared one.
+        dropouts: probability that a sample is lost.
+        quantisation: values are rounded to a multiple of this; 0 for none.
+        transport: mean of an exponential transport time, s.
+    """
+
+    rate: float = 100.0
+    noise: float = -1.0
+    dropouts: float = 0.0
+    quantisation: float = 0.0
+    transport: float = 0.0
+
+    @classmethod
+    def of(cls, given: Mapping[str, float | None]) -> "SampleFaults":
+        """From values by the names of ``MEASUREMENT_FAULTS``; None for the default."""
+        names = (row.name.removeprefix("measurement_") for row in MEASUREMENT_FAULTS)
+        both = zip(names, (given.get(row.name) for row in MEASUREMENT_FAULTS), strict=True)
+        return cls(**{name: float(value) for name, value in both if value is not None})
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for each, row in zip(fields(self), MEASUREMENT_FAULTS, strict=True):
+            row.check(getattr(self, each.name))
+
+
+class SimulatedMessage(NamedTuple):
+    """A message of a sensor.
+
+    Attributes:
+        arrival: when it is received, ns.
+        topic: the absolute name.
+        message: of the type of the topic.
+    """
+
+    arrival: int
+    topic: str
+    message: AnyMessage
+
+
+def type_of(measurement: Measurement) -> str:
+    """The type of the messages that a simulated sensor publishes.
+
+    Raises:
+        UsageError: by file and key: no type that can be simulated has such a field, or it has no
+            header though that is wanted.
+    """
+    if measurement.joint:
+        return interfaces.JOINT_STATE
+    found = _TYPES.get(str(measurement.path()[0]))
+    if found is None:
+        wanted = f"expected one that begins with {', '.join(_TYPES)}"
+        raise measurement.wrong("field", f"{measurement.field} cannot be simulated; {wanted}")
+    if found == _TYPES["data"] and measurement.stamp == "header":
+        raise measurement.wrong("stamp", f"header found, but {found} has none; expected receive")
+    return found
+
+
+class SampleSimulation:
+    """The sensors of a plant; their random numbers follow from the seed and the instants.
+
+    Attributes:
+        types: of the messages, by absolute topic.
+        faults: how samples are taken.
+    """
+
+    def __init__(
+        self,
+        measurements: Sequence[Measurement],
+        system: System,
+        faults: SampleFaults,
+        seed: int,
+        new: Callable[[str], AnyMessage] | None = None,
+    ) -> None:
+        """Sensors of ``system``; ``new`` makes an empty message of a type.
+
+        Raises:
+            UsageError: by file and key, where one cannot be simulated.
+        """
+        self.faults = faults
+        self._system, self._sensors = system, sensors_of(measurements, system)
+        self._moving = MovingSystem(system)
+        self._new = new or blank
+        self._random = np.random.default_rng([seed, _STREAM])
+        self.types: dict[str, str] = {}
+        for each in measurements:
+            topic, kind = f"/{each.topic.lstrip('/')}", type_of(each)
+            if self.types.setdefault(topic, kind) != kind:
+                both = f"{self.types[topic]} and {kind}"
+                raise each.wrong("topic", f"{topic} would have the types {both}; expected one")
+            if each.deviation is None and faults.noise < 0:
+                raise UsageError(
+                    f"measurement_noise: not given, and {each.name} has no deviation to simulate"
+                    " (learn); expected a number"
+                )
+
+    def stamps(self, epoch: int, last: int) -> Stamps:
+        """When samples are taken, from the epoch to ``last``, ns."""
+        count = int((last - epoch) / NS_PER_S * self.faults.rate) + 1
+        times = np.arange(count) / self.faults.rate
+        return np.array([epoch + round(t * NS_PER_S) for t in times.tolist()], dtype=np.int64)
+
+    def at(
+        self, stamp: int, epoch: int, x: Vector, closed: Contacts
+    ) -> Iterator[SimulatedMessage]:
+        """What all sensors publish of the state (q, u), shape (2n,), at ``stamp`` (ns)."""
+        instant = stamp - epoch
+        framed = self._system.to_frame(np.array([instant]), x[None])[0]
+        place = Place(instant / NS_PER_S, instant, framed, closed)
+        for sensor in self._sensors:
+            declared, faults = sensor.measurement, self.faults
+            value = sensor.row(self._moving, place).value(framed)
+            noise = float(self._random.normal())
+            lost, transport = self._random.random(2).tolist()
+            deviation = faults.noise if faults.noise >= 0 else declared.deviation or 0.0
+            value += deviation * noise
+            if faults.quantisation:
+                value = faults.quantisation * round(value / faults.quantisation)
+            if lost < faults.dropouts:
+                continue
+            late = stamp + from_seconds(declared.delay)
+            arrival = late + round(-faults.transport * np.log1p(-transport) * NS_PER_S)
+            topic = f"/{declared.topic.lstrip('/')}"
+            yield SimulatedMessage(arrival, topic, self._message(declared, late, value))
+
+    def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
+        message = self._new(type_of(declared))
+        time = bag_messages().time(stamp)
+        if hasattr(message, "header"):
+            message.header.stamp.sec, message.header.stamp.nanosec = time.sec, time.nanosec
+        if declared.joint:
+            message.name = [declared.joint]
+            setattr(message, declared.quantity, np.array([value]))
+            return message
+        _put(message, declared.path(), value)
+        return message
+
+
+def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
+    """The messages of all sensors on a run whose stamps are those of samples, as they arrive."""
+    found, closed = list[SimulatedMessage](), tuple[int, ...]()
+    switchings = [*run.switchings][::-1]
+    for stamp, x in zip(run.stamps.tolist(), run.states, strict=True):
+        while switchings and switchings[-1].instant.stamp <= stamp:
+            closed = switchings.pop().closed
+        found += simulation.at(stamp, run.epoch, x, closed)
+    return sorted(found, key=lambda each: each.arrival)
+
+
+def _put(message: AnyMessage, path: FieldPath, value: float) -> None:
+    """Set the number at ``path``."""
+    *outer, last = path
+    for part in outer:
+        message = message[part] if isinstance(part, int) else getattr(message, part)
+    if isinstance(last, int):
+        message[last] = value
+    else:
+        setattr(message, last, value)
+
+
+def blank(type_name: str) -> AnyMessage:
+    """A message of ``rosbags`` with zeros and empty texts."""
+    store = typestore()
+    _, members = store.fielddefs[type_name]
+    return store.types[type_name](**{name: _blank_field(kind) for name, kind in members})
+
+
+def _blank_field(kind: AnyMessage) -> AnyMessage:
+    """The value of a field of this kind, as ``rosbags`` describes it."""
+    node, detail = kind
+    if node is Nodetype.NAME:
+        return blank(detail)
+    if node is Nodetype.BASE:
+        return {"string": "", "bool": False}.get(detail[0], 0)
+    (_, (base, *_)), count = detail
+    if base == "string":
+        return [""] * int(count or 0)
+    return np.zeros(int(count or 0), dtype=base)

@@ -1,0 +1,103 @@
+"""Samples of sensors on their way into the timeline of an observer."""
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from impact_observer.estimation.readings import DeclaredSensor, SampleOutcome
+from impact_observer.events import MeasurementVerdict
+from impact_observer.observer.event_order import EventKey
+from impact_observer.stamps import MAX_STAMP
+
+MOST_KEPT = 20_000
+"""Samples that are kept to be used again, or until they can be used: those of 20 s at 1 kHz."""
+MOST_VERDICTS = 100_000
+"""Verdicts that wait to be taken."""
+
+
+class SensorSample(NamedTuple):
+    """What a sensor has measured.
+
+    Attributes:
+        sensor: its index among those of the observer.
+        stamp: when the value holds, ns; a known delay is subtracted.
+        value: as it was measured.
+    """
+
+    sensor: int
+    stamp: int
+    value: float
+
+
+class SampleStream:
+    """Samples that have come, and what became of them.
+
+    Attributes:
+        sensors: whose samples.
+        waiting: those that are not in the timeline yet.
+        counts: of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate, ``unused`` and
+            ``invalid``.
+        newest: the latest stamp of each sensor, ns; 0 before the first.
+        verdicts: that nobody has taken yet.
+    """
+
+    def __init__(self, sensors: Sequence[DeclaredSensor]) -> None:
+        """Nothing has come."""
+        self.sensors = sensors
+        self.waiting: deque[EventKey] = deque(maxlen=MOST_KEPT)
+        self.counts: list[Counter[str]] = [Counter() for _ in sensors]
+        self.newest = [0] * len(sensors)
+        self.verdicts: deque[MeasurementVerdict] = deque(maxlen=MOST_VERDICTS)
+        self._recent: deque[EventKey] = deque(maxlen=MOST_KEPT)
+        self._again: set[EventKey] = set()
+
+    def add(self, samples: Iterable[SensorSample]) -> None:
+        """Take samples; one that is no number has its verdict at once."""
+        for sensor, stamp, value in samples:
+            self.counts[sensor]["samples"] += 1
+            if not (math.isfinite(value) and 0 < stamp <= MAX_STAMP):
+                self.counts[sensor]["invalid"] += 1
+                if 0 < stamp <= MAX_STAMP:
+                    reason = f"{value:g} found; expected a finite number"
+                    self._note(sensor, stamp, 0.0, SampleOutcome(0.0, -1.0, False, reason))
+                continue
+            self.newest[sensor] = max(self.newest[sensor], stamp)
+            key = EventKey.measured(stamp, sensor, float(value))
+            self.waiting.append(key)
+            self._recent.append(key)
+
+    def judge(self, key: EventKey, outcome: SampleOutcome) -> None:
+        """Note what became of a sample, at first."""
+        if key in self._again:
+            self._again.discard(key)
+            return
+        kind = "accepted" if outcome.accepted else "unused"
+        if outcome.reason.startswith("gate"):
+            kind = "rejected"
+        self.counts[key.sensor][kind] += 1
+        (value,) = key.sample
+        self._note(key.sensor, key.stamp, value, outcome)
+
+    def _note(self, sensor: int, stamp: int, value: float, outcome: SampleOutcome) -> None:
+        name = self.sensors[sensor].name
+        self.verdicts.append(MeasurementVerdict(stamp, name, value, *outcome))
+
+    def again(self, since: int) -> None:
+        """Use the latest samples from ``since`` (ns) on in another run of the sender."""
+        used = {*self._recent} - {*self.waiting}
+        self.waiting = deque((e for e in self._recent if e.stamp >= since), maxlen=MOST_KEPT)
+        self._again = used & {*self.waiting}
+
+    def clear(self) -> None:
+        """Forget all samples, but not what became of them."""
+        self.waiting.clear()
+        self._recent.clear()
+        self._again.clear()
+        self.newest = [0] * len(self.sensors)
+
+    def take(self) -> tuple[MeasurementVerdict, ...]:
+        """The verdicts since the last time."""
+        found = tuple(self.verdicts)
+        self.verdicts.clear()
+        return found

@@ -1,0 +1,235 @@
+"""simulate and observe with sensors beside the impacts, through bags."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader, BagWriter
+from impact_observer.io.measured_samples import samples_in
+from impact_observer.io.messages import read_measurement_verdict
+from impact_observer.model import read_model
+from impact_observer.model.measurements_file import parse_measurements, read_measurements
+from impact_observer.stamps import NS_PER_S
+
+RIG = """\
+measurements:
+  - {name: encoder, topic: /encoder, joint: x1, quantity: position, deviation: 0.001}
+  - {name: laser, topic: /laser, field: range, position: {x2: -1}, offset: 0.5, deviation: 0.002,
+     delay: 0.01}
+  - {name: imu, topic: /imu, field: linear_acceleration.x, acceleration: {x2: 1}, deviation: 0.3}
+  - {name: probe, topic: /probe, field: data, gap: stop, deviation: 0.001}
+"""
+MINIMUM = ("--law", "minimum-variance", "--clock-error", "0.001")
+
+
+def simulated(folder: Path, name: str, *arguments: str, sensors: str = RIG) -> Path:
+    """Three seconds of two_mass with the sensors of ``rig.yaml`` beside it."""
+    (folder / "rig.yaml").write_text(sensors)
+    bag = folder / name
+    given = ["--measurements", str(folder / "rig.yaml"), "--duration", "3", "--seed", "3"]
+    assert main(["simulate", "two_mass", *given, *arguments, "-o", str(bag)]) == 0
+    return bag
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three seconds, 50 Hz."""
+    return simulated(tmp_path_factory.mktemp("measured"), "plant", "--measurement-rate", "50")
+
+
+def test_simulated_sensors_measure_what_their_file_says(bag: Path) -> None:
+    """Sums of coefficients of the true states, noise as declared, stamps late by the delay."""
+    sensors = read_measurements(bag.parent / "rig.yaml")
+    with BagReader(bag) as reader:
+        samples, arrivals, problems = samples_in(reader, sensors)
+        truth = reader.joint_states(reader.truth_topic() or "")
+        types = {
+            each: reader.topics[each].type for each in ("/encoder", "/laser", "/imu", "/probe")
+        }
+    assert not problems
+    assert types["/laser"] == "sensor_msgs/msg/Range"
+    assert types["/imu"] == "sensor_msgs/msg/Imu"
+    assert types["/probe"] == "std_msgs/msg/Float64"
+    system = read_model("two_mass").system
+    at = {stamp: i for i, stamp in enumerate(truth.stamps.tolist())}
+    expected = np.array(
+        [truth.q[:, 0], 0.5 - truth.q[:, 1], 0 * truth.q[:, 0], 0.5 - truth.q[:, 1]]
+    )
+    for k, deviation in ((0, 1e-3), (1, 2e-3), (3, 1e-3)):
+        own = [each for each in samples if each.sensor == k]
+        errors = [each.value - expected[k, at[each.stamp]] for each in own]
+        assert len(own) == 151
+        assert np.std(errors) == pytest.approx(deviation, rel=0.25)
+    late = {a - s.stamp for s, a in zip(samples, arrivals, strict=True) if s.sensor == 1}
+    assert late == {NS_PER_S // 100}
+    forces = system.forcing.derivatives(np.array([0.02]), 0)[0][0]
+    i = at[NS_PER_S + NS_PER_S // 50]
+    q, u = truth.q[i], truth.u[i]
+    acceleration = np.linalg.solve(system.M, forces - system.K @ q - system.C @ u)[1]
+    (imu,) = (s for s in samples if s.sensor == 2 and s.stamp == NS_PER_S + NS_PER_S // 50)
+    assert imu.value == pytest.approx(acceleration, abs=1.5)
+
+
+@pytest.mark.slow
+def test_observe_uses_them_copies_them_and_says_what_became_of_them(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The result has verdicts up to 50 Hz, and can be observed again, with equal bits."""
+    sensors, once, twice = str(bag.parent / "rig.yaml"), tmp_path / "once", tmp_path / "twice"
+    for source, output in ((bag, once), (once, twice)):
+        given = ["observe", str(source), *MINIMUM, "--measurements", sensors, "-o", str(output)]
+        assert main(given) == 0
+        text = capsys.readouterr().out
+        assert re.search(r"encoder: 151 samples: \d+ accepted", text)
+        assert "warning" not in text
+    with BagReader(once) as one, BagReader(twice) as two:
+        found, again = (each.observer_states("/observer/state") for each in (one, two))
+        verdicts = [
+            read_measurement_verdict(message)
+            for _, message in one.messages("/observer/measurements")
+        ]
+        truth = one.joint_states(one.truth_topic() or "")
+    np.testing.assert_array_equal(found.q, again.q)
+    np.testing.assert_array_equal(found.u, again.u)
+    assert len(verdicts) == 4 * 151
+    assert {each.name for each in verdicts} == {"encoder", "laser", "imu", "probe"}
+    assert np.std([each.normalized for each in verdicts if each.accepted]) < 1.0
+    assert np.max(np.abs(found.q[-50:] - truth.q[-50:])) < 2e-3
+
+
+@pytest.mark.slow
+def test_verdicts_of_fast_sensors_are_written_on_request(tmp_path: Path) -> None:
+    """None beyond 50 Hz by default, all or none where that is asked for."""
+    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
+    bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=short)
+    for which, count in (("auto", 0), ("all", 181), ("none", 0)):
+        given = ["--measurements", str(tmp_path / "rig.yaml"), "--measurement-verdicts", which]
+        output = tmp_path / which
+        assert main(["observe", str(bag), *given, "-o", str(output)]) == 0
+        with BagReader(output) as reader:
+            topics = reader.topics
+            assert (topics["/observer/measurements"].count if count else 0) == count
+            assert ("/observer/measurements" in topics) is bool(count)
+
+
+@pytest.mark.slow
+def test_dropouts_and_quantisation_are_simulated(tmp_path: Path) -> None:
+    """A third is lost; what comes is a multiple of a millimetre."""
+    short = "measurements:\n" + RIG.splitlines()[1] + "\n"
+    faults = ("--measurement-dropouts", "0.33", "--measurement-quantisation", "0.001")
+    bag = simulated(tmp_path, "plant", *faults, sensors=short)
+    with BagReader(bag) as reader:
+        samples, _, _ = samples_in(reader, parse_measurements(short, "rig"))
+    values = np.array([each.value for each in samples])
+    assert 301 * 0.5 < values.size < 301 * 0.8
+    np.testing.assert_allclose(values, np.round(values, 3), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ("{name: a, topic: /none, joint: x1, quantity: position, deviation: 1}", 1, "no topic"),
+        ("{name: a, topic: /laser, joint: x1, quantity: position, deviation: 1}", 2, "no joints"),
+        (("{name: a, topic: /encoder, joint: x7, quantity: position, position: {x1: 1},"
+         " deviation: 1}"), 2, "no position of 'x7' on /encoder; joints in its first message: x1"),
+        ("{name: a, topic: /laser, field: ranges, gap: stop, deviation: 1}", 2, "has no ranges"),
+        ("{name: a, topic: /imu, field: linear_acceleration, gap: stop, deviation: 1}", 2,
+         "3 numbers; name one"),
+        ("{name: a, topic: /probe, field: data, gap: wall, deviation: 1}", 2, "no contact of two"),
+        ("{name: a, topic: /probe, field: data, gap: stop, deviation: 1, stamp: header}", 2,
+         "has no stamp in one; expected receive"),
+    ],
+)  # fmt: skip
+def test_what_a_bag_does_not_have_is_one_line(
+    bag: Path, tmp_path: Path, wrong: tuple[str, int, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wrong topic, type, joint, field, contact and stamp; nothing is written."""
+    line, code, error = wrong
+    (tmp_path / "wrong.yaml").write_text(f"measurements: [{line}]\n")
+    given = ["--measurements", str(tmp_path / "wrong.yaml"), "-o", str(tmp_path / "out")]
+    assert main(["observe", str(bag), *given]) == code
+    (text,) = capsys.readouterr().err.splitlines()
+    assert error in text
+    assert not (tmp_path / "out").exists()
+
+
+def shifted(source: Path, output: Path, by: int, *, nan: bool = False) -> Path:
+    """A copy of a bag whose encoder has another clock, or no number in one message."""
+    with BagReader(source) as reader, BagWriter(output) as writer:
+        for topic, info in reader.topics.items():
+            writer.declare(topic, type_name=info.type, quality=info.quality)
+        decode = reader.decoder("/encoder")
+        for raw in reader.raw():
+            if raw.topic != "/encoder":
+                writer.write_raw(*raw)
+                continue
+            message = decode(raw.data)
+            message.header.stamp.sec += by
+            if nan and raw.log_time > 2 * NS_PER_S:
+                message.position, nan = np.array([np.nan]), False
+            writer.write(raw.topic, raw.log_time, message)
+    return output
+
+
+@pytest.mark.slow
+def test_a_clock_that_is_off_by_an_hour_is_one_warning_and_nothing_else_is_lost(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The estimates are those of the other sensors."""
+    (tmp_path / "others.yaml").write_text("\n".join([RIG.splitlines()[0], *RIG.splitlines()[2:]]))
+    found = []
+    for seconds, file in ((3600, bag.parent / "rig.yaml"), (0, tmp_path / "others.yaml")):
+        source = shifted(bag, tmp_path / str(seconds), seconds)
+        output = tmp_path / f"out{seconds}"
+        assert main(["observe", str(source), "--measurements", str(file), "-o", str(output)]) == 0
+        text = capsys.readouterr().out
+        assert text.count("warning") == (seconds > 0)
+        assert ("encoder: its clock is 3600 s ahead of that" in text) is (seconds > 0)
+        with BagReader(output) as reader:
+            found.append(reader.observer_states("/observer/state").q)
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def test_a_number_that_is_none_is_left_out(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of the encoder's; all others are used."""
+    source, sensors = shifted(bag, tmp_path / "nan", 0, nan=True), str(bag.parent / "rig.yaml")
+    output = str(tmp_path / "out")
+    assert main(["observe", str(source), "--measurements", sensors, "-o", output]) == 0
+    assert "encoder: 151 samples: 150 accepted, 1 invalid" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_open_loop_says_that_it_uses_no_measurements(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One warning."""
+    given = ["--law", "open-loop", "--measurements", str(bag.parent / "rig.yaml")]
+    assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
+    line = "warning: open-loop uses no measurements: encoder, laser, imu, probe change nothing"
+    assert line in capsys.readouterr().out
+
+
+def test_what_cannot_be_simulated_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A field of no known type, a deviation to be learned, faults of nothing."""
+    (tmp_path / "a.yaml").write_text(
+        "measurements: [{name: a, topic: /a, field: odd.x, gap: stop, deviation: 1}]"
+    )
+    (tmp_path / "b.yaml").write_text(
+        "measurements: [{name: b, topic: /b, field: data, gap: stop, deviation: learn}]"
+    )
+    for given, error in (
+        (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
+        (["--measurements", str(tmp_path / "b.yaml")], "measurement_noise: not given, and b has"),
+        (["--measurement-dropouts", "0.1"], "measurement_dropouts: given without --measurements"),
+    ):
+        output = str(tmp_path / "out")
+        assert main(["simulate", "two_mass", *given, "--duration", "1", "-o", output]) == 2
+        (text,) = capsys.readouterr().err.splitlines()
+        assert error in text
