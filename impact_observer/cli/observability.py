@@ -4,7 +4,7 @@ import argparse
 import json as json_module
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, positive
+from impact_observer.cli.arguments import add_measurements, add_model, add_namespace, positive
 from impact_observer.errors import BagError
 from impact_observer.plain_text import say
 
@@ -14,6 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add_namespace(parser)
+    add_measurements(parser)
     parser.add_argument(
         "--deviation",
         metavar="D",
@@ -39,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
         args.bag,
         model=args.model,
         namespace=args.namespace,
+        measurements=args.measurements,
         deviation=args.deviation,
         tolerance=args.tolerance,
         plot=args.plot,
@@ -51,6 +53,7 @@ def observe(
     *,
     model: str | None = None,
     namespace: str = "",
+    measurements: str | None = None,
     deviation: str = "1",
     tolerance: float | None = None,
     plot: Path | None = None,
@@ -70,9 +73,12 @@ def observe(
     """
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
+    from impact_observer.estimation.readings import sensors_of
     from impact_observer.estimation.uncertainty import deviation_of
+    from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in, system_of
+    from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observability.rank import TOLERANCE, observability
     from impact_observer.observability.rank_picture import rank_picture
     from impact_observer.observability.rank_report import for_json, print_observability
@@ -82,12 +88,19 @@ def observe(
     with BagReader(bag, namespace) as reader:
         system = system_of(reader, model)
         events = events_in(reader)
+        declared = read_measurements(measurements) if measurements else ()
+        sensors = sensors_of(declared, system)
+        recorded = samples_in(reader, declared)
+    for problem in () if json else recorded.problems:
+        say(f"warning: {problem}")
     try:
         found = observability(
             system,
             events,
             deviation=deviation_of(deviation, system),
             tolerance=TOLERANCE if tolerance is None else tolerance,
+            sensors=sensors,
+            samples=recorded.samples,
         )
     except BagError as error:
         raise BagError(f"{bag}: {error}") from None

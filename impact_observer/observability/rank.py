@@ -8,12 +8,15 @@ zero, which is one more row. So every event adds rows, times ``T``, to a matrix 
 start, where ``T`` is the transition matrix from the start. Its singular values say how much of a
 wrong initial state the recorded gaps show, and its null space what they never show, to any law.
 
+What sensors measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
+
 An instant with several impacts counts as if all of them were equally fast. Inequalities (``g >=
 0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +25,16 @@ from scipy import linalg
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.readings import DeclaredSensor, Place
 from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer.episode import Episode, last_episode
-from impact_observer.stamps import seconds_between, text
+from impact_observer.observer.samples import SensorSample
+from impact_observer.stamps import NS_PER_S, seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
 TOLERANCE = 1e-9
@@ -60,6 +66,7 @@ class Observability:
         remaining: these errors just after the last event, same shape.
         weakest: the error of the initial state that moved the gaps least, one standard deviation
             long.
+        samples: how many samples of each sensor have added rows, by name.
     """
 
     system: System
@@ -74,6 +81,7 @@ class Observability:
     undetermined: Matrix
     remaining: Matrix
     weakest: Vector
+    samples: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -119,6 +127,8 @@ def observability(
     *,
     deviation: Vector | float = 1.0,
     tolerance: float = TOLERANCE,
+    sensors: Sequence[DeclaredSensor] = (),
+    samples: Sequence[SensorSample] = (),
 ) -> Observability:
     """What the impacts among ``events`` determine of the state at their start.
 
@@ -131,6 +141,8 @@ def observability(
             epoch or the first of them are missing.
         deviation: standard deviations of the initial state, shape (2n,) or one for all.
         tolerance: singular value that counts as zero, relative to the largest.
+        sensors: of what is measured beside the impacts.
+        samples: of them; those from the start to the last event add rows, scaled to m.
 
     Raises:
         UsageError: a standard deviation or tolerance that cannot be used; a guide rubs.
@@ -151,7 +163,9 @@ def observability(
     episode = last_episode(system, events)
     changes = episode.changes
     errors = _Errors(system, scale)
-    factor, singular = _factored(errors, changes)
+    used = [s for s in samples if episode.start <= s.stamp <= changes[-1].stamp]
+    measured = [(seconds_between(episode.start, s.stamp), sensors[s.sensor]) for s in used]
+    factor, singular = _factored(errors, changes, measured)
     counted = [(each, names) for each in changes if (names := errors.informative(each))]
     found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
     rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
@@ -174,6 +188,7 @@ def observability(
         undetermined=frozen(_in_all_states(undetermined, scale)),
         remaining=frozen(undetermined @ errors.map.T),
         weakest=frozen(_in_all_states(_with_sign(directions[-1:]), scale)[0]),
+        samples=Counter(sensors[s.sensor].name for s in used),
     )
 
 
@@ -195,6 +210,7 @@ class _Errors:
         slopes = [c.nominal_slope if c else eps for c, eps in zip(curves, system.eps, strict=True)]
         self._slopes = np.array(slopes)
         self._timescale = self._phases.scales.timescale
+        self._moving = MovingSystem(system)
         self._t = 0.0
         self.map: Matrix = np.diag(scale)[:, scale > 0]
 
@@ -230,6 +246,17 @@ class _Errors:
         self.map = np.vstack([dq, du])
         return np.vstack(rows)
 
+    def measured(self, t: float, sensor: DeclaredSensor, closed: Contacts) -> Matrix:
+        """Propagate to a sample at ``t`` (s) while contacts are ``closed``; its row, in m."""
+        if t > self._t:
+            phase = self._phases.phase(self._phases.independent(closed))
+            self.map = phase.transition(t - self._t) @ self.map
+            self._t = t
+        at = Place(t, round(t * NS_PER_S), np.zeros(2 * self._system.n), closed)
+        row, declared = sensor.row(self._moving, at), sensor.measurement
+        order = 2 if declared.acceleration else 1 if declared.velocity else 0
+        return np.asarray(self._timescale**order * row.h[None] @ self.map)
+
     def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
         """Gaps that the loads on ``opened`` alone would open in the time scale, m."""
         loads = phase.loads[[phase.held.index(i) for i in opened]]
@@ -238,8 +265,14 @@ class _Errors:
         return np.asarray(self._timescale**2 * pushed * (loads @ forces))
 
 
-def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix, Matrix]:
+def _factored(
+    errors: _Errors,
+    changes: Sequence[ContactChange],
+    measured: Sequence[tuple[float, DeclaredSensor]],
+) -> tuple[Matrix, Matrix]:
     """The triangular factor of all rows, and its singular values after each counted event.
+
+    Samples are ``measured`` at seconds since the start, ascending; at an event they are after it.
 
     Returns:
         Shapes (size, size) and (events, size).
@@ -249,8 +282,11 @@ def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix
     """
     size = errors.map.shape[1]
     factor = np.zeros((size, size))
-    singular = []
+    singular, waiting = [], [*measured][::-1]
     for change in changes:
+        while waiting and waiting[-1][0] < change.t:
+            row = errors.measured(*waiting.pop(), change.before)
+            factor = linalg.qr(np.vstack([factor, row]), mode="r")[0][:size]
         try:
             rows = errors.cross(change)
         except ImpactLawError as error:

@@ -41,6 +41,7 @@ def for_json(found: Observability) -> dict[str, object]:
         "foreign_switches": dict(found.episode.foreign),
         "events_left_out": found.episode.left_out,
         "episodes": found.episode.episodes,
+        "samples": dict(found.samples),
         "growth": {
             "stamp_ns": found.stamps.tolist(),
             "seconds": found.seconds.tolist(),
@@ -124,9 +125,15 @@ def print_observability(found: Observability) -> None:
     """Print how the rank grew, and the conclusions."""
     console(100).print(
         f"{found.system.name}: {_events(found, found.stamps.size)} in"
-        f" {found.seconds[-1]:.3f} s, {found.size} unknown numbers\n"
+        f" {found.seconds[-1]:.3f} s{_samples(found)}, {found.size} unknown numbers\n"
     )
     print_report(growth_table(found), sentences(found))
+
+
+def _samples(found: Observability) -> str:
+    """The samples that count, in words."""
+    each = [f"{_count(count, 'sample')} of {name}" for name, count in found.samples.items()]
+    return f", {', '.join(each)}" if each else ""
 
 
 def growth_table(found: Observability) -> Table:

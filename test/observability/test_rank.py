@@ -26,12 +26,15 @@ from systems import (
 
 from impact_observer.dynamics import Phases
 from impact_observer.errors import BagError, UsageError
+from impact_observer.estimation.readings import sensors_of
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
+from impact_observer.model.measurement import Measurement
 from impact_observer.observability.rank import Observability, _Errors, observability
 from impact_observer.observability.rank_picture import rank_picture
 from impact_observer.observer.episode import last_episode
+from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 Array = NDArray[np.float64]
@@ -443,7 +446,7 @@ def test_other_contacts_are_counted_and_own_ones_are_needed() -> None:
 def test_options_that_cannot_be_used_are_refused(options: dict[str, float], words: str) -> None:
     """By name, with what was found."""
     with pytest.raises(UsageError, match=words):
-        observability(DECOUPLED, [event(1.0, "c1")], **options)
+        observability(DECOUPLED, [event(1.0, "c1")], **options)  # type: ignore[arg-type]
 
 
 def test_picture_shows_values_above_the_tolerance() -> None:
@@ -470,3 +473,31 @@ def test_states_that_move_no_gap_have_rank_zero() -> None:
     assert found.determined == ()
     low, high = rank_picture(found, title="title").axes[0].get_ylim()
     assert 0 < low < high < np.inf
+
+
+def test_samples_add_rows_like_gaps() -> None:
+    """Against a matrix stacked by hand: an encoder, and a speed in the model's time scale."""
+    model = sample("two_mass").system
+    whole = run(model, *sample("two_mass").initial_state(), seconds=3.0, rate=10.0)
+    declared = (
+        Measurement("x", "/x", "x1", "position", deviation=1.0),
+        Measurement("v", "/v", "x1", "velocity", deviation=1.0),
+    )
+    stamps = [EPOCH + NS_PER_S // 10, EPOCH + NS_PER_S // 5]
+    samples = [SensorSample(k, stamp, 0.0) for k, stamp in enumerate(stamps)]
+    found = observability(
+        model, whole.events[:1], sensors=sensors_of(declared, model), samples=samples
+    )
+    phases = Phases(model)
+    transition = phases.phase().transition
+    gap = np.concatenate([model.W[:, 0], [0.0, 0.0]])
+    at = seconds_between(EPOCH, whole.events[0].stamp)
+    rows = [
+        transition(0.1)[0],
+        phases.scales.timescale * transition(0.2)[2],
+        gap @ transition(at),
+    ]
+    expected = np.linalg.svd(np.array(rows), compute_uv=False)
+    np.testing.assert_allclose(found.singular[0][:3], expected, rtol=1e-9)
+    assert found.rank[0] == 3
+    assert found.samples == {"x": 1, "v": 1}
