@@ -59,7 +59,7 @@ def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
             import pyarrow.parquet  # noqa: F401
         except ImportError as error:
             raise UsageError(
-                f"{path}: Parquet needs pyarrow ({error}); pip install impact_observer[parquet]"
+                f"{path}: Parquet needs pyarrow ({error}); pip install pyarrow"
             ) from None
     part = path.with_name(f".{path.name}.part")
     try:

@@ -77,7 +77,7 @@ def _ffmpeg() -> str:
         return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         raise UsageError(
-            "mp4: no ffmpeg here; install it, or pip install impact_observer[mp4], or write a"
+            "mp4: no ffmpeg here; install it, or pip install imageio-ffmpeg, or write a"
             " .gif or .html"
         ) from None
 

@@ -27,7 +27,7 @@ _CLOSING = 2.0
 """Longest wait for a scheduler at the end, s."""
 _AHEAD = 4
 """Batches submitted to a cluster ahead, for each of its threads."""
-_INSTALL = "pip install impact_observer[sweep]"
+_INSTALL = "pip install joblib distributed pyarrow"
 
 
 def run_batches(

@@ -22,9 +22,7 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise UsageError(
-        f"sweep needs pyarrow ({error}); pip install impact_observer[sweep]"
-    ) from None
+    raise UsageError(f"sweep needs pyarrow ({error}); pip install pyarrow") from None
 
 _KEY = b"impact_observer.sweep"
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}

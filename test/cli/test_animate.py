@@ -116,7 +116,7 @@ def test_mp4_without_ffmpeg_names_the_extra(
     output = tmp_path / "film.mp4"
     code, line = refusal([str(sample_bag), "-o", str(output)], capsys)
     assert code == 2
-    assert "pip install impact_observer[mp4]" in line
+    assert "pip install imageio-ffmpeg" in line
     assert not output.exists()
 
 

@@ -169,7 +169,7 @@ def test_without_pyarrow_the_extra_is_named(
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1
     assert "Parquet needs pyarrow" in error
-    assert "pip install impact_observer[parquet]" in error
+    assert "pip install pyarrow" in error
     exported(observed, tmp_path / "states.csv")
 
 

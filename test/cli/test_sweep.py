@@ -1,6 +1,7 @@
 """sweep: equal outcomes from one process, several processes and a cluster; resuming."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -282,7 +283,7 @@ def test_a_missing_package_is_named_with_its_extra(
     assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"impact-observer: {problem}")
-    assert error.endswith("pip install impact_observer[sweep]\n")
+    assert re.search(r"; pip install .*pyarrow\n$", error)
     assert len(error.splitlines()) == 1
     assert not path.exists()
 
