@@ -10,6 +10,9 @@ from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
 from impact_observer.errors import UsageError
 
+_LAST_STAMP = 2**31 * 1_000_000_000 - 1
+"""As ``stamps.MAX_STAMP``, without NumPy."""
+
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
 
@@ -223,7 +226,9 @@ class Options:
         metavar="R",
         live=True,
     )
-    epoch: int = option(0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0)
+    epoch: int = option(
+        0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0, high=_LAST_STAMP
+    )
     history: float = option(
         10.0,
         "how late an event may arrive and still be applied",

@@ -1,6 +1,7 @@
 """Hostile inputs to everything that reads something foreign; ``./dev soak`` gives many more."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -8,8 +9,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from benchmarks.soak import soak
-from benchmarks.soak_targets import TARGETS, Target
+from benchmarks.soak_targets import TARGETS, Target, expected_errors
+from impact_observer.cli.arguments import value_of
 from impact_observer.errors import UsageError
+from impact_observer.options import OBSERVER_OPTIONS, Option, Options
 
 INPUTS = {"bag": 4, "csv": 12, "model": 12, "measurements": 12, "sensors": 12}
 
@@ -43,8 +46,15 @@ def test_a_foreign_exception_is_counted_and_can_be_repeated(tmp_path: Path) -> N
     assert soak(Target("own", 1.0, make), [number], 1, tmp_path).foreign  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("number", [4628, 13717])
-def test_numbers_of_any_length_are_refused(number: int, tmp_path: Path) -> None:
+NUMBERS = [each for each in OBSERVER_OPTIONS if each.type in {"int", "double"}]
+
+
+@pytest.mark.parametrize("option", NUMBERS, ids=lambda each: each.name)
+def test_numbers_of_any_length_are_refused(option: Option) -> None:
     """Found by ./dev soak: whole numbers beyond a float, and of 5000 digits."""
-    target = next(each for each in TARGETS if each.name == "parameters")
-    assert soak(target, [number], 1, tmp_path).refused == 1
+    for digits in (300, 5000):
+        with pytest.raises(expected_errors()):
+            value_of(option)("9" * digits)
+    given: dict[str, Any] = {option.name: 10**400}
+    with pytest.raises(UsageError):
+        Options(**given)

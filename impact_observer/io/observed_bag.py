@@ -62,6 +62,7 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
+        most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
         measured: what sensors have measured; None for nothing.
         progress: called with the number of estimates made and of those to be made.

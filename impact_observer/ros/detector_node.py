@@ -162,7 +162,7 @@ class DetectorNode(Node):
             )
             return
         epoch = text(self._detector.epoch)
-        self.get_logger().info(f"epoch {epoch} s, by the first pulse of the drive")
+        self.get_logger().info(printable(f"epoch {epoch} s, by the first pulse of the drive"))
 
     def _on_tick(self) -> None:
         """Let time pass: a switch without messages may stay closed."""
