@@ -1,7 +1,7 @@
 """The hypotheses of a bank, corrected and weighed by samples that are measured beside impacts."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.events import Kind
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 DOUBTFUL = 3
 """Samples of one sensor that are rejected in a row, before the covariance is doubted."""
@@ -52,6 +52,11 @@ class _Weighed(NamedTuple):
     hypothesis: Hypothesis
     outcome: SampleOutcome
     residual: float
+
+
+def _gated(innovation: float, normalized: float, gate: float) -> SampleOutcome:
+    reason = f"gate: {normalized:.3g} standard deviations; {gate:g} are allowed"
+    return SampleOutcome(innovation, normalized, False, reason)
 
 
 class SampleFilter:
@@ -110,8 +115,7 @@ class SampleFilter:
         density = -(square + math.log(variance)) / 2 - (math.log(2.0) if jump else 0.0)
         normalized = abs(innovation) / math.sqrt(variance)
         if size > gate * math.sqrt(variance):
-            reason = f"gate: {normalized:.3g} standard deviations; {gate:g} are allowed"
-            outcome = SampleOutcome(innovation, normalized, False, reason)
+            outcome = _gated(innovation, normalized, gate)
             share = noise / variance
             residual = gate * gate * variance * share * share + seen.spread * share
             return SampleResult(state, outcome, density, -1.0 if jump else residual)
@@ -128,6 +132,49 @@ class SampleFilter:
         share = noise / variance
         residual = (innovation * share) ** 2 + seen.spread * share
         return SampleResult(after, SampleOutcome(innovation, normalized), density, residual)
+
+    def each_after(
+        self, reading: Reading, states: Sequence[GaussianState], x: Matrix, known: SensorState
+    ) -> list[SampleResult]:
+        """``after`` of several states without parameters, which have roots of one shape.
+
+        Their estimates are ``x``, shape (states, 2n); equal contacts are closed in all of them.
+        """
+        gate, size = reading.sensor.measurement.gate, x.shape[1]
+        row = self.row(reading, states[0])
+        roots = np.array([each.root for each in states])
+        columns = row.h @ roots[:, :size]
+        spread = np.einsum("bc,bc->b", columns, columns)
+        noise = max(self.noise(row, each, known.variance) for each in states)
+        innovation, variance = reading.value - (x @ row.h + row.rest), spread + noise
+        normalized = np.abs(innovation) / np.sqrt(variance)
+        density = -(np.minimum(normalized, gate) ** 2 + np.log(variance)) / 2
+        share = noise / variance
+        clipped = np.minimum(innovation**2, gate * gate * variance)
+        residual = clipped * share**2 + spread * share
+        towards = (roots @ columns[..., None])[..., 0]
+        gain = towards / variance[:, None]
+        shrunk = towards / (variance + np.sqrt(variance * noise))[:, None]
+        roots -= shrunk[:, :, None] * columns[:, None]
+        others = np.array([each.differences for each in states])
+        if others.size:
+            others -= gain[:, :, None] * (row.h @ others[:, :size])[:, None]
+        change = gain * innovation[:, None]
+        after, found = x + change[:, :size], list[SampleResult]()
+        values = (each.tolist() for each in (innovation, normalized, density, residual))
+        for k, (e, deviations, dense, left) in enumerate(zip(*values, strict=True)):
+            state, outcome = states[k], SampleOutcome(e, deviations)
+            if deviations > gate:
+                outcome = _gated(e, deviations, gate)
+            else:
+                constants = state.constants
+                if constants.size:
+                    constants = constants + change[k, size:]
+                state = GaussianState(
+                    after[k], constants, roots[k], others[k], state.closed, state.parameters
+                )
+            found.append(SampleResult(state, outcome, dense, left))
+        return found
 
     def _within_bounds(self, state: GaussianState) -> GaussianState:
         """``state`` with its parameters within their bounds."""
@@ -153,28 +200,58 @@ class SampleUpdate:
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
         """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one."""
         known = self.one.first(reading, hypotheses[0].state, reading.known)
-        doubt = known.rejected >= DOUBTFUL
-        if len(hypotheses) == 1 and not (hypotheses[0].penetrating or doubt):
-            weighed = [self._weighed(reading, hypotheses[0], known)]
-        else:
-            weighed = [
-                self._weighed(reading, branch, known)
+        doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
+        if doubt or any(h.penetrating for h in hypotheses):
+            hypotheses = [
+                branch
                 for h in hypotheses
                 for branch in self._branches(reading, h, known, doubt=doubt)
             ]
+        weighed = self._each_weighed(reading, hypotheses, known)
         best = max(weighed, key=lambda each: each.hypothesis.weight)
-        found = self._kept([each.hypothesis for each in weighed])
+        found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
         accepted, residual = best.outcome.accepted, best.residual
         rejected = 0 if accepted else known.rejected + 1
         if reading.sensor.measurement.deviation is None and residual >= 0:
             known = known.learned(residual)
         return found, best.outcome, known._replace(rejected=rejected)
 
-    def _kept(self, found: list[Hypothesis]) -> tuple[Hypothesis, ...]:
+    def _kept(self, found: list[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
+        """The likely ones; where some are ``new`` they may have become alike."""
         if len(found) == 1:
             return (found[0]._replace(weight=0.0),)
         found.sort(key=lambda h: -h.weight)
-        return normalised(self.bank.distinct(self.bank.likely(found)))
+        found = self.bank.likely(found)
+        return normalised(self.bank.distinct(found) if new else found)
+
+    def _each_weighed(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], known: SensorState
+    ) -> list[_Weighed]:
+        """Each hypothesis after a sample; all at once where they differ in numbers only."""
+        found: dict[int, _Weighed] = {}
+        for group in self._alike(hypotheses):
+            some = [hypotheses[i] for i in group]
+            states = [h.state for h in some]
+            x = np.array([state.x for state in states])
+            gaps = x[:, : self._system.n] @ self._system.W + self._system.q_r
+            if len(group) == 1 or (gaps.size and float(gaps.min()) < 0):
+                found |= {i: self._weighed(reading, hypotheses[i], known) for i in group}
+                continue
+            results = self.one.each_after(reading, states, x, known)
+            for i, h, r in zip(group, some, results, strict=True):
+                after = h._replace(state=r.state, weight=h.weight + r.density)
+                found[i] = _Weighed(after, r.outcome, r.residual)
+        return [found[i] for i in range(len(hypotheses))]
+
+    def _alike(self, hypotheses: Sequence[Hypothesis]) -> Iterable[list[int]]:
+        """Places of hypotheses whose states differ in numbers only; alone those that do not."""
+        guided = self.bank.filter.members.given.moving.guided
+        found: dict[object, list[int]] = {}
+        for i, h in enumerate(hypotheses):
+            alone = guided or h.missed or h.state.parameters
+            key = i if alone else (h.state.root.shape, h.state.closed)
+            found.setdefault(key, []).append(i)
+        return found.values()
 
     def _branches(
         self, reading: Reading, h: Hypothesis, known: SensorState, *, doubt: bool

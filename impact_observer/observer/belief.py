@@ -113,7 +113,7 @@ class Belief(NamedTuple):
     Attributes:
         ensemble: the estimate, and replicas with other initial states.
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
-            a law without covariance, and for the prior of an event.
+            a law without covariance, for the prior of an event, and after a sample in a bank.
         bound: certified upper bound of V, J; None where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty: the
             bound fell below zero.

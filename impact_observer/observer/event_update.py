@@ -116,19 +116,20 @@ class EventUpdate:
             now = {**now, event.sensor: known}
         if posterior is prior:
             return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
-        result = self.test.measured(previous.synchronization, posterior)
-        if not isfinite(result.energy):
+        if not isfinite(posterior.x.dot(posterior.x)):
             raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-        return replace(
-            previous,
-            key=event,
-            since=stamp,
-            belief=posterior,
-            synchronization=result,
-            overruled=(),
-            outcome=outcome,
-            known=now,
-            prediction=None,
+        return Entry(
+            event,
+            stamp,
+            posterior,
+            previous.synchronization,
+            previous.closed,
+            previous.latest,
+            (),
+            previous.last,
+            impact,
+            outcome,
+            now,
         )
 
     def prediction(self, entry: Entry) -> Prediction:

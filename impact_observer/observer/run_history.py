@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.dynamics import Scales
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.estimation.readings import SampleOutcome
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
@@ -185,6 +185,8 @@ class RunHistory:
         """
         ordered = sorted(set(keys))
         timeline = self.timeline_from_start(ordered[0].stamp)
+        if len(ordered) == 1 and timeline.newest.stamp < ordered[0].stamp:
+            return self._measure_next(timeline, ordered[0])
         refused, new = list[tuple[EventKey, SampleOutcome]](), list[EventKey]()
         for key in ordered:
             reason = ""
@@ -202,6 +204,18 @@ class RunHistory:
         made = found.insertions
         outcomes = [(m.entry.key, m.entry.outcome) for m in made if m.entry.outcome is not None]
         return [*refused, *outcomes], self._revisions(made[-1]) if made else ()
+
+    def _measure_next(
+        self, timeline: Timeline, key: EventKey
+    ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
+        """Append a sample that follows all others: the usual case."""
+        try:
+            insertion = timeline.insert(key)
+        except ImpactObserverError as error:
+            return [(key, SampleOutcome(0.0, -1.0, False, str(error)))], ()
+        self._forget(timeline)
+        assert insertion.entry.outcome is not None, "of a sample"
+        return [(key, insertion.entry.outcome)], self._revisions(insertion)
 
     def _revisions(self, insertion: Insertion) -> tuple[Verdict, ...]:
         """Verdicts on events, where samples have made another account of them the likeliest."""
@@ -226,6 +240,8 @@ class RunHistory:
         belief, prediction = entry.belief, self.update.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
+        if root is None and law.has_covariance:  # after a sample it is found when it is asked for
+            root = prediction.root(0.0)
         x = self._before_jump(entry, s, x)
         closed = prediction.closed(s)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)

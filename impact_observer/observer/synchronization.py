@@ -90,12 +90,6 @@ class SynchronizationTest:
         agreed = previous.agreed + is_impact if distance <= limit else 0
         return Synchronization(convergence, energy, largest, agreed)
 
-    def measured(self, previous: Synchronization, posterior: Belief) -> Synchronization:
-        """The result after a sample that is measured beside the events."""
-        convergence, energy = self._distance_and_energy(posterior.ensemble)
-        energy = max(energy, _RESTING * previous.largest)  # NaN stays, standing first
-        return previous._replace(convergence=convergence, energy=energy)
-
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""
         if result.agreed < REQUIRED_EVENTS:

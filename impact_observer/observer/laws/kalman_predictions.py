@@ -72,13 +72,17 @@ class MixturePrediction(Prediction):
         self,
         filter_: ImpactFilter,
         t: float,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
     ) -> None:
         self._filter = filter_
         self._t = t
-        self._hypotheses = hypotheses
+        self._shown = hypotheses
         self._prior = prior
+
+    @cached_property
+    def _hypotheses(self) -> Sequence[Hypothesis]:
+        return self._shown()
 
     @cached_property
     def _linear(self) -> LinearPrediction:
@@ -124,15 +128,19 @@ class MissedSwitchPrediction(Prediction):
         self,
         bank: FilterBank,
         t: float,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
     ) -> None:
         self._bank = bank
         self._t = t
-        self._hypotheses = hypotheses
+        self._shown = hypotheses
         self._prior = prior
         self._first = _WINDOW * bank.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first
+
+    @cached_property
+    def _hypotheses(self) -> Sequence[Hypothesis]:
+        return self._shown()
 
     def state(self, s: float) -> Vector:
         stretch = self._stretch(s)

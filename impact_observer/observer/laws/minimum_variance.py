@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import cache, cached_property, partial
+from operator import attrgetter
 from typing import ClassVar
 
 import numpy as np
@@ -185,8 +186,24 @@ class MinimumVariance(Law):
             return prior, outcome, known
         if account is not None:
             account = self._accounts.measured(reading, account)
-        posterior = self._posterior(found, fallback, prior.fit, account)
-        return posterior._replace(behind=prior.behind), outcome, known
+        if prior.fit.is_compared:
+            return self._posterior(found, fallback, prior.fit, account), outcome, known
+        posterior = self._prior(found, fallback, prior.fit, account)
+        return (
+            posterior._replace(
+                behind=prior.behind,
+                clock_offset=posterior.hypotheses[0].state.offset,
+                learned=Learned(partial(self._learned_of, posterior)),
+                misfit=prior.fit.message(""),
+            ),
+            outcome,
+            known,
+        )
+
+    def _learned_of(self, belief: Belief) -> Parameters:
+        """What the hypotheses of a belief without a covariance estimate besides the state."""
+        shown = _shown(belief.hypotheses, belief.fit)
+        return self._learned(shown, mixture(shown).root[belief.x.size :], self._names)
 
     @cached_property
     def _samples(self) -> SampleUpdate:
@@ -214,7 +231,7 @@ class MinimumVariance(Law):
             found = self._prior(predicted, fallback, belief.fit, later)
             return found._replace(behind=(since, ago + s))
 
-        shown = _shown(hypotheses, belief.fit)
+        shown = partial(_shown, hypotheses, belief.fit)
         found: Prediction = (
             MixturePrediction(self._bank.filter, t, shown, prior)
             if self.uncertainty.trusts_events
@@ -267,7 +284,7 @@ class MinimumVariance(Law):
 
         It has the published one first.
         """
-        best = _shown(hypotheses, fit)[0]
+        best = _best(hypotheses, fit)
         if hypotheses[0] is not best:
             hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
         ensemble = best.state.ensemble
@@ -337,6 +354,13 @@ class MinimumVariance(Law):
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)
+
+
+def _best(hypotheses: Sequence[Hypothesis], fit: Fit) -> Hypothesis:
+    """The first of ``_shown``."""
+    if len(hypotheses) == 1 or fit.is_misfit or fit.is_in_error:
+        return _shown(hypotheses, fit)[0]
+    return max(hypotheses, key=attrgetter("penalised_weight"))
 
 
 def _shown(hypotheses: Sequence[Hypothesis], fit: Fit) -> Sequence[Hypothesis]:

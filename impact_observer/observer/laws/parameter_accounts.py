@@ -203,7 +203,10 @@ class ParameterAccounts:
 
         ``prior`` finds the whole belief some seconds later.
         """
-        shown = account.published
+
+        def shown() -> Sequence[Hypothesis]:
+            return account.published
+
         if self._trusts_events:
             return MixturePrediction(self._bank.filter, t, shown, prior)
         return MissedSwitchPrediction(self._bank, t, shown, prior)
