@@ -16,11 +16,21 @@ errors are normal as declared. Three tables:
 Instants nearer than five deviations of the clock to an impact do not count.
 """
 
+import argparse
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import linalg
 
@@ -197,3 +207,176 @@ def accuracy(
     squares = np.einsum("ki,ij,kj->k", errors, W, errors)
     scaled = np.linalg.solve(covariances, errors[..., None])[..., 0]
     return Accuracy(squares, np.einsum("ki,ki->k", errors, scaled) / size)
+
+
+def accuracies(
+    name: str, seconds: float, sensor: SensorModel, options: Options, runs: int
+) -> list[Accuracy]:
+    """Of several runs, on all cores."""
+    job = partial(accuracy, name, seconds, sensor, options)
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(job, range(runs), chunksize=4))
+
+
+def print_accuracy(name: str, seconds: float, runs: int) -> None:
+    """Print rows of clean and of troubled runs."""
+    run, root = true_run(name, seconds), bounds(name, seconds)
+    counted = clear(run)
+    counted[: counted.size // 10] = False
+    W = metric(model_named(name).system)
+    least = np.einsum("kij,il,klj->k", root, W, root)[counted]
+    print(f"\n{name}: {len(run.impacts)} impacts in {seconds:g} s, {runs} runs")
+    print(f"{'':>10} {'rms / bound':>12} {'at the end':>11} {'NEES / 2n':>10} {'worst NEES':>11}")
+    clean = 0.0
+    for label, sensor, options in (
+        ("clean", SensorModel(jitter=JITTER), OPTIONS),
+        ("troubled", TROUBLED, replace(OPTIONS, missed=0.2, spurious=0.2)),
+    ):
+        found = accuracies(name, seconds, sensor, options, runs)
+        squares = np.array([each.squares for each in found])[:, counted]
+        consistency = np.array([each.consistency for each in found])[:, counted]
+        each = np.sqrt(squares.mean(axis=0) / least)
+        rms = float(np.sqrt(np.mean(each**2)))
+        worst = float(consistency.mean(axis=1).max())
+        line = f"{label:>10} {rms:12.3f} {each[-10:].mean():11.3f} {consistency.mean():10.3f}"
+        print(f"{line} {worst:11.2f}" + (f"   {rms / clean:.3f} of clean" if clean else ""))
+        clean = rms
+
+
+def without_stops(model: Model) -> Model:
+    """The model as a filter sees it that knows no impacts."""
+    return replace(model, system=replace(model.system, contacts=()))
+
+
+def alone(name: str, given: Drawn, noise: float) -> Array:
+    """Errors of a Kalman filter that knows the encoder only: shape (samples, 2n)."""
+    system = without_stops(model_named(name)).system
+    start = ",".join(map(repr, given.start.tolist()))
+    options = replace(
+        TRUSTED,
+        epoch=EPOCH,
+        initial_state=start,
+        initial_deviation=str(DEVIATION),
+        model_error=noise,
+    )
+    observer = make_observer(system, options, measurements=[replace(encoder(), gate=1e6)])
+    errors = []
+    samples = [None, *given.samples]
+    for stamp, truth, sample in zip(
+        given.run.stamps.tolist(), given.run.states, samples, strict=True
+    ):
+        if sample is not None:
+            observer.measure([sample])
+        estimate = observer.estimate(stamp)
+        errors.append(np.concatenate([estimate.q, estimate.u]) - truth)
+    return np.array(errors)
+
+
+def sources(name: str, seconds: float, seed: int = 0) -> dict[str, Array]:
+    """Errors of the three, by what they are made of: shape (samples, 2n) each."""
+    given = drawn(name, seconds, SensorModel(jitter=JITTER), seed)
+    half = given.run.stamps.size // 2
+    tried = {noise: alone(name, given, noise) for noise in NOISES}
+    best = min(tried, key=lambda noise: float(np.sum(tried[noise][half:] ** 2)))
+    return {
+        f"encoder alone (process noise {best:g})": tried[best],
+        "impacts alone": followed(name, given, OPTIONS, encodes=False)[0],
+        "both": followed(name, given, OPTIONS)[0],
+    }
+
+
+def print_sources(name: str, seconds: float, picture: Path | None) -> None:
+    """Print what each source is worth, and draw it."""
+    found = sources(name, seconds)
+    system, counted = model_named(name).system, clear(true_run(name, seconds))
+    counted[: counted.size // 2] = False
+    names = [*system.coordinates, *(f"d{c}/dt" for c in system.coordinates)]
+    print(f"\n{name}: rms error in the second half of {seconds:g} s, away from impacts, SI units")
+    print(f"{'':>35} " + " ".join(f"{each:>9}" for each in names))
+    for label, errors in found.items():
+        rms = np.sqrt(np.mean(errors[counted] ** 2, axis=0))
+        print(f"{label:>35} " + " ".join(f"{each:9.2e}" for each in rms))
+    if picture is not None:
+        draw(name, seconds, found, picture)
+        print(f"picture: {picture}")
+
+
+def draw(name: str, seconds: float, found: dict[str, Array], picture: Path) -> None:
+    """Draw the error of the coordinate that the encoder does not see, and of its speed."""
+    system, run = model_named(name).system, true_run(name, seconds)
+    t = (run.stamps - EPOCH) / NS_PER_S
+    with mpl.rc_context({"font.size": 9.0, "svg.hashsalt": "measurements"}):
+        figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+        panels = figure.subplots(2, 1, sharex=True)
+        columns = (system.n - 1, 2 * system.n - 1)
+        labels = (f"{system.coordinates[-1]} [m]", f"d{system.coordinates[-1]}/dt [m/s]")
+        for axes, column, label in zip(panels, columns, labels, strict=True):
+            for k, (source, errors) in enumerate(found.items()):
+                axes.semilogy(
+                    t, np.abs(errors[:, column]) + 1e-9, color=f"C{k}", lw=0.9, label=source
+                )
+            for each in run.impacts:
+                axes.axvline(-each.instant.until(EPOCH), color="0.8", lw=0.8, zorder=0)
+            axes.set_ylabel(f"error of {label}")
+            axes.set_ylim(1e-6, 3.0)
+        panels[0].legend(frameon=False, ncol=3, loc="upper right", fontsize="small")
+        panels[1].set_xlabel("time since the epoch [s]; lines: impacts")
+        figure.savefig(picture, metadata={"Date": None})
+
+
+def print_cost(seconds: float = 3.0, rounds: int = 3) -> None:
+    """Print the processor time of a sample at 1 kHz, and how many hypotheses there are."""
+    print("\nprocessor time of a sample at 1 kHz, the least of several rounds, microseconds")
+    run = true_run("three_mass", seconds, 1000.0)
+    rng, model = np.random.default_rng(1), model_named("three_mass")
+    values = run.states[1:, 0] + NOISE * rng.normal(size=run.stamps.size - 1)
+    samples = [
+        SensorSample(0, s, v)
+        for s, v in zip(run.stamps[1:].tolist(), values.tolist(), strict=True)
+    ]
+    cases = {
+        "minimum-variance, all declared": TRUSTED,
+        "minimum-variance, clock declared": OPTIONS,
+        "minimum-variance, defaults": Options(law="minimum-variance"),
+        "geometric": Options(law="geometric"),
+        "kinematic": Options(law="kinematic"),
+    }
+    for label, options in cases.items():
+        taken, followed_ = np.inf, 0
+        for _ in range(rounds):
+            observer = make_observer(
+                model.system, replace(options, epoch=EPOCH), measurements=[encoder()]
+            )
+            events = [*run.events][::-1]
+            begin = time.process_time()
+            for sample in samples:
+                while events and events[-1].stamp <= sample.stamp:
+                    observer.receive(events.pop())
+                observer.measure([sample])
+            taken = min(taken, (time.process_time() - begin) / len(samples))
+            timeline = observer._run.timeline  # noqa: SLF001 (how many are followed)
+            assert timeline is not None
+            followed_ = len(timeline.entries[-1].belief.hypotheses)
+        print(f"{label:>35} {1e6 * taken:8.0f}   {followed_ or 1} hypotheses at the end")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Print the three tables."""
+    parser = argparse.ArgumentParser(prog="./dev bench measurements")
+    parser.add_argument("--runs", type=int, default=500, metavar="N", help="(default 500)")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="(default 10)")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="of what sources are worth")
+    given = parser.parse_args(args)
+    if given.runs < 1 or not given.seconds > 1:
+        parser.error("--runs: expected 1 or more; --seconds: expected more than 1")
+    print_cost()
+    for name in given.models:
+        print_sources(name, given.seconds, given.picture if name == "three_mass" else None)
+    for name in given.models:
+        print_accuracy(name, given.seconds, given.runs)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
+    add_measurements,
     add_model,
     add_namespace,
     add_observers,
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add_observers(parser, "draw only these, by name (default: all in the bag)")
     add_model(parser)
+    add_measurements(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
         observers=args.observers,
         model=args.model,
         namespace=args.namespace,
+        measurements=args.measurements,
     )
 
 
@@ -74,6 +77,7 @@ def plot(
     observers: Sequence[str] | None = None,
     model: str | None = None,
     namespace: str = "",
+    measurements: str | None = None,
 ) -> int:
     """Draw a bag.
 
@@ -94,6 +98,7 @@ def plot(
     from impact_observer.draw.plot.series import read_recording
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
+    from impact_observer.model.measurements_file import read_measurements
 
     check_output(output, (*PICTURES, *PAGES))
     low, high = WIDTHS
@@ -108,6 +113,7 @@ def plot(
             observers=observers,
             start=start,
             duration=duration,
+            measurements=read_measurements(measurements) if measurements else (),
             progress=lambda done, total: progress.step(f"reading {bag}", done, total),
         )
         if len(recording.quantities) > MOST_PANELS:
@@ -117,6 +123,8 @@ def plot(
             )
         progress.show(f"drawing {output}")
         if output.suffix.lower() in PAGES:
+            if measurements:
+                progress.line("warning: a page has no dots of samples; a picture has")
             write_page(recording, output)
         else:
             about = f"{recording.name}: {bag.name}".removeprefix(": ")

@@ -11,11 +11,13 @@ from pathlib import Path
 from impact_observer.cli.arguments import (
     add_bag_output,
     add_estimates,
+    add_measurements,
     add_model,
     add_namespace,
     add_observer_arguments,
     observer_options,
 )
+from impact_observer.errors import UsageError
 
 LAW = "minimum-variance"
 
@@ -27,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
     add_namespace(parser)
     add_observer_arguments(parser)
+    add_measurements(parser)
     add_estimates(parser)
     add_bag_output(parser)
 
@@ -40,6 +43,11 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.model.free_parameters import with_unit
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
+    if args.measurements:
+        raise UsageError(
+            f"measurements: {args.measurements} given, but smooth uses impacts alone; leave it"
+            " out, or use observe"
+        )
     chosen = observer_options(args, LAW)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)

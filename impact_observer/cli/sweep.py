@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
+    add_measurements,
     add_observer_arguments,
     count,
     metavar,
@@ -74,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     against = "the swept quantity on the axis of the picture (default: the first)"
     add("--against", metavar="NAME", help=against)
     add("--json", action="store_true", help="print the metrics as JSON")
+    add_measurements(parser)
     _add_swept_arguments(parser)
     group = parser.add_argument_group("observers", "the same for all of them")
     add_observer_arguments(group, simulated=True)
@@ -152,6 +154,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     """
     from impact_observer.cli.compare import laws_in
     from impact_observer.model import read_model
+    from impact_observer.model.measurements_file import read_measurements
     from impact_observer.sweep.model_variants import model_variants
     from impact_observer.sweep.plan import RANDOM, PlantSetup, Sweep, sensors_of
 
@@ -170,6 +173,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         seed=args.seed,
         options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
         settled=args.settled,
+        measurements=read_measurements(args.measurements) if args.measurements else (),
     )
 
 

@@ -25,6 +25,7 @@ from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
+from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Stamps, Vector
 
@@ -284,6 +285,7 @@ def compare_observer(
     system: System | None = None,
     settled: float = SETTLED,
     needs_event: bool = True,
+    samples: Sequence[SensorSample] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Comparison:
     """Run an observer over events and compare its estimates with the truth.
@@ -298,6 +300,7 @@ def compare_observer(
         system: whose energy V is; None for the observer's.
         settled: V over V at the start below which the estimate has settled.
         needs_event: whether it is an error that the observer could not apply any event.
+        samples: of the observer's sensors, in order of stamps.
         progress: receives the number of estimates made, and of all.
 
     Raises:
@@ -310,7 +313,7 @@ def compare_observer(
     verdicts: list[Verdict] = []
     with TemporaryFile() as file:
         made, row = 0, sample_type(2 * observer.system.n)
-        for item in replay_batches(observer, events, stamps, only_states=True):
+        for item in replay_batches(observer, events, stamps, only_states=True, samples=samples):
             if isinstance(item, Verdict):
                 verdicts.append(item)
                 continue

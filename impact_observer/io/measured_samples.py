@@ -18,6 +18,8 @@ MOST_CLOCK_ERROR = 60.0
 """How far the clock of a sensor may be from that of the impacts, s."""
 _COMPARED = 1000
 """Messages of a topic by which clocks are compared."""
+SENSOR_STATUS = "sensor "
+"""Before the name of a sensor in the name of its diagnostic status."""
 SILENT_RATE = 50.0
 """Rate of a sensor, Hz, beyond which the verdicts on its samples are not published by default."""
 

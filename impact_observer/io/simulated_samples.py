@@ -17,6 +17,7 @@ from impact_observer.io.typestores import typestore
 from impact_observer.message_fields import FieldPath
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
+from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS
 from impact_observer.stamps import NS_PER_S, from_seconds
@@ -149,6 +150,16 @@ class SampleSimulation:
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[SimulatedMessage]:
         """What all sensors publish of the state (q, u), shape (2n,), at ``stamp`` (ns)."""
+        for sample, arrival in self.sampled(stamp, epoch, x, closed):
+            declared = self._sensors[sample.sensor].measurement
+            late = sample.stamp + from_seconds(declared.delay)
+            topic = f"/{declared.topic.lstrip('/')}"
+            yield SimulatedMessage(arrival, topic, self._message(declared, late, sample.value))
+
+    def sampled(
+        self, stamp: int, epoch: int, x: Vector, closed: Contacts
+    ) -> Iterator[tuple[SensorSample, int]]:
+        """What all sensors measure of a state, each sample with when it is received, ns."""
         instant = stamp - epoch
         framed = self._system.to_frame(np.array([instant]), x[None])[0]
         place = Place(instant / NS_PER_S, instant, framed, closed)
@@ -165,8 +176,7 @@ class SampleSimulation:
                 continue
             late = stamp + from_seconds(declared.delay)
             arrival = late + round(-faults.transport * np.log1p(-transport) * NS_PER_S)
-            topic = f"/{declared.topic.lstrip('/')}"
-            yield SimulatedMessage(arrival, topic, self._message(declared, late, value))
+            yield SensorSample(sensor.index, stamp, value), arrival
 
     def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
         message = self._new(type_of(declared))
@@ -181,14 +191,23 @@ class SampleSimulation:
         return message
 
 
-def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
-    """The messages of all sensors on a run whose stamps are those of samples, as they arrive."""
-    found, closed = list[SimulatedMessage](), tuple[int, ...]()
-    switchings = [*run.switchings][::-1]
+def samples_of_run(simulation: SampleSimulation, run: Run) -> list[SensorSample]:
+    """What all sensors measure on a run whose stamps are those of samples."""
+    return [sample for at in _states(run) for sample, _ in simulation.sampled(*at)]
+
+
+def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
+    """Arguments of ``SampleSimulation.at``."""
+    closed, switchings = tuple[int, ...](), [*run.switchings][::-1]
     for stamp, x in zip(run.stamps.tolist(), run.states, strict=True):
         while switchings and switchings[-1].instant.stamp <= stamp:
             closed = switchings.pop().closed
-        found += simulation.at(stamp, run.epoch, x, closed)
+        yield stamp, run.epoch, x, closed
+
+
+def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
+    """The messages of all sensors on a run whose stamps are those of samples, as they arrive."""
+    found = (message for at in _states(run) for message in simulation.at(*at))
     return sorted(found, key=lambda each: each.arrival)
 
 

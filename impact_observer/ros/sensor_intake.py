@@ -11,7 +11,13 @@ from rclpy.subscription import Subscription
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Verdict
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.measured_samples import AUTO, NONE, SILENT_RATE, SensorReader
+from impact_observer.io.measured_samples import (
+    AUTO,
+    NONE,
+    SENSOR_STATUS,
+    SILENT_RATE,
+    SensorReader,
+)
 from impact_observer.io.messages import AnyMessage
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import SensorSample
@@ -210,7 +216,7 @@ class SensorIntake:
             values["learned deviation"] = f"{learned:.4g}"
         return DiagnosticStatus(
             level=level,
-            name=f"{self._node.get_fully_qualified_name()}: {sensor.name}",
+            name=f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}",
             message=message,
             hardware_id=sensor.name,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],

@@ -16,8 +16,14 @@ from impact_observer.compare.replicas import compare_replicas
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent
 from impact_observer.io.pairing import samples_of
+from impact_observer.io.simulated_samples import (
+    SampleFaults,
+    SampleSimulation,
+    samples_of_run,
+)
 from impact_observer.model import Model, System, parse_model
 from impact_observer.observer import ReplicaLaw, initial_state, make_observer
+from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run, simulate_sensor
 from impact_observer.sweep.plan import Case, plant_run
 
@@ -97,13 +103,18 @@ def _parsed(text: str) -> Model:
 def _outcome(case: Case) -> Outcome:
     """The metrics; V is computed with the energy of the plant, also for another model."""
     run, system, events = _sensed(case)
+    measurements, samples = case.measurements, list[SensorSample]()
+    if measurements:
+        faults = SampleFaults(rate=case.plant.rate)
+        samples = samples_of_run(SampleSimulation(measurements, system, faults, case.seed), run)
     comparison = compare_observer(
-        make_observer(_parsed(case.variant.text).system, case.options),
+        make_observer(_parsed(case.variant.text).system, case.options, measurements=measurements),
         events,
         lambda: [samples_of(run.stamps, run.states)],
         system=system,
         settled=case.settled,
         needs_event=False,
+        samples=samples,
     )
     return _outcome_of(case, comparison, len(events))
 

@@ -15,7 +15,9 @@ from impact_observer import __version__
 from impact_observer.compare.comparison import SETTLED
 from impact_observer.compare.error_curve import MOST_ROWS
 from impact_observer.errors import UsageError
+from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation
 from impact_observer.model import parse_model
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer import (
     Options,
     ReplicaLaw,
@@ -95,6 +97,7 @@ class Case:
         observer: its options, but for the initial state.
         initial_state: of the observer, as users write it.
         settled: V over V at the start below which an estimate has settled.
+        measurements: of sensors beside the impacts, at the stamps of the plant's run.
     """
 
     number: int
@@ -106,6 +109,7 @@ class Case:
     observer: Options
     initial_state: str
     settled: float = SETTLED
+    measurements: tuple[Measurement, ...] = ()
 
     @property
     def options(self) -> Options:
@@ -148,6 +152,7 @@ class Sweep:
         seed: of the first run; run k has ``seed + k``.
         options: of the observers except the law; ``initial`` may be ``RANDOM``.
         settled: V over V at the start below which an estimate has settled.
+        measurements: of sensors beside the impacts, the same in all cases but for their noise.
     """
 
     plant: PlantSetup
@@ -158,6 +163,7 @@ class Sweep:
     seed: int = 0
     options: Options = Options(initial_state=RANDOM)  # noqa: RUF009 (it is immutable)
     settled: float = SETTLED
+    measurements: tuple[Measurement, ...] = ()
 
     def __post_init__(self) -> None:
         """Check what all cases have in common.
@@ -178,7 +184,8 @@ class Sweep:
             SensorSimulation(sensor, system, epoch=plant.epoch)
         variant = parse_model(self.variants[0].text, "replica").system
         for case in self._cases(self.sensors[:1], self.variants[:1], 1):
-            make_observer(variant, case.options)
+            make_observer(variant, case.options, measurements=self.measurements)
+        SampleSimulation(self.measurements, system, SampleFaults(), self.seed)
 
     @property
     def size(self) -> int:
@@ -221,8 +228,18 @@ class Sweep:
         for number, (observer, sensor, variant, run) in enumerate(combinations):
             seed, start = self.seed + run, self.options.initial_state
             start = f"{RANDOM}:{seed}" if start == RANDOM else start
-            settled = self.settled
-            yield Case(number, run, seed, self.plant, sensor, variant, observer, start, settled)
+            yield Case(
+                number,
+                run,
+                seed,
+                self.plant,
+                sensor,
+                variant,
+                observer,
+                start,
+                self.settled,
+                self.measurements,
+            )
 
     @property
     def swept(self) -> dict[str, tuple[Label, ...]]:
@@ -270,6 +287,11 @@ class Sweep:
             "seed": self.seed,
             "options": options,
             "settled": self.settled,
+            **(
+                {"measurements": [repr(each) for each in self.measurements]}
+                if self.measurements
+                else {}
+            ),
         }
 
 
@@ -277,7 +299,7 @@ def _differ_in_start(case: Case) -> bool:
     """Whether other runs of a case differ from it only in their start, and move as it does."""
     law = law_named(case.observer.law)
     together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase
-    return together and not case.sensor.is_random
+    return together and not (case.sensor.is_random or case.measurements)
 
 
 def sensors_of(faults: Mapping[str, Sequence[float | bool]]) -> tuple[SensorModel, ...]:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from impact_observer.cli.main import main
+from impact_observer.draw.plot.picture import recording_picture
+from impact_observer.draw.plot.series import read_recording
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import read_measurement_verdict
@@ -233,3 +235,49 @@ def test_what_cannot_be_simulated_is_one_line(
         assert main(["simulate", "two_mass", *given, "--duration", "1", "-o", output]) == 2
         (text,) = capsys.readouterr().err.splitlines()
         assert error in text
+
+
+def test_samples_are_dots_of_the_quantity_that_they_measure(bag: Path) -> None:
+    """Those of one coordinate or gap, in its unit; an acceleration has no panel."""
+    sensors = read_measurements(bag.parent / "rig.yaml")
+    system = read_model("two_mass").system
+    with BagReader(bag) as reader:
+        found = read_recording(reader, system, select=["positions", "gaps"], measurements=sensors)
+    assert {name: [each.name for each in some] for name, some in found.dots.items()} == {
+        "q_x1": ["encoder"],
+        "q_x2": ["laser"],
+        "g_stop": ["probe"],
+    }
+    columns = {quantity.name: k for k, quantity in enumerate(found.quantities)}
+    (truth,) = found.series
+    for name, (dots,) in found.dots.items():
+        k = columns[name]
+        expected = np.interp(dots.seconds, truth.seconds[:, k], truth.values[:, k])
+        assert dots.values.size == 151
+        assert np.max(np.abs(dots.values - expected)) < 0.01
+    (line,) = (each for each in recording_picture(found).legends[0].get_texts()[-1:])
+    assert line.get_text() == "samples: encoder, laser, probe"
+
+
+@pytest.mark.slow
+def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
+    """With an encoder the estimate of least variance is better; cases differ by their noise."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    ends = []
+    for given in ([], ["--measurements", "encoder"]):
+        output = str(tmp_path / f"{len(given)}.parquet")
+        wanted = ["two_mass", "--laws", "minimum-variance", "--runs", "2", "--duration", "2"]
+        assert main(["sweep", *wanted, *given, "--jobs", "1", "-o", output]) == 0
+        ends.append(parquet.read_table(output)["V_ratio"].to_pylist())
+    assert max(ends[1]) < 1e-3 * min(ends[0])
+    assert ends[1][0] != ends[1][1]
+
+
+def test_smooth_refuses_measurements_by_one_line(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It uses impacts alone."""
+    given = ["smooth", str(bag), "--measurements", "encoder", "-o", str(tmp_path / "out")]
+    assert main(given) == 2
+    (text,) = capsys.readouterr().err.splitlines()
+    assert "measurements: encoder given, but smooth uses impacts alone" in text

@@ -79,7 +79,7 @@ class Rig:
     def status(self, name: str) -> DiagnosticStatus:
         """The next status of a sensor."""
         self.diagnostics.clear()
-        ending = f": {name}"
+        ending = f": sensor {name}"
         self.spinner.until(lambda: any(s.name.endswith(ending) for s in self.diagnostics))
         return next(s for s in self.diagnostics if s.name.endswith(ending))
 

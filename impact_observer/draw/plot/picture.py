@@ -1,6 +1,7 @@
 """The picture of a recording: quantities over time with their deviations, and the impacts."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -38,6 +39,14 @@ MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
     ),
 }
 """What is said of an impact, and its mark."""
+_DOTS: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": ".",
+    "markersize": 1.5,
+    "color": "0.1",
+    "zorder": 20,
+}
+"""How samples of sensors are drawn."""
 
 
 def styles_of(series: Sequence[Series]) -> list[Style]:
@@ -97,7 +106,7 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
         panels[0].set_xlim(recording.start, recording.end)
         for k in range(columns if rows else 0):
             _draw_marks(figure.add_subplot(grid[0, k], sharex=panels[0]), rows, named=k == 0)
-        handles = [*_handles(recording, drawn), *_mark_handles(rows)]
+        handles = [*_handles(recording, drawn), *_mark_handles(rows), *_dot_handles(recording)]
         longest = max(len(str(each.get_label())) for each in handles)
         room = max(int(13 * width) // (longest + 8), 1)
         figure.legend(
@@ -128,6 +137,8 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
                 zorder=1,
             )
         low, high = min(low, float(y.min())), max(high, float(y.max()))
+    for dots in recording.dots.get(recording.quantities[column].name, ()):
+        axes.plot(dots.seconds, dots.values, **_DOTS)
     room = _MARGIN * (high - low) or 0.5 * max(abs(high), 1e-9)
     axes.set_ylim(low - room, high + room)
     axes.grid(visible=True, which="major", color="0.92")
@@ -164,6 +175,15 @@ def _handles(recording: PlotContent, drawn: Sequence[Style]) -> list[Line2D | Pa
         label = f"± {BAND:g} standard deviations"
         handles.append(Patch(color=colour, alpha=0.22, label=label))
     return handles
+
+
+def _dot_handles(recording: PlotContent) -> list[Line2D]:
+    """The legend's dots, where sensors have samples of what is drawn."""
+    shown = {each.name for each in recording.quantities}
+    names = [each.name for k, some in recording.dots.items() if k in shown for each in some]
+    if not names:
+        return []
+    return [Line2D([], [], label=f"samples: {', '.join(names)}", **{**_DOTS, "markersize": 4.0})]
 
 
 def _mark_handles(rows: Mapping[str, Mapping[Ruling | None, Vector]]) -> list[Line2D]:

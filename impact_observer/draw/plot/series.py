@@ -1,7 +1,7 @@
 """Series of a recording: what is drawn over time, thinned so that no peak is lost."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,13 @@ from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in, with_recorded
+from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.pairing import arrived
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, states_of
 from impact_observer.model import System
+from impact_observer.model.measurement import Measurement
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, text
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -33,6 +35,8 @@ MOST_COORDINATES = 8
 """Most coordinates that are drawn unless quantities are named."""
 MOST_SAMPLES = 8192
 """Most samples of a curve that are kept; of longer ones the extremes."""
+MOST_DOTS = 4000
+"""Most samples of a sensor that are drawn."""
 TRUTH = "truth"
 
 
@@ -58,6 +62,21 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Dots:
+    """Samples of a sensor.
+
+    Attributes:
+        name: of the sensor.
+        seconds: since the epoch, ascending, shape (N,).
+        values: of the quantity, shape (N,).
+    """
+
+    name: str
+    seconds: Vector
+    values: Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PlotContent:
     """What is drawn of a bag.
 
@@ -69,6 +88,7 @@ class PlotContent:
         start: of what is drawn, s since the epoch.
         end: of what is drawn, s since the epoch.
         left_out: how many coordinates are not drawn as there are too many.
+        dots: samples of sensors that measure one of the quantities, by its name.
     """
 
     name: str
@@ -78,6 +98,7 @@ class PlotContent:
     start: float
     end: float
     left_out: int = 0
+    dots: Mapping[str, tuple[Dots, ...]] = field(default_factory=dict)
 
 
 def read_recording(
@@ -88,6 +109,7 @@ def read_recording(
     observers: Sequence[str] | None = None,
     start: float = 0.0,
     duration: float | None = None,
+    measurements: Sequence[Measurement] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> PlotContent:
     """Read what is drawn of a bag, block by block.
@@ -102,6 +124,7 @@ def read_recording(
         observers: prefixes of the estimates' topics; None for all.
         start: of the part that is drawn, s since the epoch.
         duration: of that part, s; None for all.
+        measurements: whose samples are drawn as dots, where they are of one quantity.
         progress: called with the number of states read, and of all.
 
     Raises:
@@ -156,8 +179,39 @@ def read_recording(
         end=max(float(each.seconds.max()) for each in series),
     )
     stamps = impact_marks(reader, {prefix: labels[prefix] for prefix in laws}, events)
-    recording = replace(recording, marks=_within(recording, stamps, epoch))
+    dots = _dots(reader, measurements, recording, epoch) if measurements else {}
+    recording = replace(recording, marks=_within(recording, stamps, epoch), dots=dots)
     return _largest(recording) if select is None else recording
+
+
+def _dots(
+    reader: BagReader, measurements: Sequence[Measurement], recording: PlotContent, epoch: int
+) -> dict[str, tuple[Dots, ...]]:
+    """Samples by the quantity that their sensor measures, thinned to ``MOST_DOTS``."""
+    found: dict[str, tuple[Dots, ...]] = {}
+    samples = samples_in(reader, measurements).samples
+    for i, each in enumerate(measurements):
+        name, factor = _measured_alone(each)
+        own = np.array([(s.stamp - epoch, s.value) for s in samples if s.sensor == i])
+        if not (name and own.size):
+            continue
+        seconds, values = own[:, 0] / NS_PER_S, (own[:, 1] - each.offset) / factor
+        inside = (seconds >= recording.start) & (seconds <= recording.end)
+        kept = np.flatnonzero(inside)[:: 1 + int(inside.sum()) // MOST_DOTS]
+        found[name] = (*found.get(name, ()), Dots(each.name, seconds[kept], values[kept]))
+    return found
+
+
+def _measured_alone(measurement: Measurement) -> tuple[str, float]:
+    """The name of the one quantity that a sensor measures, and its factor; empty for others."""
+    if measurement.gap:
+        return f"g_{measurement.gap}", 1.0
+    terms = [("q", *each) for each in measurement.position]
+    terms += [("u", *each) for each in measurement.velocity]
+    if len(terms) != 1 or measurement.acceleration:
+        return "", 1.0
+    ((kind, coordinate, factor),) = terms
+    return f"{kind}_{coordinate}", factor
 
 
 def _gap_motion(system: System | None, ns: Stamps) -> Matrix | None:

@@ -189,6 +189,7 @@ def _observer(
     """One observer in a frame of ``width`` columns, and at most ``rows``."""
     inner = width - 4
     own_error, flows = _own_error(seen, inner, levels), list(_packed(_own_flows(seen), inner))
+    own_error = [*own_error, *_sensors(seen)]
     plan = _plan(seen, rows, len(own_error) + 2, len(flows))
     parts: list[RenderableType] = []
     if seen.lines:
@@ -319,6 +320,11 @@ def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
         f"{latency * 1e3:.1f} ms" if latency > 0 else "",
     ]
     return _cut("  ".join(word for word in words if word))
+
+
+def _sensors(seen: ObserverSnapshot) -> list[str]:
+    """A line for each sensor beside the impacts."""
+    return [f"sensor  {each.name}: {each.message}" for each in seen.sensors]
 
 
 def _health(seen: ObserverSnapshot) -> str:

@@ -44,6 +44,21 @@ class StateLine:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorLine:
+    """A sensor beside the impacts.
+
+    Attributes:
+        name: of the sensor.
+        level: of its diagnostics: 0 ok, 1 warning, 2 error.
+        message: of its diagnostics.
+    """
+
+    name: str
+    level: int
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
 class EstimateHistory:
     """A quantity over the last seconds.
 
@@ -79,6 +94,7 @@ class ObserverSnapshot:
         counts: verdicts so far by ruling.
         health: level (0 ok, 1 warning, 2 error) and message of its diagnostics; None before.
         flows: rates of its topics.
+        sensors: what is measured beside the impacts.
     """
 
     name: str
@@ -97,6 +113,7 @@ class ObserverSnapshot:
     counts: tuple[tuple[str, int], ...] = ()
     health: tuple[int, str] | None = None
     flows: tuple[TopicRate, ...] = ()
+    sensors: tuple[SensorLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface, interface
+from impact_observer.io.measured_samples import SENSOR_STATUS
 from impact_observer.io.messages import (
     AnyMessage,
     JointState,
@@ -32,7 +33,12 @@ from impact_observer.io.messages import (
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.model import System, parse_model
 from impact_observer.ros.watch.buffers import Arrivals, HistoryBuffer, RecentMessages
-from impact_observer.ros.watch.snapshot import ObserverSnapshot, Snapshot, StateLine
+from impact_observer.ros.watch.snapshot import (
+    ObserverSnapshot,
+    SensorLine,
+    Snapshot,
+    StateLine,
+)
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Estimate, Vector
 
@@ -57,6 +63,7 @@ class _ObserverRecord:
     )
     counts: Counter[str] = field(default_factory=Counter)
     health: tuple[int, str] | None = None
+    sensors: dict[str, SensorLine] = field(default_factory=dict)
 
     def clear(self, seconds: float) -> None:
         """Forget everything but the diagnostics, after a backward jump of time."""
@@ -251,6 +258,9 @@ class TopicListener:
             for each in self._observers.values():
                 if status.name == f"{each.observed.prefix}: impacts":
                     each.health = (int(status.level), str(status.message))
+                elif (sensor := _sensor_of(str(status.name), each.observed.prefix)) is not None:
+                    line = SensorLine(sensor, int(status.level), str(status.message))
+                    each.sensors[sensor] = line
 
     def _observer_snapshot(self, record: _ObserverRecord, now: float) -> ObserverSnapshot:
         """One observer at present."""
@@ -264,6 +274,7 @@ class TopicListener:
             verdicts=tuple(record.verdicts),
             counts=tuple(sorted(record.counts.items())),
             health=record.health,
+            sensors=tuple(line for _, line in sorted(record.sensors.items())),
             flows=tuple(self._arrivals[topic].rate(topic, now) for topic in sorted(topics)),
         )
         try:
@@ -327,6 +338,12 @@ class TopicListener:
         q, u = estimate.q - true[0], estimate.u - true[1]
         record.distances.add(estimate.stamp, float(distance(system, q[order], u[order])))
         return "here"
+
+
+def _sensor_of(status: str, observer: str) -> str | None:
+    """The sensor of a status of this name, by the prefix of its observer; None for others."""
+    start = f"{observer}: {SENSOR_STATUS}"
+    return status.removeprefix(start) if status.startswith(start) else None
 
 
 def _owner(topic: str) -> str:

@@ -16,7 +16,8 @@ from impact_observer.io.messages import bag_messages
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.ros.watch.buffers import Arrivals, HistoryBuffer, RecentMessages
-from impact_observer.ros.watch.snapshot import Snapshot
+from impact_observer.ros.watch.screen import _sensors
+from impact_observer.ros.watch.snapshot import SensorLine, Snapshot
 from impact_observer.ros.watch.topic_listener import TopicListener
 from impact_observer.stamps import NS_PER_S
 
@@ -156,6 +157,21 @@ def test_diagnostics_go_to_their_observer() -> None:
         ("/observer", (1, "of /observer")),
         ("/rig/observer", (2, "of /rig/observer")),
     ]
+
+
+def test_sensors_of_an_observer_are_shown_with_what_is_wrong_with_them() -> None:
+    """By the name of their status; its health stays that of the impacts."""
+    listener = TopicListener(["observer"])
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    for what, level, message in (("impacts", 0, "fine"), ("sensor encoder", 1, "no sample yet")):
+        data = diagnostics("/observer", "two_mass", level, message)
+        data.status[0].name = f"/observer: {what}"  # type: ignore[attr-defined]
+        listener.receive("/diagnostics", serialized(data, kind), 0.0, EPOCH)
+    (seen,) = listener.snapshot(0.0, EPOCH).observers
+    assert seen.health == (0, "fine")
+    assert seen.sensors == (SensorLine("encoder", 1, "no sample yet"),)
+    (panel,) = [*_sensors(seen)]
+    assert panel == "sensor  encoder: no sample yet"
 
 
 def test_only_wanted_observers_are_received() -> None:
