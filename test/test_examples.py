@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-PICTURES = ("basins", "beam", "drill", "drop_height", "gears", "shaker")
+PICTURES = ("basins", "beam", "drill", "drop_height", "encoder", "gears", "shaker")
 """Those that draw one."""
 
 
@@ -81,6 +81,13 @@ def test_a_shaker_shows_how_its_clocks_differ() -> None:
 
 
 @pytest.mark.slow
+def test_encoder_and_impacts_know_more_together() -> None:
+    """Before the impacts alone determine the state."""
+    errors = example("encoder")["compare"](5.0).typical(2.0, 5.0)
+    assert errors["both"] < 0.3 * min(errors["impacts"], errors["encoder"])
+
+
+@pytest.mark.slow
 def test_basins_hold_two_motions() -> None:
     """Both motions are there, and a start has the same one whatever the grid."""
     code = example("basins")
@@ -99,6 +106,7 @@ def test_basins_hold_two_motions() -> None:
         ("beam", ["--seconds", "0.2"]),
         ("drill", ["--seconds", "0.5"]),
         ("drop_height", ["1", "1.8", "2.4", "2.85", "3.1875"]),
+        ("encoder", ["--seconds", "6.1"]),
         ("gears", ["--seconds", "0.5"]),
         ("shaker", ["--seconds", "0.5"]),
     ],
