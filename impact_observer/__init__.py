@@ -2,9 +2,9 @@
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``plant`` and
 ``estimation``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
-``identify``, ``observability``, ``check`` and ``sweep``, then ``ros`` and ``cli``. The modules
-beside this file are the vocabulary that all rooms share: errors, stamps, events, states, options.
-The first five rooms need numpy and scipy only.
+``smooth``, ``identify``, ``observability``, ``new``, ``check`` and ``sweep``, then ``ros`` and
+``cli``. The modules beside this file are the vocabulary that all rooms share: errors, stamps,
+events, states, options. The first five rooms need numpy and scipy only.
 
 The names below are imported when they are first used, so that ``--help`` stays quick.
 """

@@ -59,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
     code = check(files[0])
     model, sensors, launch = files
     say(f"""
-Next, with a simulation in the place of the rig, then with its sensors:
+Next, with a simulation in the place of the rig, then with its sensors. In a clone ./dev run stands
+for impact-observer, and the nodes lie in .venv/bin:
 
     impact-observer simulate {model} --duration 30 -o {args.name}_bag
     detector --ros-args -p sources:={sensors}{" -p epoch:=NANOSECONDS" * rig.needs_epoch}

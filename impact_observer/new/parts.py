@@ -77,6 +77,13 @@ def _mass(given: list[str]) -> Item:
     return {"name": _name(name), "mass": _number(mass)}
 
 
+def _ground(given: list[str]) -> Item:
+    name, *values = _fields(given, 3, 4)
+    keys = ("amplitude", "frequency", "phase")
+    harmonic = ", ".join(f"{k}: {_number(v)!r}" for k, v in zip(keys, values, strict=False))
+    return {"name": _name(name), "motion": f"{{harmonics: [{{{harmonic}}}]}}"}
+
+
 def _spring(given: list[str]) -> Item:
     a, b, *values = _fields(given, 3, 4)
     keys = ("stiffness", "damping")
@@ -108,11 +115,18 @@ def _sensor(given: list[str]) -> Item:
 
 
 MASS = PartKind("mass", ("NAME,MASS",), "x1,1.5", "a body that moves along a line, kg", _mass)
+GROUND = PartKind(
+    "ground",
+    ("NAME,AMPLITUDE,FREQUENCY[,PHASE]",),
+    "table,0.003,75",
+    "that moves by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s, rad, such as a shaker",
+    _ground,
+)
 SPRING = PartKind(
     "spring",
     ("A,B,STIFFNESS[,DAMPING]",),
     "ground,x1,100,0.5",
-    "between two bodies, or a body and ground; N/m, Ns/m",
+    "between two bodies, or a body and ground or a ground that moves; N/m, Ns/m",
     _spring,
 )
 FORCE = PartKind(
@@ -127,7 +141,7 @@ STOP = PartKind(
     ("NAME,BODY,above|below,LIMIT,RESTITUTION", "NAME,A,B,GAP,RESTITUTION"),
     "anvil,x1,above,0.5,0.7",
     "which the body reaches at LIMIT, m, and which is above or below it; or between two bodies,"
-    " which touch when B has moved by GAP towards A, m",
+    " which touch when B has moved by GAP towards A, m; one may be a ground that moves",
     _stop,
 )
 SENSOR = PartKind(
@@ -138,4 +152,4 @@ SENSOR = PartKind(
     " m/s^2",
     _sensor,
 )
-MODEL_KINDS = (MASS, SPRING, FORCE, STOP)
+MODEL_KINDS = (MASS, GROUND, SPRING, FORCE, STOP)

@@ -8,7 +8,7 @@ from pathlib import Path
 from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
 from impact_observer.model import Model, parse_model
-from impact_observer.new.parts import FORCE, MASS, SENSOR, SPRING, STOP, Item, PartKind
+from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
 
 _FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
 _MODEL = """\
@@ -19,6 +19,8 @@ name: {name}
 # Bodies move along one line. Positions are displacements from where the springs have no load.
 bodies:
 {mass}
+# What moves by itself: amplitude cos(frequency t + phase), in m, rad/s and rad, t from the epoch.
+grounds:{ground}
 # Stiffness in N/m, damping in Ns/m. `ground` does not move.
 springs:{spring}
 # amplitude cos(frequency t + phase), in N, rad/s and rad, t from the epoch; or constant, in N.
@@ -76,7 +78,7 @@ def included(node: str, given: dict[str, str]) -> IncludeLaunchDescription:
     return IncludeLaunchDescription(source, launch_arguments=given.items())
 '''
 _EPOCH = """
-The force depends on time: epoch is the stamp of t = 0 of the drive, in nanoseconds. Leave it out
+Something is a function of time: epoch is the stamp of its t = 0, in nanoseconds. Leave it out
 where a drive publishes its index pulses on phase_reference.
 """
 
@@ -129,8 +131,8 @@ class NewRig:
 
     @property
     def needs_epoch(self) -> bool:
-        """Whether a force depends on time."""
-        return any("frequency" in each for each in self.items(FORCE))
+        """Whether something is a function of time."""
+        return bool(self.items(GROUND)) or any("frequency" in each for each in self.items(FORCE))
 
     def model(self) -> Model:
         """The model, read from its text.
@@ -142,11 +144,12 @@ class NewRig:
 
     def model_text(self) -> str:
         """The model file."""
-        zeros = ", ".join("0" for _ in self.items(MASS))
-        start = f"initial_state: {{position: [{zeros}], velocity: [{zeros}]}}"
+        at_rest, thrown = (", ".join(each for _ in self.items(MASS)) for each in "01")
+        speed = at_rest if self.needs_epoch else thrown  # else nothing would ever move
+        start = f"initial_state: {{position: [{at_rest}], velocity: [{speed}]}}"
         if any(_gap_at_rest(each) < 0.0 for each in self.items(STOP)):
             start = f"# {start}    # this one is inside a stop"
-        parts = {kind.name: _lines(self.items(kind)) for kind in (SPRING, FORCE, STOP)}
+        parts = {kind.name: _lines(self.items(kind)) for kind in (GROUND, SPRING, FORCE, STOP)}
         mass = _lines(self.items(MASS)).removeprefix("\n")
         return _MODEL.format(name=self.name, mass=mass, start=start, **parts)
 

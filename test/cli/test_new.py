@@ -5,12 +5,17 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from impact_observer.cli.main import main
 from impact_observer.io import BagReader
 from impact_observer.io.recordings import events_in
+from impact_observer.model import read_model
+from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
+
+EPOCH = 1_000_000_000
 
 HAMMER = (
     *("--mass", "x1,1", "--mass", "x2,1"),
@@ -47,6 +52,39 @@ def test_what_is_written_is_checked_and_explained(capsys: pytest.CaptureFixture[
     assert "-p sources:=hammer_sensors.yaml -p epoch:=NANOSECONDS" in out
     assert main(["check-model", "hammer.yaml"]) == 0
     assert capsys.readouterr().out in out
+
+
+@pytest.mark.parametrize(
+    ("name", "parts", "impacts"),
+    [
+        ("ball", "--mass ball,0.05 --force ball,-0.4905 --stop floor,ball,below,0,0.8", 20),
+        (
+            "shaker",
+            (
+                "--mass part,0.3 --ground table,0.003,75 --spring table,part,600,0.5"
+                " --stop wire,table,part,0.004,0.6"
+            ),
+            5,
+        ),
+        (
+            "drill",
+            (
+                "--mass housing,5 --mass bit,1 --spring ground,housing,2e4,60"
+                " --spring housing,bit,2e4,20 --force housing,400,140"
+                " --stop rock,bit,above,0.008,0.5"
+            ),
+            30,
+        ),
+    ],
+)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_new_rig_moves_and_hits(name: str, parts: str, impacts: int) -> None:
+    """What is written can be simulated as it is."""
+    assert main(["new", name, *parts.split()]) == 0
+    model = read_model(f"{name}.yaml")
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    run = simulate(plant, np.array([EPOCH, 3 * EPOCH]))
+    assert len(run.impacts) >= impacts
 
 
 @pytest.mark.slow
@@ -86,7 +124,7 @@ def test_in_a_terminal_it_asks(
     lines = {kind: [text for key, text in pairs if key == f"--{kind}"] for kind in ("mass",)}
     asked = answers(
         monkeypatch,
-        *("x1,heavy", *lines["mass"], ""),
+        *("x1,heavy", *lines["mass"], "", ""),
         *("ground,x1,10,0.1", "x1,x2,10,0.1", ""),
         *("x2,4,2.5", "", "anvil,x2,above,0.5,0.7", "", "/switch"),
     )
