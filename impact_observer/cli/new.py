@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
             for text in getattr(args, kind.name):
                 rig = rig.with_part(kind, text)
     elif sys.stdin.isatty():
+        say("The parts of the rig, one a line; an empty line goes on to the next kind. SI units.")
         for kind in MODEL_KINDS:
             rig = _asked(rig, kind)
         for stop in rig.stops_without_sensor:

@@ -68,7 +68,7 @@ def _number(text: str) -> float:
 
 def _fields(given: list[str], least: int, most: int) -> list[str]:
     if not least <= len(given) <= most:
-        raise ValueError(f"{len(given)} found between commas")
+        raise ValueError(f"{len(given)} values found between commas")
     return given
 
 
@@ -119,7 +119,7 @@ GROUND = PartKind(
     "ground",
     ("NAME,AMPLITUDE,FREQUENCY[,PHASE]",),
     "table,0.003,75",
-    "that moves by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s, rad, such as a shaker",
+    "what moves by itself, by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s, rad, such as a shaker",
     _ground,
 )
 SPRING = PartKind(
@@ -140,8 +140,8 @@ STOP = PartKind(
     "stop",
     ("NAME,BODY,above|below,LIMIT,RESTITUTION", "NAME,A,B,GAP,RESTITUTION"),
     "anvil,x1,above,0.5,0.7",
-    "which the body reaches at LIMIT, m, and which is above or below it; or between two bodies,"
-    " which touch when B has moved by GAP towards A, m; one may be a ground that moves",
+    "the BODY reaches it at LIMIT, m; above or below says where it is. Or of two bodies, which"
+    " touch when B has moved by GAP towards A, m; one may be a ground that moves",
     _stop,
 )
 SENSOR = PartKind(

@@ -117,7 +117,7 @@ def test_the_launch_file_names_the_epoch_where_it_is_needed(drive: str) -> None:
         ([(MASS, "x1,one")], "--mass x1,one: 'one' is no number; expected NAME,MASS"),
         ([(MASS, "1x,1")], "'1x' is no name"),
         ([(MASS, "true,1")], "'true' is no name"),
-        ([(MASS, "x1")], "--mass x1: 1 found between commas"),
+        ([(MASS, "x1")], "--mass x1: 1 values found between commas"),
         ([(MASS, "x1,1"), (SPRING, "ground,x2,1")], r"springs\[0\]\.between.*x2"),
         ([(MASS, "x1,1"), (STOP, "a,x1,above,1,1.5")], r"restitution: is 1\.5"),
         ([(MASS, "x1,1"), (SENSOR, "a,/a")], "no such stop; there are none"),
