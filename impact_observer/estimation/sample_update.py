@@ -228,6 +228,8 @@ class SampleUpdate:
         self, reading: Reading, hypotheses: Sequence[Hypothesis], known: SensorState
     ) -> list[_Weighed]:
         """Each hypothesis after a sample; all at once where they differ in numbers only."""
+        if len(hypotheses) == 1:
+            return [self._weighed(reading, hypotheses[0], known)]
         found: dict[int, _Weighed] = {}
         for group in self._alike(hypotheses):
             some = [hypotheses[i] for i in group]

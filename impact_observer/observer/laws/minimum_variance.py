@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from operator import attrgetter
 from typing import ClassVar
 
@@ -216,12 +216,12 @@ class MinimumVariance(Law):
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         since, ago = belief.behind if belief.behind[1] else (t, 0.0)
 
-        @cache
-        def replica() -> Callable[[float], Fallback]:
-            return self._replica.motion(since, fallback, closed)
+        made: list[Callable[[float], Fallback]] = []  # once it is needed
 
         def motion(s: float) -> Fallback:
-            return replica()(ago + s)
+            if not made:
+                made.append(self._replica.motion(since, fallback, closed))
+            return made[0](ago + s)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
