@@ -24,10 +24,13 @@ from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.csv_import import import_csv
+from impact_observer.io.interfaces import JOINT_STATE
+from impact_observer.io.measured_samples import SensorReader
 from impact_observer.io.messages import MessageError, MessageLimits, bag_messages, read_event
 from impact_observer.io.observed_bag import observe_bag
 from impact_observer.io.typestores import deserialize, new_typestore
 from impact_observer.model import parse_model, read_model
+from impact_observer.model.measurement import Measurement
 from impact_observer.model.measurements_file import parse_measurements
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.options import OBSERVER_OPTIONS, Option
@@ -299,6 +302,32 @@ def _samples(_: Path) -> Attack:
     return attack
 
 
+def _measured(_: Path) -> Attack:
+    """Messages of an encoder with anything in them, between events."""
+    declared = Measurement("encoder", "/encoder", "x1", "position", deviation=1e-3)
+    reader, observers = SensorReader(declared, 0, JOINT_STATE), list[Observer]()
+
+    def attack(draw: random.Random) -> object:
+        if not observers or draw.random() < 0.1:
+            law = "minimum-variance" if draw.random() < 0.1 else "geometric"
+            options = Options(law, ensemble=2, clock_error=1e-3, model_error=0.0)
+            observers[:] = [make_observer(_two_mass(), options, measurements=[declared])]
+        odd = draw.random() < 0.1
+        stamp = draw.choice([1, EPOCH, MAX_STAMP]) if odd else EPOCH + draw.randrange(30 * S)
+        message = bag_messages().joint_state(JointState(stamp, (), np.empty(0), np.empty(0)))
+        message.name = [draw.choice(["x1", "x2", ""]) for _ in range(draw.randrange(4))]
+        values = [0.0, 1e15, -1e300, math.nan, math.inf] if odd else [draw.gauss(0.0, 1.0)]
+        message.position = np.array([draw.choice(values) for _ in range(draw.randrange(4))])
+        sample = reader.sample(message, stamp)
+        observers[0].measure([] if sample is None else [sample])
+        event = _drawn_event(draw)
+        if event.stamp < EPOCH + 100 * S:  # odd events are the matter of another target
+            observers[0].receive(event)
+        return _check_finite(observers[0])
+
+    return attack
+
+
 TARGETS = (
     Target("model", 0.5, _model),
     Target("table", 1, _table),
@@ -311,6 +340,7 @@ TARGETS = (
     Target("message", 40, _message),
     Target("event", 8, _event),
     Target("samples", 2, _samples),
+    Target("measured", 1, _measured),
 )
 """All of them."""
 

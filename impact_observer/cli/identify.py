@@ -5,7 +5,13 @@ import json as json_module
 import sys
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, number, positive
+from impact_observer.cli.arguments import (
+    add_measurements,
+    add_model,
+    add_namespace,
+    number,
+    positive,
+)
 from impact_observer.errors import BagError, UsageError
 from impact_observer.plain_text import say
 
@@ -17,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add_namespace(parser)
+    add_measurements(parser)
     parser.add_argument(
         "--free",
         metavar="LIST",
@@ -77,6 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
+    if args.measurements:
+        raise UsageError(
+            f"measurements: {args.measurements} given, but identify uses impact times alone; leave"
+            " it out, or use observe with --law minimum-variance --estimate-parameters"
+        )
     return identify(
         args.bag,
         tuple(name.strip() for name in args.free.split(",") if name.strip()),

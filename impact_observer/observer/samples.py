@@ -1,12 +1,12 @@
 """Samples of sensors on their way into the timeline of an observer."""
 
-import math
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from impact_observer.estimation.readings import DeclaredSensor, SampleOutcome
 from impact_observer.events import MeasurementVerdict
+from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import MAX_STAMP
 
@@ -56,10 +56,10 @@ class SampleStream:
         """Take samples; one that is no number has its verdict at once."""
         for sensor, stamp, value in samples:
             self.counts[sensor]["samples"] += 1
-            if not (math.isfinite(value) and 0 < stamp <= MAX_STAMP):
+            if not (abs(value) <= LARGEST_STATE and 0 < stamp <= MAX_STAMP):
                 self.counts[sensor]["invalid"] += 1
                 if 0 < stamp <= MAX_STAMP:
-                    reason = f"{value:g} found; expected a finite number"
+                    reason = f"{value:g} found; expected a number of at most {LARGEST_STATE:g}"
                     self._note(sensor, stamp, 0.0, SampleOutcome(0.0, -1.0, False, reason))
                 continue
             self.newest[sensor] = max(self.newest[sensor], stamp)
