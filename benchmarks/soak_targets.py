@@ -313,7 +313,7 @@ def _measured(_: Path) -> Attack:
             options = Options(law, ensemble=2, clock_error=1e-3, model_error=0.0)
             observers[:] = [make_observer(_two_mass(), options, measurements=[declared])]
         odd = draw.random() < 0.1
-        stamp = draw.choice([1, EPOCH, MAX_STAMP]) if odd else EPOCH + draw.randrange(30 * S)
+        stamp = draw.choice([1, EPOCH, EPOCH + 100 * S]) if odd else EPOCH + draw.randrange(30 * S)
         message = bag_messages().joint_state(JointState(stamp, (), np.empty(0), np.empty(0)))
         message.name = [draw.choice(["x1", "x2", ""]) for _ in range(draw.randrange(4))]
         values = [0.0, 1e15, -1e300, math.nan, math.inf] if odd else [draw.gauss(0.0, 1.0)]

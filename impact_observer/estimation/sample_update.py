@@ -53,6 +53,11 @@ class _Weighed(NamedTuple):
     outcome: SampleOutcome
     residual: float
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether no number of it has overflowed."""
+        return math.isfinite(self.hypothesis.weight) and self.hypothesis.state.is_finite
+
 
 def _gated(innovation: float, normalized: float, gate: float) -> SampleOutcome:
     reason = f"gate: {normalized:.3g} standard deviations; {gate:g} are allowed"
@@ -207,7 +212,12 @@ class SampleUpdate:
                 for h in hypotheses
                 for branch in self._branches(reading, h, known, doubt=doubt)
             ]
-        weighed = self._each_weighed(reading, hypotheses, known)
+        with np.errstate(over="ignore", invalid="ignore"):
+            weighed = self._each_weighed(reading, hypotheses, known)
+        weighed = [each for each in weighed if each.is_finite]
+        if not weighed:
+            outcome = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
+            return tuple(hypotheses), outcome, reading.known
         best = max(weighed, key=lambda each: each.hypothesis.weight)
         found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
         accepted, residual = best.outcome.accepted, best.residual

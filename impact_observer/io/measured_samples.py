@@ -172,7 +172,11 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
             if problem := _clock_problem(each.measurement, made, clock):
                 problems.append(problem)
                 continue
-            found += made
+            kept = _of_clock(made)
+            if len(kept) < len(made):
+                lost = f"{len(made) - len(kept)} samples are left out"
+                problems.append(f"{each.measurement.name}: {lost}: stamped far from all others")
+            found += kept
     found.sort(key=lambda item: (item[1].stamp, item[1].sensor))
     counted = Counter(problems)
     lines = [line if n == 1 else f"{line} ({n} times)" for line, n in counted.items()]
@@ -232,6 +236,15 @@ def _clock_of_impacts(reader: BagReader) -> float | None:
         if len(late) == _COMPARED:
             break
     return statistics.median(late) if late else None
+
+
+def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, SensorSample]]:
+    """Those whose stamps are as far from their reception as usual, but for a minute."""
+    if not samples:
+        return samples
+    usual = statistics.median(at - sample.stamp for at, sample in samples)
+    most = MOST_CLOCK_ERROR * NS_PER_S
+    return [each for each in samples if abs(each[0] - each[1].stamp - usual) <= most]
 
 
 def _clock_problem(

@@ -196,6 +196,30 @@ def test_a_clock_that_is_off_by_an_hour_is_one_warning_and_nothing_else_is_lost(
     np.testing.assert_array_equal(found[0], found[1])
 
 
+@pytest.mark.slow
+def test_one_stamp_that_is_far_off_is_left_out(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Or all history before it would be forgotten."""
+    source, sensors = tmp_path / "odd", str(bag.parent / "rig.yaml")
+    with BagReader(bag) as reader, BagWriter(source) as writer:
+        for topic, info in reader.topics.items():
+            writer.declare(topic, type_name=info.type, quality=info.quality)
+        decode, odd = reader.decoder("/encoder"), False
+        for raw in reader.raw():
+            message = decode(raw.data) if raw.topic == "/encoder" else None
+            if message is None or odd or raw.log_time < 2 * NS_PER_S:
+                writer.write_raw(*raw)
+                continue
+            message.header.stamp.sec, odd = 2_000_000_000, True
+            writer.write(raw.topic, raw.log_time, message)
+    output = str(tmp_path / "out")
+    assert main(["observe", str(source), "--measurements", sensors, "-o", output]) == 0
+    text = capsys.readouterr().out
+    assert "warning: encoder: 1 samples are left out: stamped far from all others" in text
+    assert "encoder: 150 samples: 150 accepted" in text
+
+
 def test_a_number_that_is_none_is_left_out(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
