@@ -55,7 +55,8 @@ def of_site(app: Sphinx, page: str, source: list[str]) -> None:
     def relinked(link: re.Match[str]) -> str:
         image, words, to, anchor = link.groups(default="")
         found = (origin.parent / to).resolve()
-        if found.is_dir():
+        is_page = found in _OUTSIDE or DOCS in found.parents
+        if found.is_dir() or (found.suffix in _SUFFIXES and not is_page):
             return words
         place = os.path.relpath(_OUTSIDE.get(found, found), path.parent)
         return f"{image}[{words}]({place}{anchor})"
