@@ -1,7 +1,8 @@
 """The hypotheses of a bank, corrected and weighed by samples that are measured beside impacts."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +11,16 @@ from scipy import special
 from impact_observer.estimation.filter_bank import CONFIDENT, LATE, POSSIBLE, RESTART, FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, normalised
+from impact_observer.estimation.hypotheses import (
+    NO_KICKS,
+    NOTHING,
+    Hypothesis,
+    MissedSwitch,
+    normalised,
+)
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.model_error import NO_ERROR
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.events import Kind
@@ -201,9 +209,15 @@ class SampleUpdate:
         self._directions = np.ascontiguousarray(self._system.W.T)
 
     def after(
-        self, reading: Reading, hypotheses: Sequence[Hypothesis]
+        self,
+        reading: Reading,
+        hypotheses: Sequence[Hypothesis],
+        restart: Callable[[], GaussianState] | None = None,
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
-        """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one."""
+        """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one.
+
+        Where a sensor contradicts the estimate for long, the state of a ``restart`` is tried too.
+        """
         known = self.one.first(reading, hypotheses[0].state, reading.known)
         doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
         if doubt or any(h.penetrating for h in hypotheses):
@@ -212,19 +226,30 @@ class SampleUpdate:
                 for h in hypotheses
                 for branch in self._branches(reading, h, known, doubt=doubt)
             ]
+            if doubt and restart is not None and not self.bank.trusts_estimate:
+                best = max(hypotheses, key=attrgetter("weight"))
+                begun = best._replace(
+                    state=restart(),
+                    weight=best.weight + RESTART,
+                    missed=(),
+                    error=NO_ERROR,
+                    kicks=NO_KICKS,
+                    since=0.0,
+                )
+                hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
             weighed = self._each_weighed(reading, hypotheses, known)
         weighed = [each for each in weighed if each.is_finite]
         if not weighed:
             outcome = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
             return tuple(hypotheses), outcome, reading.known
-        best = max(weighed, key=lambda each: each.hypothesis.weight)
+        first = max(weighed, key=lambda each: each.hypothesis.weight)
         found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
-        accepted, residual = best.outcome.accepted, best.residual
+        accepted, residual = first.outcome.accepted, first.residual
         rejected = 0 if accepted else known.rejected + 1
         if reading.sensor.measurement.deviation is None and residual >= 0:
             known = known.learned(residual)
-        return found, best.outcome, known._replace(rejected=rejected)
+        return found, first.outcome, known._replace(rejected=rejected)
 
     def _kept(self, found: list[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
         """The likely ones; where some are ``new`` they may have become alike."""

@@ -549,3 +549,27 @@ def test_samples_say_nothing_while_a_contact_lasts(law: str) -> None:
     (verdict,) = observer.samples.take()
     assert verdict.reason.startswith("contact: an impact that lasts 0.01 s was 0.005 s ago")
     np.testing.assert_array_equal(x_of(observer, stamp + NS_PER_S), before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trouble", ["outliers", "stuck"])
+def test_a_bad_sensor_is_survived(trouble: str) -> None:
+    """One sample of twenty wrong by 0.3 m; or the same value for a second: good again soon."""
+    model, whole = truth("three_mass", 6.5, rate=100.0)
+    rng, start = np.random.default_rng(2), whole.states[0]
+    samples = measured(whole, np.eye(6)[:1], 1e-3)
+    if trouble == "outliers":
+        samples = [
+            each._replace(value=each.value + 0.3 * (rng.random() < 0.05)) for each in samples
+        ]
+    else:
+        samples[200:300] = [s._replace(value=samples[200].value) for s in samples[200:300]]
+    declared = Uncertainty(deviation=0.2, clock_error=1e-3)
+    x0 = start + 0.2 * rng.normal(size=6)
+    observer = watcher(model, "minimum-variance", x0, [encoder()], uncertainty=declared)
+    fed(observer, whole.events, samples)
+    for k in (560, 600, 640):
+        estimate = observer.estimate(int(whole.stamps[k]))
+        error = np.append(estimate.q, estimate.u) - whole.states[k]
+        assert np.max(np.abs(error[:3])) < 2e-3
+        assert np.max(np.abs(error) / np.sqrt(np.diag(estimate.covariance))) < 5

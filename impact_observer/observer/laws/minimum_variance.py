@@ -181,7 +181,13 @@ class MinimumVariance(Law):
                 return prior, outcome, known
             return Belief(h.state.ensemble, h.state.root, fit=prior.fit), outcome, known
         hypotheses, fallback = self._hypotheses_of(prior, closed)
-        found, outcome, known = self._samples.after(reading, hypotheses)
+
+        def restart() -> GaussianState:
+            since, ago = prior.behind
+            now = self._replica.motion(since, fallback, closed)(ago) if ago else fallback
+            return self._starts.restarts(now, closed, 1 + prior.ensemble.others)[0].state
+
+        found, outcome, known = self._samples.after(reading, hypotheses, restart)
         if len(found) == len(hypotheses) == 1 and found[0].state is hypotheses[0].state:
             return prior, outcome, known
         if account is not None:
