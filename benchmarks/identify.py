@@ -42,7 +42,8 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.identify.identification import Identification, identify
-from impact_observer.identify.motion import FlightEnd, shoot
+from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.shooting import shoot
 from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.restitution import PowerLaw

@@ -3,6 +3,7 @@
 import argparse
 import json as json_module
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
@@ -29,9 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LIST",
         default="",
         help="what to identify, with commas: restitution, restitution-exponent, gap,"
-        " stiffness-scale, damping-scale,"
-        " mass-scale, forcing-amplitude, forcing-phase, clock-offset, and of elements stiffness,"
-        " damping, mass; or one of a kind, such as gap.stop or stiffness.ground-x1",
+        " contact-time, friction, stiffness-scale, damping-scale, mass-scale, forcing-amplitude,"
+        " forcing-phase, clock-offset, and of elements stiffness, damping, mass; or one of a kind,"
+        " such as gap.stop or stiffness.ground-x1",
     )
     parser.add_argument(
         "--clock-error",
@@ -141,8 +142,10 @@ def identify(
     from impact_observer.identify.fit_check import check_fit
     from impact_observer.identify.fit_picture import fit_picture
     from impact_observer.identify.identification import identify as fit
+    from impact_observer.io.live_inputs import with_recorded
+    from impact_observer.io.observed_bag import events_from
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import events_in, text_of_model
+    from impact_observer.io.recordings import epoch_of, text_of_model
     from impact_observer.model import parse_model
     from impact_observer.model.free_parameters import parametric_family
 
@@ -154,8 +157,10 @@ def identify(
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed = parse_model(*given)
-        events = events_in(reader)
-    family = parametric_family(parsed.system, free, parsed.elements)
+        events = events_from(reader, 0)
+        system = with_recorded(reader, parsed.system, epoch_of(events))
+    # What arrived live is known now, as samples.
+    family = parametric_family(replace(system, live=None), free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
         try:
             found = fit(

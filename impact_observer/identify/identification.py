@@ -9,10 +9,12 @@ from scipy import linalg
 from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.events import ImpactEvent
+from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import (
     Problem,
     Solution,
     by_gaps,
+    by_gaps_near,
     directions,
     own_impacts,
     solved,
@@ -23,6 +25,7 @@ from impact_observer.identify.outliers import outliers_by_motion, outliers_by_ob
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
 from impact_observer.model import System
+from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.live_signals import refused
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode
@@ -152,28 +155,26 @@ def identify(
         progress: receives what is being done.
 
     Raises:
-        UsageError: the forcing is sampled, or something arrives live.
+        UsageError: something arrives live, or the clock's offset is free under samples.
         BagError: the events contain no impact of the system's contacts.
         IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
     """
-    if family.system.guides:
-        raise UsageError(
-            f"{family.system.name}: guide {family.system.guides[0].name!r} rubs, which identify"
-            " cannot take; expected a model without friction"
-        )
     refused(family.system, "identify")
-    if family.system.forcing.sampled is not None:
+    if family.system.forcing.sampled is not None and OFFSET in family.names:
         raise UsageError(
-            f"{family.system.name}: its forcing is sampled, which identify cannot take; expected"
-            " a constant and harmonics"
+            f"{family.system.name}: its forcing is sampled, so {OFFSET} cannot be identified;"
+            " expected other parameters, or a constant and harmonics"
         )
     episode = last_episode(family.system, events)
     if horizon is not None:
         start, keys = episode.start, episode.keys
         keys = [key for key in keys if seconds_between(start, key.stamp) <= horizon]
         episode = episode._replace(keys=keys)
-    recording = Recording(episode)
+    state = None
+    if family.system.guides:
+        episode, state = late_start(family.system, episode, events)
+    recording = Recording(episode, state=state)
     progress("all impacts accepted")
     problem, solution = _fit(recording.problem(family))
     first = _identification(recording, problem, solution, clock)
@@ -185,7 +186,8 @@ def identify(
     found, doubted = replace(first, converged=False), 0
     for wrong in (_WRONG * problem.interval, None):
         progress("searching spurious and missed impacts")
-        recording = outliers_by_observer(family.system, Recording(episode), events, wrong)
+        recording = Recording(episode, state=state)
+        recording = outliers_by_observer(family.system, recording, events, wrong)
         doubted = max(doubted, recording.outliers)
         try:
             recording, again, refit = _without_outliers(recording, family, clock, progress)
@@ -251,6 +253,8 @@ def _fit(
         found = solved(problem, near, robust=robust)
         if found.converged:
             return problem, found
+    if problem.near is not None:
+        return problem, solved(problem, by_gaps_near(problem, problem.near), robust=robust)
     y = start_of(problem)
     shot = problem.shot(y)
     if np.max(np.abs(shot.speeds)) <= _STILL:

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from impact_observer.errors import IdentificationError
-from impact_observer.identify.motion import FlightEnd, Shot, shoot
+from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.shooting import Shot, shoot
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
@@ -42,6 +43,8 @@ _LOST = 0.02
 """Error of the instants, relative to the time between two, above which a fit is tried again."""
 _TRIES = 40
 """Most evaluations of one search for the least gaps; ten are usual."""
+_FEW = 12
+"""The same where the search begins near the answer."""
 _PRIOR_WEIGHT = 0.03
 """Weight of the prior on the parameters in the first search, m for an error of their size."""
 _LEAST = 1e-9
@@ -61,11 +64,13 @@ class Problem(NamedTuple):
         family: the systems.
         moments: the recorded impacts, closings and openings, in order.
         start: where the initial state holds, s since the epoch.
+        near: initial state and parameters to begin with, shape (2n + p,); None for none.
     """
 
     family: ParametricFamily
     moments: Sequence[FlightEnd]
     start: float
+    near: Vector | None = None
 
     @property
     def stamps(self) -> Vector:
@@ -175,6 +180,12 @@ def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
     return min(found, other, key=error)
 
 
+def by_gaps_near(problem: Problem, y: Vector) -> Vector:
+    """``y`` of the least gaps near another one: of the first moments, then of all."""
+    first = _least_gaps(problem, y, _FIRST, prior=_PRIOR_WEIGHT, tries=_FEW)
+    return _least_gaps(problem, first, tries=_FEW)
+
+
 def _least_gaps(
     problem: Problem,
     y: Vector,
@@ -182,6 +193,7 @@ def _least_gaps(
     *,
     prior: float = 0.0,
     robust: bool = False,
+    tries: int = _TRIES,
 ) -> Vector:
     """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values."""
     n, family, stamps = problem.family.system.n, problem.family, problem.stamps[:upto]
@@ -205,7 +217,7 @@ def _least_gaps(
         xtol=1e-12,
         ftol=1e-12,
         gtol=1e-15,
-        max_nfev=_TRIES,
+        max_nfev=tries,
     )
     return np.asarray(found.x)
 

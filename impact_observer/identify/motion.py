@@ -49,76 +49,7 @@ class FlightEnd(NamedTuple):
         return len(self.hit) == 1 and self.pressed == self.hit and not self.held
 
 
-class Shot(NamedTuple):
-    """The gaps of the contacts that hit, and their derivatives.
-
-    Attributes:
-        gaps: just before each hit, shape (hits,), m.
-        speeds: contact speeds then, shape (hits,), m/s.
-        by_start: derivatives with respect to initial state and parameters, shape (hits, 2n + p).
-        by_instant: derivatives with respect to the instants, shape (hits, moments).
-        moment: index of each hit's moment, shape (hits,).
-        states: (q, u) just after each moment, shape (moments, 2n).
-    """
-
-    gaps: Vector
-    speeds: Vector
-    by_start: Matrix
-    by_instant: Matrix
-    moment: np.ndarray
-    states: Matrix
-
-
-def shoot(
-    family: ParametricFamily, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
-) -> Shot:
-    """The motion that is switched at the instants ``t``, and its gaps there.
-
-    Args:
-        family: the system and its free parameters.
-        start: initial state (q, u) and parameters, shape (2n + p,).
-        moments: the contacts that switch.
-        t: their instants, ascending, s since the epoch, shape (moments,).
-        t0: where the initial state holds, s since the epoch.
-    """
-    n = family.system.n
-    equations = _EquationsOfMotion(family, family.at(start[2 * n :]))
-    z, Z = equations.start(start[: 2 * n], t0, len(moments))
-    lengths = np.diff(t, prepend=t0)
-    steps = equations.steps(moments, lengths)
-    W, d = family.system.W, start.size
-    states = np.zeros((len(moments), 2 * n))
-    rows: list[tuple[float, float, Vector, int]] = []
-    for k, moment in enumerate(moments):
-        before = moments[k - 1].held if k else ()
-        E, L = steps[k]
-        Z = E @ Z
-        Z[: 2 * n, 2 * n : d] += (L @ z).T
-        z = E @ z
-        rate = equations.generator(before) @ z
-        Z[:, d + k] += rate
-        if k:
-            Z[:, d + k - 1] -= rate
-        for i in moment.hit:
-            row = W[:, i] @ Z[:n]
-            row[2 * n : d] += equations.gap_change[:, i]
-            gap = float(W[:, i] @ z[:n] + equations.numbers.gap[i])
-            rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k))
-        through = equations.lasted if moment.lasts and not before else equations.jumped
-        z, Z = through(z, Z, moment)
-        states[k] = z[: 2 * n]
-    table = np.array([row[2] for row in rows]).reshape(len(rows), d + len(moments))
-    return Shot(
-        np.array([row[0] for row in rows]),
-        np.array([row[1] for row in rows]),
-        table[:, :d],
-        table[:, d:],
-        np.array([row[3] for row in rows], dtype=int),
-        states,
-    )
-
-
-class _EquationsOfMotion:
+class EquationsOfMotion:
     """The equations of motion for certain values of the parameters."""
 
     def __init__(self, family: ParametricFamily, numbers: Coefficients) -> None:
@@ -129,25 +60,60 @@ class _EquationsOfMotion:
         self.constrained_inverse = cache(self._constrained_inverse)
         self.generator = cache(self._generator)
         self._step = cache(self._step_of)
+        self._held: list[Contacts] = []
         h = family.system.forcing.frequency.size
         self._size = 2 * family.system.n + 2 * h + 1
         self.gap_change = np.reshape([each.gap for each in self._changes], (-1, family.system.m))
 
-    def start(self, x: Vector, t: float, moments: int) -> tuple[Vector, Matrix]:
-        """``z`` at ``t``, and its derivatives by initial state, parameters and instants."""
+    def start(
+        self, x: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
+    ) -> tuple[Vector, Matrix]:
+        """``z`` at ``t0``, and its derivatives by initial state, parameters and instants.
+
+        ``x`` is the state (q, u) then; it is switched by ``moments`` at ``t``.
+        """
         n, forcing = self._system.n, self._system.forcing
         p = len(self._changes)
-        angle = forcing.frequency * t + self.numbers.phase
+        self._held = [(), *(each.held for each in moments)]
+        self._steps = self.steps(moments, np.diff(t, prepend=t0))
+        angle = forcing.frequency * t0 + self.numbers.phase
         wave = np.exp(1j * angle)
         z = np.concatenate([x, np.zeros(self._size - 2 * n)])
         z[2 * n : -1] = _pairs(self.numbers.amplitude * wave)
         z[-1] = 1.0
-        Z = np.zeros((self._size, 2 * n + p + moments))
+        Z = np.zeros((self._size, 2 * n + p + len(moments)))
         Z[: 2 * n, : 2 * n] = np.eye(2 * n)
         for j, change in enumerate(self._changes):
             turn = change.amplitude + 1j * self.numbers.amplitude * change.phase
             Z[2 * n : -1, 2 * n + j] = _pairs(turn * wave)
         return z, Z
+
+    def rate(self, k: int, z: Vector, after: float = 0.0) -> Vector:
+        """``dz/dt`` before the jump at a moment, or ``after`` so many seconds without one."""
+        del after
+        return self.generator(self._held[k]) @ z
+
+    def flown(self, k: int, z: Vector, Z: Matrix) -> tuple[Vector, Matrix, Vector]:
+        """``z`` and its derivatives from the moment before to just before another one.
+
+        And its derivative by the instant of the moment before.
+        """
+        z, Z = self._by(self._steps[k], z, Z)
+        return z, Z, -self.rate(k, z)
+
+    def moved(self, k: int, z: Vector, Z: Matrix, s: float, after: float) -> tuple[Vector, Matrix]:
+        """``z`` and its derivatives ``s`` seconds later than ``after`` a moment.
+
+        No contact is closed then.
+        """
+        del k, after
+        return self._by(self._step(s), z, Z)
+
+    def _by(self, step: tuple[Matrix, Matrix], z: Vector, Z: Matrix) -> tuple[Vector, Matrix]:
+        (E, L), d = step, 2 * self._system.n
+        moved = E @ Z
+        moved[:d, d : d + len(L)] += (L @ z).T
+        return E @ z, moved
 
     def _constrained_inverse(self, held: Contacts) -> Matrix:
         """``R``: the inverse of ``M`` in the directions that ``held`` contacts leave free."""
@@ -207,11 +173,11 @@ class _EquationsOfMotion:
                     L[which, j] = found * scale[: 2 * n, None] / scale
         return list(zip(E, L, strict=True))
 
-    def lasted(self, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
+    def lasted(self, k: int, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
         """``jumped`` half a contact time later, and from there back without the jump.
 
-        With ``h`` that half, ``z+ = e^{-Fh} J e^{Fh} z`` has the derivative ``e^{-Fh} J F e^{Fh} z
-        - F z+`` by it.
+        With ``h`` that half, ``z+ = e^{-Fh} J e^{Fh} z`` has the derivative ``e^{-Fh} (J F - F J)
+        e^{Fh} z`` by it.
         """
         (i,) = moment.hit
         half, d = float(self.numbers.contact_time[i]) / 2, 2 * self._system.n
@@ -219,21 +185,13 @@ class _EquationsOfMotion:
         shares = [(j, share) for j, share in shares if share]
         if not (half or shares):
             return self.jumped(z, Z, moment)
-        z, Z = self._moved(z, Z, half)
+        z, Z = self.moved(k, z, Z, half, 0.0)
         for j, share in shares:
-            Z[:, d + j] += share * (self.generator(()) @ z)
-        z, Z = self._moved(*self.jumped(z, Z, moment), -half)
+            Z[:, d + j] += share * self.rate(k, z, half)
+        z, Z = self.jumped(z, Z, moment)
         for j, share in shares:
-            Z[:, d + j] -= share * (self.generator(()) @ z)
-        return z, Z
-
-    def _moved(self, z: Vector, Z: Matrix, s: float) -> tuple[Vector, Matrix]:
-        """``z`` and its derivatives ``s`` seconds later, while no contact is closed."""
-        E, L = self._step(s)
-        d = 2 * self._system.n
-        moved = E @ Z
-        moved[:d, d : d + len(L)] += (L @ z).T
-        return E @ z, moved
+            Z[:, d + j] -= share * self.rate(k, z, half)
+        return self.moved(k, z, Z, -half, half)
 
     def _step_of(self, s: float) -> tuple[Matrix, Matrix]:
         return self.steps([FlightEnd(0.0, (), ())], np.array([s]))[0]

@@ -9,7 +9,7 @@ through a stop, an impact is inserted, or a rejected one accepted again.
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import Phases
+from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.identify.least_squares import Problem, Solution, usual_size
@@ -147,21 +147,23 @@ def penetrations(
 ) -> set[Hit]:
     """Where a fitted motion goes through a stop, deeper than errors of the stamps explain."""
     system = problem.family.system_at(solution.y[2 * problem.family.system.n :])
-    phases = Phases(system)
+    moving = MovingSystem(system)
     ends = np.append(solution.t, np.nan)
     found = set()
     for k, moment in enumerate(problem.moments[:-1]):
         length = float(ends[k + 1] - ends[k])
         if length <= 0:
             continue
-        phase = phases.phase(moment.held)
-        motion = phase.start(float(ends[k]), solution.shot.states[k])
+        motion = moving.motion(float(ends[k]), solution.shot.states[k], moment.held)
         count = int(min(_SAMPLES * (length * _rate(system) / 6 + 1), _MOST))
         s = np.linspace(0.0, length, count + 1)
         gaps = motion.states(s)[:, : system.n] @ system.W + system.q_r
         speeds = np.maximum(
             np.max(np.abs(motion.states(s)[:, system.n :] @ system.W), axis=0), 1e-30
         )
+        for hit in moment.hit:
+            if system.contact_time[hit]:  # it is within its stop until the gap reopens
+                gaps[: int(np.argmax(gaps[:, hit] >= 0)), hit] = 0.0
         reach = np.max(np.abs(gaps), axis=0)
         deep = -np.min(gaps, axis=0)
         for i in np.flatnonzero(deep > _GATE * deviation * speeds + _PRECISION * reach):

@@ -15,6 +15,7 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import seconds_between
+from impact_observer.states import Vector
 
 Hit: TypeAlias = tuple[int, int]
 """A stamp, ns, and the index of a contact."""
@@ -28,11 +29,13 @@ class Recording:
         episode: the recorded events.
         rejected: impacts that are rejected as spurious.
         inserted: impacts that are taken for missed.
+        state: (q, u) at the start, about, shape (2n,); None where nothing is known of it.
     """
 
     episode: Episode
     rejected: frozenset[Hit] = field(default=frozenset())
     inserted: frozenset[Hit] = field(default=frozenset())
+    state: Vector | None = None
 
     @property
     def start(self) -> float:
@@ -79,4 +82,5 @@ class Recording:
             inserted = any((change.stamp, i) in self.inserted for i in change.hit)
             held = phases.independent(change.closed)
             moments.append(FlightEnd(change.t, change.hit, pressed, held, not inserted))
-        return Problem(family, moments, self.start)
+        near = None if self.state is None else np.concatenate([self.state, family.nominal])
+        return Problem(family, moments, self.start, near)

@@ -17,7 +17,8 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.motion import FlightEnd, shoot
+from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws

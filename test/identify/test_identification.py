@@ -8,15 +8,14 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, event, forcing, run, sample, system
 
-from impact_observer.errors import IdentificationError, UsageError
+from impact_observer.errors import IdentificationError
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_picture import fit_picture
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.least_squares import constrained_least_squares
 from impact_observer.identify.model_edit import changes
-from impact_observer.model import Forcing, System, parse_model
-from impact_observer.model.force_samples import Samples
+from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
 from impact_observer.plant import Run, SensorModel, simulate_sensor
@@ -379,16 +378,6 @@ def test_stamps_without_an_epoch_begin_with_the_first() -> None:
     np.testing.assert_allclose(found.values, [0.9], rtol=1e-7)
     assert found.recording.start == 0.0
     assert events[0].stamp == EPOCH + from_seconds(0.0)
-
-
-def test_a_sampled_forcing_is_refused() -> None:
-    """It has no derivatives; the error has what is expected."""
-    model = sample("two_mass").system
-    time = np.linspace(0.0, 70.0, 701)
-    values = np.column_stack([np.zeros(time.size), 4 * np.cos(2.5 * time)])
-    sampled = replace(model, forcing=Forcing.of_samples(Samples(time, values, "linear")))
-    with pytest.raises(UsageError, match="sampled, which identify cannot take"):
-        identify(parametric_family(sampled, ["restitution"]), sensed("two_mass"))
 
 
 def test_weakly_determined_parameters_are_named_after_the_fit() -> None:

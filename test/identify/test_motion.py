@@ -11,7 +11,8 @@ from systems import EPOCH, Harmonic, chain, examples, forcing, run, sample, syst
 
 from impact_observer.dynamics import Phases
 from impact_observer.errors import UsageError
-from impact_observer.identify.motion import FlightEnd, shoot
+from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily

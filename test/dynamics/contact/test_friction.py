@@ -37,9 +37,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
-from impact_observer.identify.identification import identify
 from impact_observer.model import System, parse_model
-from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.system import Guide
 from impact_observer.observability.rank import observability
 from impact_observer.observer import Options, ReplicaLaw
@@ -444,12 +442,10 @@ def test_time_stepping_refuses_friction_by_name() -> None:
         TimeSteppingPlant(model, np.zeros(2), np.zeros(2), epoch=EPOCH, step=1e-3)
 
 
-def test_identify_smooth_and_observability_refuse_friction_by_name() -> None:
+def test_smooth_and_observability_refuse_friction_by_name() -> None:
     """One line each, which names the guide."""
     model = parse_model(MODEL, "rub.yaml").system
     events = [event(0.5, "s"), event(1.0, "s")]
-    with pytest.raises(UsageError, match=r"guide 'guide' rubs, which identify cannot take"):
-        identify(parametric_family(model, []), events)
     with pytest.raises(UsageError, match=r"guide 'guide' rubs, which smooth cannot take"):
         smoothed_runs(model, events, Options())
     with pytest.raises(UsageError, match=r"guide 'guide' rubs, so what impacts determine"):
