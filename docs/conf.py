@@ -33,6 +33,7 @@ _OUTSIDE = {
     for name, path in {
         "readme.md": "README.md",
         "contributing.md": "CONTRIBUTING.md",
+        "quality.md": "QUALITY_DECLARATION.md",
         "changelog.rst": "CHANGELOG.rst",
         "bags.md": "bags/README.md",
         "examples.md": "examples/README.md",

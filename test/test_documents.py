@@ -131,6 +131,8 @@ def test_the_law_of_the_docs_is_a_law() -> None:
     "document",
     [
         "README.md",
+        "CONTRIBUTING.md",
+        "QUALITY_DECLARATION.md",
         "bags/README.md",
         "examples/README.md",
         *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")),
