@@ -11,8 +11,10 @@ from systems import EPOCH
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import parse_model
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.observer import observer as observer_module
+from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Plant, make_plant
 from impact_observer.stamps import NS_PER_S
 
@@ -86,6 +88,48 @@ def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None
     np.testing.assert_array_equal(final_estimates(live, check), expected)
     error = np.abs(expected - states[np.isin(stamps, check)])
     assert np.max(error[-1]) < (1e-6 if law == "minimum-variance" else 0.3)
+
+
+@pytest.mark.slow
+def test_sensors_beside_live_forces_see_what_the_plant_does() -> None:
+    """An encoder and an accelerometer on a live ground; forces late, and all else in any order."""
+    events, stamps, states = simulated()
+    system = parse_model(RIG, "rig").system
+    sensors = (
+        Measurement("x1", "/x1", "x1", "position", deviation=0.01, gain=0.5),
+        Measurement("a", "/a", field="a", acceleration=(("x2", 1.0),), deviation=0.5, gain=0.1),
+    )
+    some = np.arange(10, stamps.size - 10, 10)
+    dt = (stamps[some + 1] - stamps[some - 1]) / NS_PER_S
+    rates = (states[some + 1] - states[some - 1])[:, 3] / dt
+    near = np.min(np.abs(stamps[some, None] - [e.stamp for e in events]), axis=1) < NS_PER_S // 20
+    measured = [SensorSample(0, int(stamps[k]), float(states[k, 0])) for k in some]
+    measured += [
+        SensorSample(1, int(stamps[k]), float(rate))
+        for k, rate, left_out in zip(some, rates, near, strict=True)
+        if not left_out
+    ]
+    options = Options(law="geometric", initial_state="0.3,-0.2,0.5,-0.5", epoch=EPOCH)
+    one, other = (make_observer(system, options, measurements=sensors) for _ in range(2))
+    for sample in samples():
+        give(one.live, sample)
+    for event in events:
+        one.receive(event)
+    one.measure(measured)
+    for event in events:
+        other.receive(event)
+    for k, sample in enumerate(samples()):
+        give(other.live, sample)
+        if k % 1000 == 0:
+            other.measure(measured[k // 1000 :: 11])
+    other.measure(measured)
+    check = stamps[some[::5]]
+    expected = final_estimates(one, check)
+    np.testing.assert_array_equal(final_estimates(other, check), expected)
+    accepted = [each for each in one.samples.take() if each.name == "a" and each.accepted]
+    late = [abs(each.innovation) for each in accepted[len(accepted) // 2 :]]
+    assert np.median(late) < 0.1 * np.median(np.abs(rates))
+    assert np.max(np.abs(expected[-1] - states[some[::5][-1]])) < 0.05
 
 
 def test_old_samples_are_forgotten() -> None:
