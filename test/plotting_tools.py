@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from impact_observer.dynamics.lyapunov import distance
+from impact_observer.events import MeasurementVerdict
 from impact_observer.io import BagReader, BagWriter, EstimateError, JointState
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import published_model
@@ -204,6 +205,9 @@ def everything(
                 if not isinstance(item, Estimate):
                     message = make.verdict(item, 0.001)
                     writer.write(f"/{name}/verdicts", item.stamp, message)
+                    judged = MeasurementVerdict(item.stamp, "encoder", 0.1, 0.001, 1.0, True)
+                    message = make.measurement_verdict(judged)
+                    writer.write(f"/{name}/measurements", item.stamp, message)
                     continue
                 state = JointState(item.stamp, names, item.q, item.u)
                 x = truths[item.stamp]

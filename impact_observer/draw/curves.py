@@ -91,11 +91,13 @@ _DISTANCES = (
     ("convergence", interfaces.OBSERVER_STATES, "convergence", "convergence: log10 of J"),
 )
 """V and what bounds it: name, interface, field, plot."""
+_OF_SAMPLES = "innovation of samples [standard deviations]"
 _EVENTS = (
     ("verdict", interfaces.OBSERVER_VERDICTS, _VERDICT, True),
     ("synchronized", interfaces.OBSERVER_STATES, "synchronized: 0 or 1", True),
     ("latency", interfaces.OBSERVER_VERDICTS, "latency [s]", False),
     ("innovation", interfaces.OBSERVER_VERDICTS, "innovation [standard deviations]", False),
+    ("normalized", interfaces.OBSERVER_MEASUREMENTS, _OF_SAMPLES, False),
 )
 """What observers publish of events: field, interface, plot, and whether it is a state."""
 _DIAGNOSTICS = (
@@ -265,7 +267,7 @@ def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
 def _events(system: System, observer: ObserverTopics) -> Iterator[Curve]:
     """Verdicts, latency, innovations; level and values of the diagnostics."""
     for field, interface, plot, is_state in _EVENTS:
-        if observer.filters or field != "innovation":
+        if observer.filters or field not in {"innovation", "normalized"}:
             step, group = FieldStep(field), CurveGroup.EVENTS
             curve = _of_observer(observer, field, interface, group, plot, step)
             yield replace(curve, is_state=is_state)
