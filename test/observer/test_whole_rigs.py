@@ -1,0 +1,118 @@
+"""V under everything that a rig may have at once: what is proved of each holds for all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import EPOCH, delassus, examples, numbers, switchings, systems, vectors
+
+from impact_observer.dynamics import lyapunov
+from impact_observer.errors import ImpactLawError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.model import Forcing, System
+from impact_observer.model.force_samples import Samples
+from impact_observer.model.grounds import Grounds, LiveNames, motion_of
+from impact_observer.model.live_signals import connected
+from impact_observer.model.restitution import PowerLaw
+from impact_observer.model.system import Guide, moving_system
+from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.kinematic import Kinematic
+from impact_observer.observer.laws.replica_law import ReplicaLaw
+from impact_observer.observer.laws.unilateral import Unilateral
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+LAWS = pytest.mark.parametrize("law", [Kinematic, Geometric, Unilateral], ids=lambda law: law.name)
+
+
+def stamps(seconds: st.SearchStrategy[float], most: int) -> st.SearchStrategy[list[int]]:
+    """Some stamps, in any order."""
+    return st.lists(
+        seconds.map(lambda s: EPOCH + round(s * NS_PER_S)), min_size=1, max_size=most, unique=True
+    )
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> System:
+    """Harmonics, samples, live forces and a drive; stops and guides on grounds that move.
+
+    Guides rub, and the restitution of a single contact depends on the speed.
+    """
+    model = draw(systems(max_n=3, contacts=(1, 2)))
+    n, times = model.n, numbers(0.0, 5.0)
+    guides = tuple(
+        Guide(f"g{i}", w if np.any(w) else np.eye(n)[0], draw(st.integers(1, 16)) / 8)
+        for i, w in enumerate(draw(st.lists(vectors(n), min_size=1, max_size=2)))
+    )
+    contacts = model.contacts
+    if model.m == 1 and draw(st.booleans()):
+        law = PowerLaw(draw(numbers(0.0, 1.0)), 1.0, -draw(numbers(0.0, 0.875)), 0.9)
+        contacts = (replace(contacts[0], curve=law),)
+    jets = np.array([[draw(vectors(n, -1.0, 1.0)) for _ in range(3)] for _ in range(4)])
+    forcing = model.forcing.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
+    model = replace(model, guides=guides, contacts=contacts, forcing=forcing)
+    shift, stiffness, damping = (np.array([draw(vectors(2)) for _ in range(n)]) for _ in range(3))
+    motion = motion_of(2, [(0, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0)])
+    factors = -(model.directions.T @ shift)
+    model = moving_system(
+        model, Grounds(("shaken", "steered"), motion, (0,), stiffness, damping, factors)
+    )
+    # The first harmonic of the forces, if there is one, turns with a drive.
+    own = model.forcing.frequency.size - 1
+    nominal = float(model.forcing.frequency[0]) if own else 0.0
+    orders = (1, *[0] * (own - 1)) if own else ()
+    push = draw(vectors(n))[:, None]
+    live = LiveNames(("motor",), push, ("steered",), nominal, orders)
+    found, signals = connected(replace(model, live=live))
+    assert signals is not None
+    for stamp in draw(stamps(times, 4)):
+        signals.add("motor", stamp, draw(numbers()))
+        signals.add_motion("steered", stamp, draw(numbers(-0.5, 0.5)), draw(numbers(-1.0, 1.0)))
+    if nominal:
+        for stamp in draw(stamps(times, 6)):
+            signals.add_pulse(stamp)
+    signals.follow(EPOCH)
+    return found
+
+
+def distance(model: System, states: list[Array]) -> float:
+    """``V`` of two states."""
+    return float(lyapunov.distance(model, *np.split(states[0] - states[1], 2)))
+
+
+@pytest.mark.slow
+@LAWS
+@examples(24)
+@given(st.data())
+def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
+    """Under any switching, with all of it at once: by less than 1e-9 of the first."""
+    model = data.draw(rigs())
+    G, E = delassus(model), np.diag(model.eps)
+    assume(np.ptp(model.eps) == 0 or np.linalg.eigvalsh(G - E @ G @ E)[0] >= 0)
+    replica, t = law(model), 0.0
+    states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
+    first = last = distance(model, states)
+    closed: tuple[int, ...] = ()
+    for wait, hit, stay in data.draw(switchings(model.m, most=5)):
+        moving = [replica.motion(t, x, closed) for x in states]
+        for s in (wait / 3, wait):
+            states = [motion.state(s) for motion in moving]
+            size = 1e-9 * (1e-3 + first) + 1e-12 * float(np.max(np.abs(states))) ** 2
+            now = distance(model, states)
+            assert now <= last + size
+            last = now
+        t += wait
+        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
+        change, closed = ContactChange(t, closed, hit, stays), stays
+        try:
+            states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
+        except ImpactLawError:
+            assume(False)
+        now = distance(model, states)
+        assert now <= last + size
+        last = now
