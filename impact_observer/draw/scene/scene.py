@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from impact_observer.draw.scene.arrangement import Arrangement, Bumper, Wall, arranged, body_order
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.system import Guide
 from impact_observer.states import Matrix, Vector, frozen
 
 MOST_BODIES = 24
@@ -38,6 +39,8 @@ class SceneJoint(Enum):
     """Damping alone."""
     LINK = "link"
     """A coupling of the opposite sign, which no spring or damper between two bodies has."""
+    GUIDE = "guide"
+    """Dry friction, always above the bodies: beside it there often is a spring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,7 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """A spring, a damper or a link, drawn from its left to its right end.
+    """A spring, a damper, a link or a guide, drawn from its left to its right end.
 
     Attributes:
         joint: what it is.
@@ -110,7 +113,7 @@ class Scene:
         walls: stops of single bodies.
         bumpers: stops between neighbours.
         bars: other contacts.
-        couplings: springs, dampers, links.
+        couplings: springs, dampers, links, guides.
         extent: left and right end of the picture, m.
         omitted: what is not drawn, a line each.
     """
@@ -285,14 +288,15 @@ def _couplings(
         key=lambda each: (_GROUND if each[1] < 0 else each[2] - each[1], -each[3]),
     )
     lanes: list[list[tuple[float, float]]] = [[] for _ in range(MOST_LANES)]
-    drawn, left_out = [], 0
+    drawn, left_out = [], sum(_rubbing(guide, order) is None for guide in system.guides)
     for joint, first, second, _ in found:
-        if first < 0 and second == 0:
+        above = joint is SceneJoint.GUIDE
+        if first < 0 and second == 0 and not above:
             drawn.append(Coupling(joint, None, 0, row.start + row.thickness, 0))
-        elif first < 0 and second == last:
+        elif first < 0 and second == last and not above:
             ground = float(homes[-1]) + row.end - row.thickness
             drawn.append(Coupling(joint, last, None, ground, 0))
-        elif first == second - 1:
+        elif 0 <= first == second - 1 and not above:
             drawn.append(Coupling(joint, first, second, 0.0, 0))
         else:
             grounded = first < 0
@@ -328,7 +332,22 @@ def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int,
                 found.append((SceneJoint.DAMPER, first, second, float(c)))
             elif k < 0 or c < 0:
                 found.append((SceneJoint.LINK, first, second, float(abs(k) + abs(c))))
-    return found
+    rubbed = [(_rubbing(guide, order), guide.force) for guide in system.guides]
+    return [*found, *((SceneJoint.GUIDE, *ends, force) for ends, force in rubbed if ends)]
+
+
+def _rubbing(guide: Guide, order: Sequence[int]) -> tuple[int, int] | None:
+    """The two places in the row between which a guide rubs, -1 for the ground, in order.
+
+    None where it is not between two bodies or a body and the ground.
+    """
+    ends = np.flatnonzero(guide.direction[list(order)])
+    weights = guide.direction[list(order)][ends]
+    if np.count_nonzero(guide.direction) != ends.size or ends.size not in (1, 2):
+        return None
+    if ends.size == 1:
+        return -1, int(ends[0])
+    return (int(ends[0]), int(ends[1])) if weights.sum() == 0 else None
 
 
 def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:

@@ -121,7 +121,7 @@ def strokes(joint: SceneJoint, start: float, end: float, height: float, width: f
     """One coupling as pairs of points (along, across), shape (strokes, 2, 2).
 
     Args:
-        joint: a spring is a zigzag, a damper a dashpot, a link a line.
+        joint: a spring is a zigzag, a damper a dashpot, a link a line, a guide a rod between pads.
         start: left end, m.
         end: right end, m.
         height: of its middle.
@@ -131,6 +131,8 @@ def strokes(joint: SceneJoint, start: float, end: float, height: float, width: f
         shape = _path(_zigzag())
     elif joint is SceneJoint.DAMPER:
         shape = _dashpot()
+    elif joint is SceneJoint.GUIDE:
+        shape = _rubbed_rod()
     else:
         shape = _path(np.array([[0.0, 0.0], [1.0, 0.0]]))
     return np.asarray(shape * [end - start, width] + [start, height])
@@ -154,6 +156,22 @@ def _dashpot() -> NDArray[np.float64]:
             _path(np.array([[piston, 0.7], [piston, -0.7]])),
             _path(np.array(cup)),
             _path(np.array([[1 - _ENDS, 0.0], [1.0, 0.0]])),
+        ]
+    )
+
+
+def _rubbed_rod() -> NDArray[np.float64]:
+    """A rod on the left end, and a holder on the right one, whose pads press on it."""
+    begin, end, pad = _CUP - 0.2, _CUP + 0.1, 0.4
+    middle, last = (begin + end) / 2, 1 - _ENDS
+    holder = [[middle, pad], [middle, 1.0], [last, 1.0], [last, -1.0], [middle, -1.0]]
+    return np.vstack(
+        [
+            _path(np.array([[0.0, 0.0], [_CUP + 0.2, 0.0]])),
+            _path(np.array([[begin, pad], [end, pad]])),
+            _path(np.array([[begin, -pad], [end, -pad]])),
+            _path(np.array([*holder, [middle, -pad]])),
+            _path(np.array([[last, 0.0], [1.0, 0.0]])),
         ]
     )
 

@@ -1,5 +1,6 @@
 """Scenes: bodies meet stops exactly when the gap is zero, and nothing overlaps."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from systems import Array, chain, examples, numbers, sample, system, systems, ve
 from impact_observer.draw.scene.scene import MOST_BODIES, Coupling, Scene, SceneJoint
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.system import Guide
 
 
 def free(n: int, *contacts: tuple[list[float], float]) -> System:
@@ -251,3 +253,15 @@ def test_positions_that_fit_no_model_are_refused(positions: Array) -> None:
     """The error has the expected shape."""
     with pytest.raises(UsageError, match=r"expected \(samples, 2\), all finite"):
         Scene.of(sample("two_mass").system, positions)
+
+
+def test_guides_that_rub_are_above_the_bodies_that_they_join() -> None:
+    """Beside the spring of the same bodies; one of three bodies is left out, with a line."""
+    model = sample("rubbing_guide").system
+    drawn = joints(Scene.of(model))
+    assert (SceneJoint.GUIDE, 0, 1, 1) in drawn
+    assert (SceneJoint.SPRING, 0, 1, 0) in drawn
+    base = replace(model, guides=(Guide("rail", np.array([0.0, 2.0]), 1.0),))
+    assert (SceneJoint.GUIDE, None, 1, 1) in joints(Scene.of(base))
+    uneven = replace(model, guides=(Guide("odd", np.array([1.0, -2.0]), 1.0),))
+    assert Scene.of(uneven).omitted == ("without 1 couplings",)
