@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from contact_cases import approach, seconds
-from systems import EPOCH, Harmonic, forcing, sample, started, system
+from systems import EPOCH, Harmonic, forcing, run, sample, started, system
 
 from impact_observer.dynamics import flow_of
 from impact_observer.events import Kind
+from impact_observer.model import parse_model
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import NS_PER_S
 
@@ -144,3 +145,54 @@ def test_exact_orbit_stays_for_ten_periods() -> None:
     speeds = [-approach(model, one) for one in impacts]
     np.testing.assert_allclose(speeds, 20 / 3, rtol=0, atol=1e-10)
     assert all(later - earlier == pytest.approx(np.pi) for earlier, later in pairwise(times))
+
+
+FRICTION_OSCILLATOR = """
+name: FrictionOscillator
+bodies: [{name: x, mass: 1}]
+springs: [{between: [ground, x], stiffness: 1}]
+friction: [{name: relay, between: [ground, x], force: 1}]
+"""
+
+
+def test_siconos_friction_oscillator_is_first_order_away_and_stops_where_it_does() -> None:
+    """FrictionOscillator.ref of the Siconos tutorials (Apache-2.0, Siconos team): steps of 0.01 s.
+
+    Between turns its error is of second order, at each of seven turns of first.
+    """
+    made = run(parse_model(FRICTION_OSCILLATOR, "f").system, [12.0], [6.0], seconds=40.0)
+    published = {0.5: (13.29002848, -0.82709258), 10.0: (-7.25629975, 0.88017212)}
+    for t, expected in published.items():
+        np.testing.assert_allclose(made.states[round(t * 100)], expected, atol=0.02)
+    assert made.states[-1, 0] == pytest.approx(0.682044135, abs=2e-4)
+    # The turns lose 2 a/k each, seven times; it stays where the spring is weaker than the guide.
+    assert made.states[-1, 0] == pytest.approx(15 - np.sqrt(205), abs=1e-9)
+    assert made.states[-1, 1] == 0.0
+
+
+BALL_ON_MOVING_PLANE = """
+name: BallOnMovingPlane
+bodies: [{name: q, mass: 1}]
+grounds: [{name: plane, motion: {harmonics: [{amplitude: %r, frequency: %r, phase: %r}]}}]
+forces: [{body: q, constant: -9.81}]
+stops: [{name: s, between: [plane, q], gap: 0, restitution: 0.9}]
+"""
+
+
+def test_siconos_ball_on_a_moving_plane_is_within_its_steps() -> None:
+    """BallOnMovingPlane.ref of the Siconos tutorials (Apache-2.0, Siconos team): steps of 5 ms.
+
+    The plane moves with 2 + cos(pi t / 2): ours are seen by an observer who moves with the 2 m/s.
+    At its first hit, within a step of 5 ms, the speeds are those of its end.
+    """
+    omega = np.pi / 2
+    text = BALL_ON_MOVING_PLANE % (1 / omega, omega, -omega)
+    made = run(parse_model(text, "b").system, [1.0], [-2.0], seconds=2.4, rate=200.0)
+    first, _, third = [(event.stamp - EPOCH) / NS_PER_S for event in made.events[:3]]
+    assert 0.24 < first <= 0.245
+    assert third == pytest.approx(2.2775, abs=4 * 0.005)
+    t = (made.stamps - EPOCH) / NS_PER_S
+    q, u = made.states[:, 0] + 2 * t, made.states[:, 1] + 2
+    np.testing.assert_allclose((q[48], u[48]), (0.717472, -2.3544), atol=1e-9)
+    np.testing.assert_allclose((q[59], u[59]), (1.10266081, 7.19211543), atol=9.81 * 0.005)
+    np.testing.assert_allclose(q[400], 4.83582431, atol=3 * 10 * 0.005)
