@@ -274,7 +274,7 @@ class EventCheck:
             yield warning(
                 f"{some} the epoch, and the forcing of {system.name} depends on time",
                 "the stamp of t = 0 in every event",
-                "give it with --epoch S",
+                "give it with --epoch S; without it the first pulse on phase_reference counts",
             )
         if len(epochs) > 1:
             span = f"{text(epochs[0])} to {text(epochs[-1])} s"

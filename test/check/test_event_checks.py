@@ -125,7 +125,8 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         [
             (
                 "warning /impacts: no event says the epoch, and the forcing of two_mass depends"
-                " on time; expected the stamp of t = 0 in every event; give it with --epoch S"
+                " on time; expected the stamp of t = 0 in every event; give it with --epoch S;"
+                " without it the first pulse on phase_reference counts"
             )
         ],
     ),
