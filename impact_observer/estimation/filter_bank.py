@@ -403,6 +403,8 @@ class FilterBank:
                 h._replace(state=state, since=h.since + s)
                 for h, state in zip(hypotheses, states, strict=True)
             )
+        if len(hypotheses) == 1 and not (dips := self._dips(t, s, hypotheses))[0]:
+            return tuple(self._flown(t, s, hypotheses, dips))
         found: list[Hypothesis] = []
         waiting = [(t, s, hypotheses)]
         while waiting:

@@ -64,7 +64,10 @@ class _Weighed(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """Whether no number of it has overflowed."""
-        return math.isfinite(self.hypothesis.weight) and self.hypothesis.state.is_finite
+        return math.isfinite(self.hypothesis.weight)  # with the logarithm of a variance in it
+
+
+_TOO_UNCERTAIN = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
 
 
 def _gated(innovation: float, normalized: float, gate: float) -> SampleOutcome:
@@ -220,6 +223,8 @@ class SampleUpdate:
         """
         known = self.one.first(reading, hypotheses[0].state, reading.known)
         doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
+        if before == 1 and not (doubt or hypotheses[0].penetrating):
+            return self._after_alone(reading, hypotheses[0], known)
         if doubt or any(h.penetrating for h in hypotheses):
             hypotheses = [
                 branch
@@ -241,8 +246,7 @@ class SampleUpdate:
             weighed = self._each_weighed(reading, hypotheses, known)
         weighed = [each for each in weighed if each.is_finite]
         if not weighed:
-            outcome = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
-            return tuple(hypotheses), outcome, reading.known
+            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
         first = max(weighed, key=lambda each: each.hypothesis.weight)
         found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
         accepted, residual = first.outcome.accepted, first.residual
@@ -250,6 +254,22 @@ class SampleUpdate:
         if reading.sensor.measurement.deviation is None and residual >= 0:
             known = known.learned(residual)
         return found, first.outcome, known._replace(rejected=rejected)
+
+    def _after_alone(
+        self, reading: Reading, h: Hypothesis, known: SensorState
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+        """``after`` where a single hypothesis is left that nothing contradicts."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            result = self._weighed(reading, h, known)
+        if not result.is_finite:
+            return (h,), _TOO_UNCERTAIN, reading.known
+        if reading.sensor.measurement.deviation is None and result.residual >= 0:
+            known = known.learned(result.residual)
+        if not result.outcome.accepted:
+            known = known._replace(rejected=reading.known.rejected + 1)
+        elif known.rejected:
+            known = known._replace(rejected=0)
+        return (result.hypothesis._replace(weight=0.0),), result.outcome, known
 
     def _kept(self, found: list[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
         """The likely ones; where some are ``new`` they may have become alike."""

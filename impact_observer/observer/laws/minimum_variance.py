@@ -194,22 +194,25 @@ class MinimumVariance(Law):
             account = self._accounts.measured(reading, account)
         if prior.fit.is_compared:
             return self._posterior(found, fallback, prior.fit, account), outcome, known
-        posterior = self._prior(found, fallback, prior.fit, account)
-        return (
-            posterior._replace(
-                behind=prior.behind,
-                clock_offset=posterior.hypotheses[0].state.offset,
-                learned=Learned(partial(self._learned_of, posterior)),
-                misfit=prior.fit.message(""),
-            ),
-            outcome,
-            known,
+        found, state = _best_first(found, prior.fit)
+        posterior = Belief(
+            state.ensemble,
+            fit=prior.fit,
+            clock_offset=state.offset,
+            learned=Learned(partial(self._learned_of, found, prior.fit)),
+            hypotheses=found,
+            fallback=fallback,
+            behind=prior.behind,
+            account=account,
+            misfit=prior.fit.message(""),
         )
+        return posterior, outcome, known
 
-    def _learned_of(self, belief: Belief) -> Parameters:
-        """What the hypotheses of a belief without a covariance estimate besides the state."""
-        shown = _shown(belief.hypotheses, belief.fit)
-        return self._learned(shown, mixture(shown).root[belief.x.size :], self._names)
+    def _learned_of(self, hypotheses: Sequence[Hypothesis], fit: Fit) -> Parameters:
+        """What hypotheses estimate besides the state."""
+        shown = _shown(hypotheses, fit)
+        size = hypotheses[0].state.x.size
+        return self._learned(shown, mixture(shown).root[size:], self._names)
 
     @cached_property
     def _samples(self) -> SampleUpdate:
@@ -290,10 +293,8 @@ class MinimumVariance(Law):
 
         It has the published one first.
         """
-        best = _best(hypotheses, fit)
-        if hypotheses[0] is not best:
-            hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
-        ensemble = best.state.ensemble
+        hypotheses, state = _best_first(hypotheses, fit)
+        ensemble = state.ensemble
         if fit.is_compared:
             states = [ensemble.x, fallback.x]
             if account is not None and fit.prefers_account:
@@ -362,11 +363,18 @@ class MinimumVariance(Law):
         return tuple(found)
 
 
-def _best(hypotheses: Sequence[Hypothesis], fit: Fit) -> Hypothesis:
-    """The first of ``_shown``."""
-    if len(hypotheses) == 1 or fit.is_misfit or fit.is_in_error:
-        return _shown(hypotheses, fit)[0]
-    return max(hypotheses, key=attrgetter("penalised_weight"))
+def _best_first(
+    hypotheses: tuple[Hypothesis, ...], fit: Fit
+) -> tuple[tuple[Hypothesis, ...], GaussianState]:
+    """``hypotheses`` with the first of ``_shown`` first, and its state."""
+    if len(hypotheses) > 1:
+        if fit.is_misfit or fit.is_in_error:
+            best = _shown(hypotheses, fit)[0]
+        else:
+            best = max(hypotheses, key=attrgetter("penalised_weight"))
+        if hypotheses[0] is not best:
+            hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
+    return hypotheses, hypotheses[0].state
 
 
 def _shown(hypotheses: Sequence[Hypothesis], fit: Fit) -> Sequence[Hypothesis]:
