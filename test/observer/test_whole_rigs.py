@@ -97,6 +97,7 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
     replica, t = law(model), 0.0
     states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
     first = last = distance(model, states)
+    size = 1e-9 * (1e-3 + first)
     closed: tuple[int, ...] = ()
     for wait, hit, stay in data.draw(switchings(model.m, most=5)):
         moving = [replica.motion(t, x, closed) for x in states]

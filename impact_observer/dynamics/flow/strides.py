@@ -20,7 +20,7 @@ from impact_observer.kernel import Guards, PhaseMotion, SampledForces
 from impact_observer.kernel import SeriesFlow as Strides
 from impact_observer.model.angles import Angles
 from impact_observer.model.force_samples import JETS, Samples
-from impact_observer.model.live_signals import LiveSamples
+from impact_observer.model.live_samples import LiveSamples
 from impact_observer.states import Matrix, Vector
 
 
