@@ -121,8 +121,9 @@ def test_verdicts_come_where_they_would_among_single_estimates(
         if isinstance(item, Verdict):
             found.append((log_time, item))
             continue
+        assert isinstance(item, Estimates)
         assert log_time == item.first.stamp == item.stamps[0]
         found += [(each.stamp, each.q.tolist()) for each in item]
     assert found == [
-        (t, each if isinstance(each, Verdict) else each.q.tolist()) for t, each in slowly(items)
+        (t, each.q.tolist() if isinstance(each, Estimate) else each) for t, each in slowly(items)
     ]
