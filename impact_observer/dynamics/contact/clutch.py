@@ -31,6 +31,8 @@ _PATIENCE = 30
 """Most doublings of the least length of a phase after that."""
 _MOST = 8
 """Phases without length in a row that count as contact changes and not as rounding."""
+_SEARCHED = 20_000
+"""Windows of one motion in which changes are searched for: an hour of a contact that is closed."""
 
 
 class Clutches:
@@ -88,14 +90,17 @@ class Part:
 
 
 class Piecewise(Motion):
-    """A motion phase after phase, computed as far as requested; requests do not change it."""
+    """A motion phase after phase, computed as far as requested; requests do not change it.
+
+    After ``_SEARCHED`` windows its phase stays, so that a stamp of another day costs seconds.
+    """
 
     def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
         """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
         self.t = t
         self._clutches = clutches
         self._closed = closed
-        self._searched = 0.0
+        self._searched, self._windows = 0.0, 0
         self._short_phases = 0
         self._carried: list[Matrix] = [np.eye(x.size)]  # differences, to the start of each part
         system = clutches.system
@@ -161,8 +166,9 @@ class Piecewise(Motion):
 
     def _extend(self, until: float) -> None:
         window = self._clutches.window
-        while self._parts[-1].start + self._searched <= until:
+        while self._parts[-1].start + self._searched <= until and self._windows < _SEARCHED:
             part, least = self._parts[-1], self._least()
+            self._windows += 1
             begin, self._searched = max(self._searched, least), self._searched + window
             crossing = self._search(part).first(part.motion, self._searched, begin)
             if crossing is not None:

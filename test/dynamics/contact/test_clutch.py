@@ -22,6 +22,7 @@ from systems import (
 )
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
+from impact_observer.dynamics.contact import clutch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 
@@ -308,3 +309,19 @@ def test_no_contact_closed_is_free_motion() -> None:
     motion = Clutches(model).motion(0.0, x, (), fix=True)
     np.testing.assert_allclose(motion.state(0.0), x, atol=1e-15)
     assert model.contact_speed(motion.state(0.01)[2:])[0] < -1
+
+
+@BOTH
+def test_a_stamp_of_another_day_costs_no_more_than_hours(
+    fix: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The phase stays after so many windows, whatever was requested before; here after fewer."""
+    monkeypatch.setattr(clutch, "_SEARCHED", 500)
+    pushed = forcing(1, -20.0, [Harmonic(2.5, [4.0], [0.0])])
+    model = system([[1.0]], [[0.2]], [[20.0]], contacts=[([1.0], 0.0, 0.5)], force=pushed)
+    first, second = (started(model, 0.0, np.zeros(2), (0,), fix=fix).motion for _ in range(2))
+    day = 1e5
+    for s in np.linspace(1.0, 200.0, 30):
+        first.state(float(s))
+    np.testing.assert_array_equal(first.state(day), second.state(day))
+    assert np.all(np.isfinite(second.state(day)))
