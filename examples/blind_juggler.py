@@ -201,6 +201,8 @@ def _node() -> "object":
         juggler.see(stamp, message.position[0], message.velocity[0])
 
     def publish() -> None:
+        if publisher.get_subscription_count() < len(("plant", "observer", "recorder")):
+            return
         for stamp, position, velocity in juggler.samples(now().nanoseconds + AHEAD):
             state = JointState(stamp, ("table",), np.array([position]), np.array([velocity]))
             publisher.publish(make.joint_state(state))
