@@ -1,7 +1,7 @@
 """A rattling gear pair: on which flank a loose gear hits, from clicks that do not say which.
 
 The driven gear of an idle pair carries no load, so its tooth bounces between two teeth of the gear
-that drives it, whose speed is never quite even. A microphone on the housing hears the clicks; it
+that drives it, whose speed is never quite even. A microphone on the housing records the clicks; it
 cannot tell the flanks from each other. The observer takes all clicks as those of one flank, with
 a probability of one half that it was the other one, and finds out.
 

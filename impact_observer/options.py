@@ -10,6 +10,8 @@ from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
 from impact_observer.errors import UsageError
 
+AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
+"""Of which sensors verdicts on samples are published: of slow ones, of all, of none."""
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """As ``stamps.MAX_STAMP``, without NumPy."""
 

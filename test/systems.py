@@ -5,24 +5,29 @@ example shrinks to one with small whole numbers and zeros.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from hypothesis import settings
+from hypothesis import assume, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
+from impact_observer.dynamics import lyapunov
 from impact_observer.dynamics.flow.modes import Modes
+from impact_observer.errors import ImpactLawError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, motion_of
 from impact_observer.model.system import moving_system
-from impact_observer.observer import Observer, law_named
+from impact_observer.observer import Observer, ReplicaLaw, law_named
+from impact_observer.observer.belief import Belief
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -278,6 +283,41 @@ def switchings(m: int, most: int = 8, seconds: float = 5.0) -> st.SearchStrategy
     some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))
     step = st.builds(Step, numbers(0.0, seconds / most), some, some)
     return st.lists(step, max_size=most)
+
+
+def distance(model: System, one: Array, two: Array) -> float:
+    """``V`` of two states."""
+    return float(lyapunov.distance(model, *np.split(one - two, 2)))
+
+
+def passes_eigenvalue_test(model: System) -> bool:
+    """``G - E G E >= 0``, or a common restitution: then every impact is non-expansive."""
+    G, E = delassus(model), np.diag(model.eps)
+    return bool(np.ptp(model.eps) == 0 or np.linalg.eigvalsh(G - E @ G @ E)[0] >= 0)
+
+
+def switched(
+    law: ReplicaLaw, states: list[Array], steps: Sequence[Step], t: float = 0.0
+) -> Iterator[tuple[list[Array], bool]]:
+    """The states of replicas from ``t`` on, and whether they are those just after a switching.
+
+    They are given amid each flight, at its end and after the switching there, whose impacts must
+    have a solution.
+    """
+    closed: tuple[int, ...] = ()
+    for wait, hit, stay in steps:
+        moving = [law.motion(t, x, closed) for x in states]
+        for s in (wait / 3, wait):
+            states = [motion.state(s) for motion in moving]
+            yield states, False
+        t += wait
+        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
+        change, closed = ContactChange(t, closed, hit, stays), stays
+        try:
+            states = list(law.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
+        except ImpactLawError:
+            assume(False)
+        yield states, True
 
 
 def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:

@@ -88,7 +88,7 @@ def observe(
     with BagReader(bag, namespace) as reader:
         system = system_of(reader, model)
         events = events_in(reader)
-        declared = read_measurements(measurements) if measurements else ()
+        declared = read_measurements(measurements)
         sensors = sensors_of(declared, system)
         recorded = samples_in(reader, declared)
     for problem in () if json else recorded.problems:

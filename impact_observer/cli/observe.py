@@ -13,6 +13,7 @@ from impact_observer.cli.arguments import (
     add_observer_arguments,
     observer_options,
 )
+from impact_observer.options import AUTO, VERDICTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_measurements(parser)
     add(
         "--measurement-verdicts",
-        choices=("auto", "all", "none"),
-        default="auto",
+        choices=VERDICTS,
+        default=AUTO,
         help="verdicts on samples: of sensors up to 50 Hz, of all, or of none (default auto)",
     )
     add_estimates(parser)
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
-        sensors = read_measurements(args.measurements) if args.measurements else ()
+        sensors = read_measurements(args.measurements)
         observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
         measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
         for line in (*measured.problems, *unused_lines(observer)):

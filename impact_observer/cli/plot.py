@@ -113,7 +113,7 @@ def plot(
             observers=observers,
             start=start,
             duration=duration,
-            measurements=read_measurements(measurements) if measurements else (),
+            measurements=read_measurements(measurements),
             progress=lambda done, total: progress.step(f"reading {bag}", done, total),
         )
         if len(recording.quantities) > MOST_PANELS:

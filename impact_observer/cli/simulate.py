@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
     sensor.check(model.system)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
-    sensors = read_measurements(args.measurements) if args.measurements else ()
+    sensors = read_measurements(args.measurements)
     of_samples = {each.name: getattr(args, each.name) for each in MEASUREMENT_FAULTS}
     if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
         raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")

@@ -173,7 +173,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         seed=args.seed,
         options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
         settled=args.settled,
-        measurements=read_measurements(args.measurements) if args.measurements else (),
+        measurements=read_measurements(args.measurements),
     )
 
 

@@ -152,6 +152,15 @@ class SensorState(NamedTuple):
     samples: int = 0
     rejected: int = 0
 
+    def after(self, *, accepted: bool, residual: float) -> "SensorState":
+        """After a sample: ``learned``, unless it says nothing about that, and rejections counted.
+
+        A ``residual`` below zero says nothing.
+        """
+        known = self.learned(residual) if residual >= 0 else self
+        rejected = 0 if accepted else self.rejected + 1
+        return known if known.rejected == rejected else known._replace(rejected=rejected)
+
     def learned(self, residual: float) -> "SensorState":
         """After a sample whose noise has had the square ``residual``, in the mean.
 

@@ -30,6 +30,8 @@ DOUBTFUL = 3
 """Samples of one sensor that are rejected in a row, before the covariance is doubted."""
 WIDENING = 3.0
 """Factor of the normalised innovation by which it is widened then."""
+_LEAST_RESTITUTION = 1e-3
+"""By which a speed after an impact is divided to find the one before."""
 
 
 class SampleResult(NamedTuple):
@@ -65,6 +67,13 @@ class _Weighed(NamedTuple):
     def is_finite(self) -> bool:
         """Whether no number of it has overflowed."""
         return math.isfinite(self.hypothesis.weight)  # with the logarithm of a variance in it
+
+    def known_after(self, reading: Reading, known: SensorState) -> SensorState:
+        """What is known of the sensor after it."""
+        learns = reading.sensor.measurement.deviation is None
+        return known.after(
+            accepted=self.outcome.accepted, residual=self.residual if learns else -1.0
+        )
 
 
 _TOO_UNCERTAIN = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
@@ -249,11 +258,7 @@ class SampleUpdate:
             return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
         first = max(weighed, key=lambda each: each.hypothesis.weight)
         found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
-        accepted, residual = first.outcome.accepted, first.residual
-        rejected = 0 if accepted else known.rejected + 1
-        if reading.sensor.measurement.deviation is None and residual >= 0:
-            known = known.learned(residual)
-        return found, first.outcome, known._replace(rejected=rejected)
+        return found, first.outcome, first.known_after(reading, known)
 
     def _after_alone(
         self, reading: Reading, h: Hypothesis, known: SensorState
@@ -263,12 +268,7 @@ class SampleUpdate:
             result = self._weighed(reading, h, known)
         if not result.is_finite:
             return (h,), _TOO_UNCERTAIN, reading.known
-        if reading.sensor.measurement.deviation is None and result.residual >= 0:
-            known = known.learned(result.residual)
-        if not result.outcome.accepted:
-            known = known._replace(rejected=reading.known.rejected + 1)
-        elif known.rejected:
-            known = known._replace(rejected=0)
+        known = result.known_after(reading, known)
         return (result.hypothesis._replace(weight=0.0),), result.outcome, known
 
     def _kept(self, found: list[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
@@ -383,6 +383,3 @@ class SampleUpdate:
         change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
         eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
         return change / eps if speed > 0 else change  # it has jumped: the state before was faster
-
-
-_LEAST_RESTITUTION = 1e-3

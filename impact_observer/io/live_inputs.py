@@ -1,5 +1,6 @@
 """Samples of live forces and grounds, and pulses of a drive, in messages and in bags."""
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
@@ -122,12 +123,13 @@ def epoch_in(reader: BagReader, events: Iterable[ImpactEvent]) -> int:
 def with_recorded(reader: BagReader, system: System, epoch: int) -> System:
     """The ``system`` with the live forces and grounds of a bag, where it has such.
 
+    Samples that cannot be used are left out; ``observe`` warns of them.
+
     Raises:
         BagError: the bag is damaged.
     """
     found, live = connected(system)
     if live is not None:
-        for _ in give_recorded(reader, live):
-            pass  # observe warns of samples that cannot be used
+        deque(give_recorded(reader, live), maxlen=0)
         live.follow(epoch)
     return found

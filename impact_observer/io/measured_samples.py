@@ -12,6 +12,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.samples import SensorSample
+from impact_observer.options import ALL, AUTO
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 MOST_CLOCK_ERROR = 60.0
@@ -22,10 +23,6 @@ SENSOR_STATUS = "sensor "
 """Before the name of a sensor in the name of its diagnostic status."""
 SILENT_RATE = 50.0
 """Rate of a sensor, Hz, beyond which the verdicts on its samples are not published by default."""
-
-AUTO, ALL, NONE = "auto", "all", "none"
-VERDICTS = (AUTO, ALL, NONE)
-"""Of which sensors verdicts are published: of those up to ``SILENT_RATE``, of all, of none."""
 
 
 class SensorReader:
@@ -124,7 +121,7 @@ class MeasuredTopics(NamedTuple):
     def of(
         cls, reader: BagReader, measurements: Sequence[Measurement], verdicts: str = AUTO
     ) -> "MeasuredTopics":
-        """Those of a bag; ``verdicts`` is one of ``VERDICTS``.
+        """Those of a bag; ``verdicts`` is one of ``options.VERDICTS``.
 
         Raises:
             UsageError, BagError: as ``samples_in``.

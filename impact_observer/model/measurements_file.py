@@ -18,12 +18,16 @@ MOST = 1000
 """Most sensors that a file may declare."""
 
 
-def read_measurements(path: str | Path) -> tuple[Measurement, ...]:
+def read_measurements(path: str | Path | None) -> tuple[Measurement, ...]:
     """The sensors that a file declares, or a sample by its name, such as ``encoder``.
+
+    Without a name, None or empty, nothing is measured.
 
     Raises:
         UsageError: one line that names the file, the key and what is wanted.
     """
+    if not path:
+        return ()
     wanted = "a file of measurements, or a sample"
     found, text = read_file_or_sample(path, "config/measurements", wanted)
     return parse_measurements(text, str(found))

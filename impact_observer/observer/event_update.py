@@ -118,18 +118,15 @@ class EventUpdate:
             return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
         if not isfinite(posterior.x.dot(posterior.x)):
             raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-        return Entry(
-            event,
-            stamp,
-            posterior,
-            previous.synchronization,
-            previous.closed,
-            previous.latest,
-            (),
-            previous.last,
-            impact,
-            outcome,
-            now,
+        return replace(
+            previous,
+            key=event,
+            since=stamp,
+            belief=posterior,
+            overruled=(),
+            outcome=outcome,
+            known=now,
+            prediction=None,
         )
 
     def prediction(self, entry: Entry) -> Prediction:

@@ -44,7 +44,7 @@ from impact_observer.states import (
     Vector,
 )
 
-MOST_SAMPLES = 100_000
+MOST_LIVE_SAMPLES = 100_000
 """Samples of live signals that are kept while there is no event: those of 100 s at 1 kHz."""
 MOST_NUMBERS = 100_000
 """Sequence numbers that are remembered while no event can be applied."""
@@ -350,14 +350,14 @@ class Observer:
     def forget_silence(self, now: int) -> None:
         """Keep memory bounded where samples come for long without any event.
 
-        Of more than ``MOST_SAMPLES`` those before ``now`` (ns) less the history are forgotten, and
-        the estimate goes on from there. Only a node needs that: a recording ends.
+        Of more than ``MOST_LIVE_SAMPLES`` those before ``now`` (ns) less the history are
+        forgotten, and the estimate goes on from there. Only a node needs that: a recording ends.
         """
         if self.live is None:
             return
         if self._run.timeline is None:
-            self.live.keep_waiting(MOST_SAMPLES)
-        if self.live.samples.time.size <= MOST_SAMPLES:
+            self.live.keep_waiting(MOST_LIVE_SAMPLES)
+        if self.live.samples.time.size <= MOST_LIVE_SAMPLES:
             return
         self._follow()
         if not self._is_inserting and self._run.go_on_from(now - self._history):

@@ -28,7 +28,7 @@ from impact_observer.states import (
 
 MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
-MOST_SAMPLES = 20_000
+MOST_MEASURED = 20_000
 """Samples of sensors that are kept beside them."""
 
 Refusal = tuple[Ruling, str, Remark]
@@ -170,7 +170,7 @@ class RunHistory:
 
     def _forget(self, timeline: Timeline) -> None:
         """Forget what is too old."""
-        most = MOST_EVENTS + MOST_SAMPLES if self.update.sensors else MOST_EVENTS
+        most = MOST_EVENTS + MOST_MEASURED if self.update.sensors else MOST_EVENTS
         if timeline.forget_before(timeline.newest.stamp - self._history, most):
             self._issued.forget_before(timeline.start.stamp)
             self.numbers.forget_before(timeline.start.stamp)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -19,6 +19,7 @@ from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.statuses import diagnostic_status
 from impact_observer.ros.subscribing import MessageInfo, common_offer, waiting_messages
 from impact_observer.stamps import text
 
@@ -204,13 +205,8 @@ class DetectorNode(Node):
     def _status(
         self, source: Source, level: bytes, message: str, values: Mapping[str, object]
     ) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=level,
-            name=f"{self.get_fully_qualified_name()}: {source.contact}",
-            message=message,
-            hardware_id=source.contact,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        name = f"{self.get_fully_qualified_name()}: {source.contact}"
+        return diagnostic_status(name, level, message, values, hardware=source.contact)
 
 
 def _values(source: Source, counts: SensorCounts, messages: int) -> dict[str, object]:

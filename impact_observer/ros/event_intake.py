@@ -10,12 +10,11 @@ from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import MessageError, MessageLimits
 from impact_observer.observer import Observer
 from impact_observer.ros.serialized import read_impact
+from impact_observer.ros.subscribing import SLICE
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
 """Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
-SLICE = 5_000_000
-"""Longest time for events before estimates and services have their turn, ns."""
 PATIENCE = 30 * NS_PER_S
 """How long an event may wait for an observer that cannot keep up, ns."""
 _FEW = 8

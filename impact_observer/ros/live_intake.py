@@ -1,6 +1,5 @@
 """Subscriptions of a node to the live forces and grounds of its model, and to a drive."""
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 
@@ -13,11 +12,8 @@ from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.subscribing import waiting_messages
+from impact_observer.ros.subscribing import with_waiting
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
-
-_SLICE = 5_000_000
-"""Longest time for samples before others have their turn, ns."""
 
 
 class LiveIntake:
@@ -68,13 +64,8 @@ class LiveIntake:
         """A subscription that takes all that waits at once: the executor is slow."""
 
         def take(message: AnyMessage) -> None:
-            end = time.monotonic_ns() + _SLICE
-            least = self._take(interface, message)
-            for waiting, _ in waiting_messages(subscription, interface.quality.depth):
-                least = min(least, self._take(interface, waiting))
-                if time.monotonic_ns() >= end:
-                    break
-            self._on_samples(least)
+            messages = with_waiting(message, subscription, interface.quality.depth)
+            self._on_samples(min(self._take(interface, each) for each in messages))
 
         subscription: Subscription = node.create_subscription(
             message_class(interface.type), interface.name, take, qos_profile(interface.quality)

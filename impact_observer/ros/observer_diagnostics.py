@@ -4,12 +4,13 @@ import math
 import time
 from collections import Counter
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.events import Remark, Ruling, Verdict
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
 from impact_observer.ros.live_intake import LiveIntake
+from impact_observer.ros.statuses import diagnostic_status
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
@@ -89,13 +90,8 @@ class ObserverDiagnostics:
             **self._input_values(now),
             **({} if last is None else _estimate_values(last)),
         }
-        return DiagnosticStatus(
-            level=level,
-            name=f"{self._node}: impacts",
-            message=message,
-            hardware_id=observer.system.name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        name, hardware = f"{self._node}: impacts", observer.system.name
+        return diagnostic_status(name, level, message, values, hardware=hardware)
 
     def _input_values(self, now: int) -> dict[str, object]:
         """Ages of live forces and grounds, and what was wrong with their samples."""

@@ -34,7 +34,7 @@ from impact_observer.observer import (
 from impact_observer.options import Options, Value
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
-from impact_observer.ros.event_intake import SLICE, EventIntake
+from impact_observer.ros.event_intake import EventIntake
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.log_lines import LogLines
@@ -43,7 +43,7 @@ from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnos
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.serialized import EstimateSerializer
-from impact_observer.ros.subscribing import waiting_messages
+from impact_observer.ros.subscribing import SLICE, waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
@@ -73,13 +73,8 @@ class ObserverNode(Node):
         model = read_model(values.text("model"))
         system = model.system
         self._initial = initial_state(options.initial_state, system)
-        sensors = values.text("measurements")
-        self._observer = make_observer(
-            system,
-            options,
-            model.elements,
-            measurements=read_measurements(sensors) if sensors else (),
-        )
+        sensors = read_measurements(values.text("measurements"))
+        self._observer = make_observer(system, options, model.elements, measurements=sensors)
         self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -393,8 +388,8 @@ class ObserverNode(Node):
     def _publish_diagnostics(self) -> None:
         """Publish counts and faults to ``/diagnostics``."""
         self._lines.restore()
-        self._observer.forget_silence(self._now())
         now = self._now()
+        self._observer.forget_silence(now)
         status = [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]
         array = DiagnosticArray(status=status)
         array.header.stamp = self.get_clock().now().to_msg()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
-from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
+from impact_observer.options import AUTO, OBSERVER_OPTIONS, VERDICTS, Option, Options, Value
 from impact_observer.sensor_faults import SENSOR_FAULTS
 
 if TYPE_CHECKING:
@@ -109,9 +109,9 @@ OBSERVER = (
     ),
     Option(
         "measurement_verdicts",
-        "auto",
+        AUTO,
         "verdicts on samples that are published: auto is those of sensors up to 50 Hz",
-        choices=("auto", "all", "none"),
+        choices=VERDICTS,
     ),
 )
 DETECTOR = (

@@ -1,33 +1,26 @@
 """Subscriptions of an observer node to what sensors measure beside the impacts."""
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Verdict
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.measured_samples import (
-    AUTO,
-    NONE,
-    SENSOR_STATUS,
-    SILENT_RATE,
-    SensorReader,
-)
+from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import SensorSample
+from impact_observer.options import AUTO, NONE
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.subscribing import waiting_messages
+from impact_observer.ros.statuses import diagnostic_status
+from impact_observer.ros.subscribing import with_waiting
 from impact_observer.stamps import NS_PER_S
 
-_SLICE = 5_000_000
-"""Longest time for samples before others have their turn, ns."""
 _DEPTH = 2000
 """Samples of a topic that may wait: those of 2 s at 1 kHz."""
 _COUNTED = 20
@@ -61,7 +54,7 @@ class SensorIntake:
             observer: takes the samples.
             clock: the time, ns; and how far before and after it a stamp may be, s.
             reliable: whether lost samples are to be sent again; publishers must offer that.
-            verdicts: of which sensors verdicts are published, one of ``VERDICTS``.
+            verdicts: of which sensors verdicts are published, one of ``options.VERDICTS``.
             on_samples: called after new samples with the least of their stamps, ns, and verdicts
                 on events that have changed.
             on_problem: called with a line on samples that cannot be used.
@@ -118,11 +111,8 @@ class SensorIntake:
 
     def _take(self, topic: str, message: AnyMessage) -> None:
         """Take a message, and those that wait behind it: the executor is slow."""
-        end, samples = time.monotonic_ns() + _SLICE, self._read(topic, message)
-        for waiting, _ in waiting_messages(self._subscriptions[topic], _DEPTH):
-            samples += self._read(topic, waiting)
-            if time.monotonic_ns() >= end:
-                break
+        messages = with_waiting(message, self._subscriptions[topic], _DEPTH)
+        samples = [sample for each in messages for sample in self._read(topic, each)]
         if samples:
             revised = self._observer.measure(samples)
             self._on_samples(min(each.stamp for each in samples), revised)
@@ -214,10 +204,5 @@ class SensorIntake:
         }
         if (learned := self._observer.learned_deviations.get(sensor.name)) is not None:
             values["learned deviation"] = f"{learned:.4g}"
-        return DiagnosticStatus(
-            level=level,
-            name=f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}",
-            message=message,
-            hardware_id=sensor.name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        name = f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}"
+        return diagnostic_status(name, level, message, values, hardware=sensor.name)

@@ -1,5 +1,6 @@
 """Subscribing with the quality of service that publishers offer, and reading bursts."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from itertools import islice
@@ -13,6 +14,8 @@ from impact_observer.io.interfaces import Quality, usual_quality
 from impact_observer.io.messages import AnyMessage
 from impact_observer.ros.qos import offered_quality, qos_profile
 
+SLICE = 5_000_000
+"""Longest time for messages before estimates, timers and services have their turn, ns."""
 MessageInfo: TypeAlias = Mapping[str, int]
 """What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
 
@@ -32,6 +35,16 @@ def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[An
     with subscription.handle:
         take = partial(subscription.handle.take_message, subscription.msg_type, subscription.raw)
         yield from islice(iter(take, None), most)
+
+
+def with_waiting(message: AnyMessage, subscription: Subscription, most: int) -> Iterator[Any]:
+    """A message and those that wait behind it, ``most`` of them, for a slice of time at most."""
+    end = time.monotonic_ns() + SLICE
+    yield message
+    for waiting, _ in waiting_messages(subscription, most):
+        yield waiting
+        if time.monotonic_ns() >= end:
+            return
 
 
 def subscribe_raw(

@@ -10,9 +10,20 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import EPOCH, examples, moving_systems, sample, switchings, systems, vectors
+from systems import (
+    EPOCH,
+    distance,
+    examples,
+    moving_systems,
+    passes_eigenvalue_test,
+    sample,
+    switched,
+    switchings,
+    systems,
+    vectors,
+)
 
-from impact_observer.dynamics import Motion, lyapunov
+from impact_observer.dynamics import Motion
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
@@ -34,20 +45,6 @@ CORRECTING = pytest.mark.parametrize(
 )
 
 
-def distance(model: System, one: Array, two: Array) -> float:
-    """``V`` of two states."""
-    q, u = np.split(one - two, 2)
-    return float(lyapunov.distance(model, q, u))
-
-
-def passes_eigenvalue_test(model: System) -> bool:
-    """``G - E G E >= 0``, or a common restitution: then every impact is non-expansive."""
-    if np.ptp(model.eps) == 0:
-        return True
-    G, E = model.W.T @ np.linalg.solve(model.M, model.W), np.diag(model.eps)
-    return bool(np.linalg.eigvalsh(G - E @ G @ E)[0] >= 0)
-
-
 def rounding(*states: Array) -> float:
     """Rounding error of V at large states."""
     return 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
@@ -67,23 +64,10 @@ def test_distance_of_two_replicas_never_rises_under_any_switching(
     states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
     last = distance(model, *states)
     tolerance = 1e-10 * (1 + last)
-    closed: tuple[int, ...] = ()
-    for wait, hit, stay in data.draw(switchings(model.m)):
-        moving, before = [replica.motion(t, x, closed) for x in states], last
-        for s in (wait / 3, wait):
-            states = [motion.state(s) for motion in moving]
-            before = distance(model, *states)
-            assert before <= last + tolerance + rounding(*states)
-            last = before
-        t += wait
-        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
-        change, closed = ContactChange(t, closed, hit, stays), stays
-        try:
-            states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
-        except ImpactLawError:
-            assume(False)
-        last = distance(model, *states)
-        assert last <= before + tolerance + rounding(*states)
+    for found, _ in switched(replica, states, data.draw(switchings(model.m)), t):
+        now = distance(model, *found)
+        assert now <= last + tolerance + rounding(*found)
+        last = now
 
 
 def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> list[Switching]:

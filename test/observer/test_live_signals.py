@@ -157,7 +157,7 @@ def test_samples_without_any_event_do_not_fill_the_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The estimate goes on from the start of the history, equal but for rounding."""
-    monkeypatch.setattr(observer_module, "MOST_SAMPLES", 2000)
+    monkeypatch.setattr(observer_module, "MOST_LIVE_SAMPLES", 2000)
     events = simulated()[0][:1]
     options = Options(law="geometric", initial_state="0.3,-0.2,0.5,-0.5", epoch=EPOCH, history=0.5)
     bounded, whole = (make_observer(parse_model(RIG, "rig").system, options) for _ in range(2))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from operator import attrgetter
 from typing import ClassVar
 
@@ -140,9 +140,7 @@ class MinimumVariance(Law):
             fit = belief.fit.after(likelihood.normalised if innovations else None)
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
-        if belief.behind[1]:
-            t, s = belief.behind
-            fallback = self._replica.motion(t, fallback, change.before)(s)
+        fallback = self._caught_up(belief, fallback, change.before)
         before, fallback = fallback, self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
@@ -183,8 +181,7 @@ class MinimumVariance(Law):
         hypotheses, fallback = self._hypotheses_of(prior, closed)
 
         def restart() -> GaussianState:
-            since, ago = prior.behind
-            now = self._replica.motion(since, fallback, closed)(ago) if ago else fallback
+            now = self._caught_up(prior, fallback, closed)
             return self._starts.restarts(now, closed, 1 + prior.ensemble.others)[0].state
 
         found, outcome, known = self._samples.after(reading, hypotheses, restart)
@@ -208,6 +205,11 @@ class MinimumVariance(Law):
         )
         return posterior, outcome, known
 
+    def _caught_up(self, belief: Belief, fallback: Fallback, closed: Contacts) -> Fallback:
+        """The ``fallback`` of a belief when that holds."""
+        since, ago = belief.behind
+        return self._replica.motion(since, fallback, closed)(ago) if ago else fallback
+
     def _learned_of(self, hypotheses: Sequence[Hypothesis], fit: Fit) -> Parameters:
         """What hypotheses estimate besides the state."""
         shown = _shown(hypotheses, fit)
@@ -225,12 +227,12 @@ class MinimumVariance(Law):
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         since, ago = belief.behind if belief.behind[1] else (t, 0.0)
 
-        made: list[Callable[[float], Fallback]] = []  # once it is needed
+        @cache  # and only where it is needed
+        def moved() -> Callable[[float], Fallback]:
+            return self._replica.motion(since, fallback, closed)
 
         def motion(s: float) -> Fallback:
-            if not made:
-                made.append(self._replica.motion(since, fallback, closed))
-            return made[0](ago + s)
+            return moved()(ago + s)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)

@@ -15,13 +15,16 @@ from systems import (
     EPOCH,
     Harmonic,
     chain,
+    distance,
     estimates,
     event,
     examples,
     forcing,
     observer,
+    passes_eigenvalue_test,
     run,
     sample,
+    switched,
     switchings,
     system,
     systems,
@@ -31,17 +34,14 @@ from systems import (
 
 from impact_observer.check.model_check import check_model, largest_kept
 from impact_observer.check.model_findings import findings
-from impact_observer.dynamics import Clutches, Phases, Piecewise, lyapunov
+from impact_observer.dynamics import Clutches, Phases, Piecewise
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
 from impact_observer.model import System, parse_model
 from impact_observer.model.system import Guide
 from impact_observer.observability.rank import observability
 from impact_observer.observer import Options, ReplicaLaw
-from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.open_loop import OpenLoop
@@ -244,17 +244,6 @@ def guided(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     return rubbing(model, *guides)
 
 
-def distance(model: System, one: Array, two: Array) -> float:
-    """``V`` of two states."""
-    return float(lyapunov.distance(model, *np.split(one - two, 2)))
-
-
-def passes_eigenvalue_test(model: System) -> bool:
-    """``G - E G E >= 0``, or a common restitution: then every impact is non-expansive."""
-    G, E = model.W.T @ np.linalg.solve(model.M, model.W), np.diag(model.eps)
-    return bool(np.ptp(model.eps) == 0 or np.linalg.eigvalsh(G - E @ G @ E)[0] >= 0)
-
-
 @pytest.mark.slow
 @LAWS
 @examples(20)
@@ -263,27 +252,14 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
     """Under any switching of contacts, each replica sticking and slipping by itself."""
     model = data.draw(guided())
     assume(passes_eigenvalue_test(model))
-    replica, t = law(model), 0.0
+    replica = law(model)
     states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
     first = last = distance(model, *states)
     size = 0.0
-    closed: tuple[int, ...] = ()
-    for wait, hit, stay in data.draw(switchings(model.m, most=5)):
-        moving = [replica.motion(t, x, closed) for x in states]
-        for s in (wait / 3, wait):
-            states = [motion.state(s) for motion in moving]
-            size = 1e-9 * (1 + first) + 1e-12 * float(np.max(np.abs(states))) ** 2
-            now = distance(model, *states)
-            assert now <= last + size
-            last = now
-        t += wait
-        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
-        change, closed = ContactChange(t, closed, hit, stays), stays
-        try:
-            states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
-        except ImpactLawError:
-            assume(False)
-        now = distance(model, *states)
+    for found, jumped in switched(replica, states, data.draw(switchings(model.m, most=5))):
+        if not jumped:
+            size = 1e-9 * (1 + first) + 1e-12 * float(np.max(np.abs(found))) ** 2
+        now = distance(model, *found)
         assert now <= last + size
         last = now
 

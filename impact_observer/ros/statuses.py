@@ -1,0 +1,18 @@
+"""The statuses that nodes publish on ``/diagnostics``."""
+
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+
+def diagnostic_status(
+    name: str, level: bytes, message: str, values: Mapping[str, object], *, hardware: str
+) -> DiagnosticStatus:
+    """A status by its ``name``, of some ``hardware``, with ``values`` as texts."""
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        hardware_id=hardware,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
