@@ -1,3 +1,17 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The house: which rooms import which, the words of prose and names, and rules for tests."""
 
 import ast
@@ -7,6 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -157,6 +172,16 @@ def test_no_class_name_stands_twice() -> None:
         if isinstance(node, ast.ClassDef)
     )
     assert [name for name, count in classes.items() if count > 1] == []
+
+
+def test_every_source_file_begins_with_the_notice_of_copyright() -> None:
+    """``ament_copyright`` accepts the package; a file that says nothing needs no notice."""
+    notice, _, _ = Path(__file__).read_text(encoding="utf-8").partition("\n\n")
+    assert notice.startswith("# Copyright")
+    sources = chain(modules(), TESTS.rglob("*.py"), BENCHMARKS.rglob("*.py"))
+    for path in chain(sources, PACKAGE.rglob("*.?pp")):
+        text = re.sub("(?m)^//", "#", path.read_text(encoding="utf-8"))
+        assert not text or text.startswith(notice), named(path)
 
 
 def test_words_are_those_of_the_field() -> None:
