@@ -20,6 +20,7 @@ example shrinks to one with small whole numbers and zeros.
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -118,6 +119,12 @@ stops:
   - {{name: ceiling, body: x, limit: 0, side: above, restitution: {ceiling}}}
 initial_state: {{position: [0], velocity: [{velocity}]}}
 """
+
+
+def softened(model: System, seconds: float) -> System:
+    """The model with hits that last so long."""
+    contacts = [replace(each, contact_time=seconds) for each in model.contacts]
+    return replace(model, contacts=tuple(contacts))
 
 
 def chain(n: int, stiffness: float = 10.0, damping: float = 0.1, **others: object) -> System:

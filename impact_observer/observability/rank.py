@@ -22,7 +22,8 @@ zero, which is one more row. So every event adds rows, times ``T``, to a matrix 
 start, where ``T`` is the transition matrix from the start. Its singular values say how much of a
 wrong initial state the recorded gaps show, and its null space what they never show, to any law.
 
-What sensors measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
+Where hits last, ``d`` is carried to the jump and back to the onset, as replicas are. What sensors
+measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
 
 An instant with several impacts counts as if all of them were equally fast. Inequalities (``g >=
 0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.
@@ -45,7 +46,6 @@ from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, ImpactEvent
 from impact_observer.model import System
-from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer.episode import Episode, last_episode
 from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import NS_PER_S, seconds_between, text
@@ -168,7 +168,6 @@ def observability(
             f"{system.name}: guide {system.guides[0].name!r} rubs, so what impacts determine"
             " depends on the motion; expected a model without friction"
         )
-    refuse_contact_time(system, "observability")
     if not 0 < tolerance < 1:
         raise UsageError(f"tolerance: {tolerance:g} found; expected a number between 0 and 1")
     scale = np.diag(Uncertainty(deviation).root(system.n))
@@ -227,6 +226,7 @@ class _Errors:
         self._moving = MovingSystem(system)
         self._t = 0.0
         self.map: Matrix = np.diag(scale)[:, scale > 0]
+        self._inside = 0.0, 0.0, self.map  # onset and jump of a hit that lasts, errors before
 
     def informative(self, change: ContactChange) -> Contacts:
         """The contacts that add rows: those that hit, or a single one that opens by itself."""
@@ -248,7 +248,7 @@ class _Errors:
         if change.hit:
             rows = [self._system.W[:, list(change.hit)].T @ dq]
             pressed = change.pressed(self._newton, -np.ones(len(change.hit)))
-            du = self._newton.jump(pressed, self._slopes) @ du
+            dq, du = self._jumped(phase, change, self._newton.jump(pressed, self._slopes))
         else:
             rows = [self._accelerations(phase, self.informative(change), dq, du)]
         if change.closed:
@@ -260,16 +260,35 @@ class _Errors:
         self.map = np.vstack([dq, du])
         return np.vstack(rows)
 
+    def _jumped(self, phase: Phase, change: ContactChange, jump: Matrix) -> tuple[Matrix, Matrix]:
+        """Errors after the ``jump`` of velocities, (n, n), at a ``change`` in a ``phase``.
+
+        Where a hit lasts they are carried to the jump and, after it, back to the onset.
+        """
+        n, delay = self._system.n, change.delay(self._system)
+        if not delay:
+            return self.map[:n], jump @ self.map[n:]
+        self._inside = change.t, change.t + delay, self.map
+        found = phase.transition(delay) @ self.map
+        found[n:] = jump @ found[n:]
+        found = phase.transition(-delay) @ found
+        return found[:n], found[n:]
+
     def measured(self, t: float, sensor: DeclaredSensor, closed: Contacts) -> Matrix:
         """Propagate to a sample at ``t`` (s) while contacts are ``closed``; its row, in m."""
-        if t > self._t:
-            phase = self._phases.phase(self._phases.independent(closed))
-            self.map = phase.transition(t - self._t) @ self.map
+        phase = self._phases.phase(self._phases.independent(closed))
+        onset, jump, before = self._inside
+        if onset <= t < jump:
+            found = phase.transition(t - onset) @ before
+        elif t > self._t:
+            found = self.map = phase.transition(t - self._t) @ self.map
             self._t = t
+        else:
+            found = self.map
         at = Place(t, round(t * NS_PER_S), np.zeros(2 * self._system.n), closed)
         row, declared = sensor.row(self._moving, at), sensor.measurement
         order = 2 if declared.acceleration else 1 if declared.velocity else 0
-        return np.asarray(self._timescale**order * row.h[None] @ self.map)
+        return np.asarray(self._timescale**order * row.h[None] @ found)
 
     def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
         """Gaps that the loads on ``opened`` alone would open in the time scale, m."""

@@ -19,24 +19,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import EPOCH, forcing, run, sample, started, system
+from systems import EPOCH, forcing, run, sample, softened, started, system
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import Kind
-from impact_observer.model import System, parse_model
-from impact_observer.observability.rank import observability
+from impact_observer.model import parse_model
 from impact_observer.observer import Options
 from impact_observer.plant import make_plant
 from impact_observer.smooth.recording import smoothed_runs
 from impact_observer.stamps import NS_PER_S
 
 BODY = "name: a\nbodies: [{name: x, mass: 1}]\nstops:\n  - {name: s, body: x, limit: 1, %s}\n"
-
-
-def softened(model: System, seconds: float) -> System:
-    """The model with hits that last so long."""
-    contacts = [replace(each, contact_time=seconds) for each in model.contacts]
-    return replace(model, contacts=tuple(contacts))
 
 
 def test_free_body_passes_its_stop_until_its_velocity_jumps() -> None:
@@ -111,7 +104,7 @@ def test_contact_time_is_a_key_of_stops_and_contacts() -> None:
 
 
 def test_what_cannot_take_it_says_so() -> None:
-    """The integrator moreau, smooth and observability."""
+    """The integrator moreau, and smooth."""
     model = softened(sample("two_mass").system, 0.002)
     q, u = np.zeros(2), np.zeros(2)
     line = "two_mass: a hit of 'stop' lasts 0.002 s, which {} cannot take"
@@ -119,6 +112,4 @@ def test_what_cannot_take_it_says_so() -> None:
         make_plant(model, q, u, epoch=EPOCH, integrator="moreau")
     with pytest.raises(UsageError, match=line.format("smooth")):
         smoothed_runs(model, [], Options())
-    with pytest.raises(UsageError, match=line.format("observability")):
-        observability(model, [])
     assert started(model, q, u).epoch == EPOCH
