@@ -14,6 +14,7 @@
 
 """Subscriptions of a node to the live forces and grounds of its model, and to a drive."""
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 
@@ -26,7 +27,7 @@ from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.subscribing import with_waiting
+from impact_observer.ros.subscribing import SLICE, Polled, slice_of_waiting, with_waiting
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
 
 
@@ -44,6 +45,7 @@ class LiveIntake:
         on_problem: Callable[[str], None],
         clock: tuple[Callable[[], int], float],
         *,
+        polled: bool = False,
         on_samples: Callable[[int], None] = lambda _: None,
         on_pulse: Callable[[int], None] | None = None,
     ) -> None:
@@ -54,6 +56,8 @@ class LiveIntake:
             live: signals; None where the model has none.
             on_problem: called with the line on a sample that cannot be used.
             clock: the time, ns, and how far ahead of it a stamp may be, s.
+            polled: whether samples of forces and grounds wait for ``take_waiting``, which costs a
+                third of taking each when it arrives.
             on_samples: called after new samples with the stamp from which on they change what is
                 known, ns.
             on_pulse: called with the stamp of each pulse of a drive, ns.
@@ -62,29 +66,48 @@ class LiveIntake:
         self._on_problem, self._on_samples, self._on_pulse = on_problem, on_samples, on_pulse
         self._now, self._future = clock
         self.counts: Counter[str] = Counter()
-        self._subscriptions = [*self._subscribed(node)]
+        self._polled: list[tuple[interfaces.Interface, Subscription]] = []
+        self._subscriptions = [*self._subscribed(node, polled=polled)]
 
-    def _subscribed(self, node: Node) -> Iterable[Subscription]:
+    def _subscribed(self, node: Node, *, polled: bool) -> Iterable[Subscription]:
         live = self._live
         for interface, is_needed in (
             (interfaces.FORCING, live is not None and live.inputs),
             (interfaces.GROUND_MOTION, live is not None and live.grounds),
             (interfaces.PHASE_REFERENCE, self._on_pulse or (live is not None and live.drive)),
         ):
-            if is_needed:
-                yield self._subscription(node, interface)
+            if not is_needed:
+                continue
+            waits = polled and interface is not interfaces.PHASE_REFERENCE
+            found = self._subscription(node, interface, Polled() if waits else None)
+            if waits:
+                self._polled.append((interface, found))
+            yield found
 
-    def _subscription(self, node: Node, interface: interfaces.Interface) -> Subscription:
+    def _subscription(
+        self, node: Node, interface: interfaces.Interface, group: Polled | None
+    ) -> Subscription:
         """A subscription that takes all that waits at once: the executor is slow."""
 
         def take(message: AnyMessage) -> None:
             messages = with_waiting(message, subscription, interface.quality.depth)
             self._on_samples(min(self._take(interface, each) for each in messages))
 
+        quality = qos_profile(interface.quality)
         subscription: Subscription = node.create_subscription(
-            message_class(interface.type), interface.name, take, qos_profile(interface.quality)
+            message_class(interface.type), interface.name, take, quality, callback_group=group
         )
         return subscription
+
+    def take_waiting(self) -> bool:
+        """Take the samples that wait where subscriptions are polled; whether more may wait."""
+        end, since = time.monotonic_ns() + SLICE, MAX_STAMP
+        for interface, subscription in self._polled:
+            messages = slice_of_waiting(subscription, interface.quality.depth)
+            since = min([since, *(self._take(interface, each) for each in messages)])
+        if since < MAX_STAMP:
+            self._on_samples(since)
+        return time.monotonic_ns() >= end
 
     def _take(self, interface: interfaces.Interface, message: AnyMessage) -> int:
         """Give the samples of a message; the stamp from which on they change something, ns."""

@@ -65,6 +65,8 @@ _SIMULATED_BACKLOG = 20
 """Overdue estimates published after a jump of simulated time; older ones are skipped."""
 _BACKLOG = 8
 """Overdue estimates published in real time, less than the depth of their topics, 10."""
+_POLL_PERIOD = 0.05
+"""How long live samples wait at most, s; they are taken before every estimate, too."""
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=0.01)
@@ -112,6 +114,7 @@ class ObserverNode(Node):
             self._observer.live,
             self._lines.error,
             (self._now, values.number("future")),
+            polled=True,
             on_samples=self._correct_by_samples,
             on_pulse=self._observer.take_pulse
             if system.depends_on_time and not options.epoch
@@ -136,6 +139,8 @@ class ObserverNode(Node):
         self.create_service(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._rate, self._on_timer)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        if system.live is not None:
+            self.create_timer(_POLL_PERIOD, self._apply_events, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         backwards = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
@@ -224,8 +229,9 @@ class ObserverNode(Node):
 
     def _apply_events(self) -> None:
         """Apply events for some milliseconds, and go on after others had their turn."""
+        more = self._inputs.take_waiting()
         self._apply(self._intake.slice())
-        if self._intake.is_busy:
+        if more or self._intake.is_busy:
             self._go_on.trigger()
 
     def _apply(self, received: Iterable[tuple[ImpactEvent, tuple[Verdict, ...]]]) -> None:
@@ -297,6 +303,7 @@ class ObserverNode(Node):
 
     def _on_timer(self) -> None:
         """Publish the estimates that are due, and take events that have arrived meanwhile."""
+        self._inputs.take_waiting()
         self._publish_due()
         self._take_waiting()  # sooner than by the executor, which waits again first
 
@@ -355,6 +362,7 @@ class ObserverNode(Node):
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
         self._intake.clear()
+        self._inputs.take_waiting()
         if self._observer.live is not None:
             self._observer.live.clear()
         self._observer.restart("the clock jumped back")
@@ -382,6 +390,7 @@ class ObserverNode(Node):
 
         Later events act on it; with a lag these may include events received already.
         """
+        self._inputs.take_waiting()
         self._apply(self._intake.finish())
         try:
             given = covariance if len(covariance) else None

@@ -20,6 +20,7 @@ from functools import partial
 from itertools import islice
 from typing import Any, TypeAlias
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -32,6 +33,26 @@ SLICE = 5_000_000
 """Longest time for messages before estimates, timers and services have their turn, ns."""
 MessageInfo: TypeAlias = Mapping[str, int]
 """What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
+
+
+class Polled(CallbackGroup):
+    """Subscriptions that the executor leaves alone: whoever needs their messages takes them.
+
+    A message costs the executor several times what taking it does.
+    """
+
+    def can_execute(self, entity: object) -> bool:
+        """Never."""
+        del entity
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Never."""
+        del entity
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Nothing has begun."""
 
 
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
@@ -53,8 +74,13 @@ def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[An
 
 def with_waiting(message: AnyMessage, subscription: Subscription, most: int) -> Iterator[Any]:
     """A message and those that wait behind it, ``most`` of them, for a slice of time at most."""
-    end = time.monotonic_ns() + SLICE
     yield message
+    yield from slice_of_waiting(subscription, most)
+
+
+def slice_of_waiting(subscription: Subscription, most: int) -> Iterator[Any]:
+    """Messages that have arrived already, ``most`` of them, for a slice of time at most."""
+    end = time.monotonic_ns() + SLICE
     for waiting, _ in waiting_messages(subscription, most):
         yield waiting
         if time.monotonic_ns() >= end:
