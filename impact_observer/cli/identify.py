@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Identify parameters of a model from impact times, or check a model against them."""
+"""Identify parameters of a model from impact times and samples, or check a model against them."""
 
 import argparse
 import json as json_module
@@ -99,11 +99,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    if args.measurements:
-        raise UsageError(
-            f"measurements: {args.measurements} given, but identify uses impact times alone; leave"
-            " it out, or use observe with --law minimum-variance --estimate-parameters"
-        )
     return identify(
         args.bag,
         tuple(name.strip() for name in args.free.split(",") if name.strip()),
@@ -114,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
         held_back=args.held_back,
         check=args.check,
         namespace=args.namespace,
+        measurements=args.measurements,
         output=args.output,
         initial_state=args.initial_state,
         plot=args.plot,
@@ -132,12 +128,13 @@ def identify(
     held_back: float = 0.2,
     check: bool = False,
     namespace: str = "",
+    measurements: str | None = None,
     output: Path | None = None,
     initial_state: bool = False,
     plot: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Fit a model to the impacts in a bag and print the result.
+    """Fit a model to the impacts in a bag, and to samples if any, and print the result.
 
     The arguments are the options.
 
@@ -157,11 +154,13 @@ def identify(
     from impact_observer.identify.fit_picture import fit_picture
     from impact_observer.identify.identification import identify as fit
     from impact_observer.io.live_inputs import with_recorded
+    from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import epoch_of, text_of_model
     from impact_observer.model import parse_model
     from impact_observer.model.free_parameters import parametric_family
+    from impact_observer.model.measurements_file import read_measurements
 
     _check_usage(free, output, plot, check=check, clock=clock_error, initial_state=initial_state)
     if not 0 <= held_back <= _MOST_HELD_BACK:
@@ -173,6 +172,10 @@ def identify(
         parsed = parse_model(*given)
         events = events_from(reader, 0)
         system = with_recorded(reader, parsed.system, epoch_of(events))
+        declared = read_measurements(measurements)
+        recorded = samples_in(reader, declared)
+    for problem in recorded.problems:
+        say(f"warning: {problem}", file=sys.stderr if json else sys.stdout)
     # What arrived live is known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
@@ -185,6 +188,8 @@ def identify(
                 trust_events=trust_events,
                 held_back=held_back,
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
+                measurements=declared,
+                samples=recorded.samples,
             )
         except BagError as error:
             raise BagError(f"{bag}: {error}") from None

@@ -26,7 +26,7 @@ from impact_observer.estimation.saltation import LEAST, ROUNDING
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.measurement import Coefficients, Measurement
-from impact_observer.states import Vector, frozen
+from impact_observer.states import Matrix, Stamps, Vector, frozen
 
 _STEP = 1000
 """Half the distance of the instants by which speeds of grounds are differentiated, ns."""
@@ -119,7 +119,7 @@ class DeclaredSensor:
         """The measured function of states near a place; ``moving`` between impacts."""
         if not self.is_dynamic and (self._system.frame is None or self._contact is not None):
             return self._still
-        h, rest = self._h, self._offset + self._shifted(at.instant)
+        h, rest = self._h, self._offset + float(self.shifts(np.array([at.instant]))[0])
         if self.is_dynamic:
             n, rates = self._n, moving.rates_at(at.t, at.x, at.closed)
             h = h + self._a.dot(rates.A[n:])
@@ -141,16 +141,37 @@ class DeclaredSensor:
             of_theta = of_theta + self._a.dot(rates)
         return row._replace(of_theta=of_theta)
 
-    def _shifted(self, instant: int) -> float:
-        """What moving grounds add, as coordinates are those in the frame."""
+    def values(self, moving: MovingSystem, t: Vector, states: Matrix, closed: Contacts) -> Vector:
+        """What is measured without noise at states of one phase, less ``shifts``.
+
+        Args:
+            moving: between impacts; no guides rub if accelerations are measured.
+            t: s since the epoch, shape (samples,).
+            states: (q, u) then, in the frame, shape (samples, 2n).
+            closed: contacts that are closed.
+        """
+        h, rest = self._h, self._offset
+        if self.is_dynamic:
+            n, rates = self._n, moving.rates(closed)
+            h = h + self._a.dot(rates.A[n:])
+            forces = moving.system.forcing.derivatives(t, 0)[0]
+            rest = rest + forces @ self._a.dot(rates.B[n:]) + float(self._a.dot(rates.b[n:]))
+        return np.asarray(states @ h + rest)
+
+    def shifts(self, instants: Stamps) -> Vector:
+        """What moving grounds add, as coordinates are those in the frame, shape (samples,).
+
+        At ``instants``, ns since the epoch.
+        """
         frame = self._system.frame
         if frame is None or self._contact is not None:
-            return 0.0
-        around = np.array([instant - _STEP, instant, instant + _STEP], dtype=np.int64)
-        s, speed = frame.displacements(around)
-        acceleration = (speed[2] - speed[0]) / (2e-9 * _STEP)
-        parts = zip((self._p, self._v, self._a), (s[1], speed[1], acceleration), strict=True)
-        return float(sum(row.dot(frame.shift.dot(motion)) for row, motion in parts))
+            return np.zeros(instants.size)
+        around = np.concatenate([instants - _STEP, instants, instants + _STEP])
+        parts = (np.split(each, 3) for each in frame.displacements(around))
+        (_, s, _), (before, speed, after) = parts
+        acceleration = (after - before) / (2e-9 * _STEP)
+        rows = ((self._p, s), (self._v, speed), (self._a, acceleration))
+        return np.asarray(sum(motion @ (row @ frame.shift) for row, motion in rows))
 
 
 class SensorState(NamedTuple):

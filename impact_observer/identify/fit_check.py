@@ -33,6 +33,7 @@ class FitCheck:
         lags: of the autocorrelations.
         by_contact: by name: impacts, mean and rms of their shifts, s.
         worst: the contact of the largest rms.
+        odd: names of the sensors whose errors are too large, or correlated.
     """
 
     size: float | None
@@ -40,11 +41,13 @@ class FitCheck:
     lags: int
     by_contact: dict[str, tuple[int, float, float]]
     worst: str
+    odd: tuple[str, ...] = ()
 
     @property
     def fits(self) -> bool:
-        """Whether neither test rejects the model."""
-        return self.white >= REJECTED and (self.size is None or self.size >= REJECTED)
+        """Whether no test rejects the model, of stamps or of sensors."""
+        size = 1.0 if self.size is None else self.size
+        return min(self.white, size) >= REJECTED and not self.odd
 
 
 def check_fit(found: Identification) -> FitCheck:
@@ -67,4 +70,5 @@ def check_fit(found: Identification) -> FitCheck:
         lags=lags_of(shifts),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
+        odd=tuple(each.name for each in found.sensors if not each.fits),
     )

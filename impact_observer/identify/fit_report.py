@@ -15,6 +15,7 @@
 """A fitted model in words, in tables, as JSON and as a model file."""
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,6 +30,7 @@ from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import REJECTED
+from impact_observer.identify.sensor_fit import SensorFit
 from impact_observer.model import parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.stamps import seconds_between
@@ -116,6 +118,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
             for name, (count, mean, rms) in check.by_contact.items()
         },
         "worst_contact": check.worst,
+        "sensors": [{**asdict(each), "fits": each.fits} for each in found.sensors],
         "shifts": {
             "seconds": found.stamps.tolist(),
             "shift": found.shifts.tolist(),
@@ -173,6 +176,7 @@ def _about_fit(found: Identification) -> Iterator[str]:
     declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
     off = f"differ from the model's impacts by {found.rms:.3g} s rms"
     yield f"{len(found.shifts)} stamps {off}{declared}."
+    yield from map(_about_sensor, found.sensors)
     if not found.converged:
         yield (
             "The model does not fit: no motion of it explains these stamps. Do not use these"
@@ -189,6 +193,16 @@ def _about_fit(found: Identification) -> Iterator[str]:
         yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         yield _listed(found, found.recording.inserted, "inserted as missed")
+
+
+def _about_sensor(each: SensorFit) -> str:
+    """How well the samples of a sensor fit."""
+    known = "was declared" if each.is_declared else "is learned"
+    words = [f"{each.samples} samples of {each.name} differ from the motion by {each.rms:.3g} rms"]
+    words.append(f"{each.deviation:.3g} {known}")
+    words += [f"{each.near} near impacts are left out"] * (each.near > 0)
+    words += [f"{each.rejected} are rejected by the gate"] * (each.rejected > 0)
+    return "; ".join(words) + "."
 
 
 def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
@@ -216,6 +230,12 @@ def _reasons(found: Identification, check: FitCheck) -> Iterator[str]:
         yield f"shifts are {found.rms / found.clock:.3g} times the declared clock error"
     if check.white < REJECTED:
         yield "neighbouring shifts are correlated"
+    for each in found.sensors:
+        if each.size < REJECTED:
+            times = each.rms / each.deviation
+            yield f"errors of {each.name} are {times:.3g} times the declared deviation"
+        if each.white < REJECTED:
+            yield f"neighbouring errors of {each.name} are correlated"
     if not found.declared:
         yield "without --clock-error an error of the model looks like one of the clock"
 
@@ -253,7 +273,8 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
         f" probability {check.white:.2g} ({check.lags} lags)."
     )
     good = check.fits and found.converged
-    yield "The model fits." if good else f"The model does not fit; worst: {check.worst}."
+    worst = ", ".join([check.worst, *check.odd])
+    yield "The model fits." if good else f"The model does not fit; worst: {worst}."
 
 
 def model_text(

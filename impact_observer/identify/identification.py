@@ -14,7 +14,7 @@
 
 """From a recording of impact times to the parameters of its model."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,26 +23,28 @@ from scipy import linalg
 from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.late_start import late_start
-from impact_observer.identify.least_squares import (
-    Problem,
-    Solution,
+from impact_observer.identify.first_guess import (
     by_gaps,
     by_gaps_near,
     directions,
     own_impacts,
-    solved,
     start_of,
-    usual_size,
 )
+from impact_observer.identify.late_start import late_start
+from impact_observer.identify.least_squares import usual_size, weighed
 from impact_observer.identify.outliers import outliers_by_motion, outliers_by_observer
+from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
+from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
+from impact_observer.identify.sensor_rows import used_samples
 from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.live_signals import refused
+from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode
+from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -64,6 +66,8 @@ _FEWEST = 3
 """Fewest impacts that are held back, and fewest degrees of freedom of the fit of the others."""
 _PART = 1e-3
 """Smallest term of a combination, relative to the largest."""
+_GATINGS = 5
+"""Most rounds of rejecting samples."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -95,6 +99,7 @@ class Identification:
         held_back: the last impacts, predicted from a fit of the others; None if none are.
         doubted: most impacts that were rejected and inserted in any search for outliers.
         accepted: standard deviation of a stamp estimated with all impacts accepted, s.
+        sensors: how samples of what is measured beside the impacts fit.
     """
 
     family: ParametricFamily
@@ -116,6 +121,7 @@ class Identification:
     held_back: HeldBack | None = None
     doubted: int = 0
     accepted: float = 0.0
+    sensors: tuple[SensorFit, ...] = ()
 
     @property
     def errors(self) -> Vector:
@@ -155,8 +161,10 @@ def identify(
     trust_events: bool = False,
     held_back: float = 0.2,
     progress: Callable[[str], None] = lambda _: None,
+    measurements: Sequence[Measurement] = (),
+    samples: Sequence[SensorSample] = (),
 ) -> Identification:
-    """Fit the parameters of a family, and the initial state, to impact times.
+    """Fit the parameters of a family, and the initial state, to impact times and to samples.
 
     Args:
         family: a system and its free parameters.
@@ -167,9 +175,12 @@ def identify(
         held_back: share of the impacts, the last ones, on which a fit of the others is checked;
             the values are from all impacts. With too few impacts none are held back.
         progress: receives what is being done.
+        measurements: what sensors measure beside the impacts.
+        samples: of them; those up to the last impact count.
 
     Raises:
-        UsageError: something arrives live, or the clock's offset is free under samples.
+        UsageError: something arrives live, the clock's offset is free under a sampled forcing, or
+            a sensor or a parameter does not go with the other.
         BagError: the events contain no impact of the system's contacts.
         IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
@@ -188,9 +199,9 @@ def identify(
     state = None
     if family.system.guides:
         episode, state = late_start(family.system, episode, events)
-    recording = Recording(episode, state=state)
+    whole = _with_samples(Recording(episode, state=state), family, clock, measurements, samples)
     progress("all impacts accepted")
-    problem, solution = _fit(recording.problem(family))
+    recording, problem, solution = _gated(whole, *_fit(whole.problem(family)))
     first = _identification(recording, problem, solution, clock)
     accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
     least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
@@ -200,11 +211,12 @@ def identify(
     found, doubted = replace(first, converged=False), 0
     for wrong in (_WRONG * problem.interval, None):
         progress("searching spurious and missed impacts")
-        recording = Recording(episode, state=state)
-        recording = outliers_by_observer(family.system, recording, events, wrong)
+        recording = outliers_by_observer(family.system, whole, events, wrong)
         doubted = max(doubted, recording.outliers)
         try:
-            recording, again, refit = _without_outliers(recording, family, clock, progress)
+            recording, again, refit = _gated(
+                *_without_outliers(recording, family, clock, progress)
+            )
         except IdentificationError:
             continue  # too few impacts are left
         doubted = max(doubted, recording.outliers)
@@ -218,14 +230,54 @@ def identify(
     return replace(found, held_back=checked, doubted=doubted, accepted=accepted)
 
 
+def _with_samples(
+    recording: Recording,
+    family: ParametricFamily,
+    clock: float | None,
+    measurements: Sequence[Measurement],
+    samples: Sequence[SensorSample],
+) -> Recording:
+    """The recording with the samples up to its last event."""
+    if not measurements:
+        return recording
+    episode = recording.episode
+    within = episode.start, episode.keys[-1].stamp
+    found = used_samples(family, measurements, samples, episode.epoch, within)
+    known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
+    return replace(
+        recording, sensors=found, clock=max(known, ROUNDED), is_declared=clock is not None
+    )
+
+
+def _gated(
+    recording: Recording, problem: Problem, solution: Solution
+) -> tuple[Recording, Problem, Solution]:
+    """Without samples that their gates reject, fitted again."""
+    for _ in range(_GATINGS):
+        sensors = tuple(
+            each.within_gate(rows.errors)
+            for each, rows in zip(problem.sensors, solution.shot.sensors, strict=True)
+        )
+        if all(a.t.size == b.t.size for a, b in zip(sensors, problem.sensors, strict=True)):
+            break
+        problem, solution = weighed(problem._replace(sensors=sensors), solution.y)
+    return recording, problem, solution
+
+
 def _held_back(problem: Problem, solution: Solution, share: float) -> HeldBack | None:
     """The last impacts as the others predict them; None where one of the parts has too few."""
     count = int(share * solution.counted.size)
     if not problem.family.size or count < _FEWEST or solution.freedom - count < _FEWEST:
         return None
     moments = problem.moments[: solution.counted[-count]]
+    if problem.sensors:  # samples need the impacts before them, whenever these were
+        later = {*solution.counted[-count:].tolist()}
+        moments = [
+            moment._replace(measured=False) if k in later else moment
+            for k, moment in enumerate(problem.moments)
+        ]
     try:
-        _, first = _fit(problem._replace(moments=moments), solution.y)
+        _, first = _fit(problem._replace(moments=moments, is_declared=True), solution.y)
     except IdentificationError:
         return None
     return HeldBack.between(first, solution)
@@ -258,17 +310,19 @@ def _fit(
     """
     unknowns = 2 * problem.family.system.n + problem.family.size
     hits = sum(len(each.hit) for each in problem.moments if each.measured)
-    if hits <= unknowns:
+    samples = sum(each.t.size for each in problem.sensors)
+    if hits + samples <= unknowns:
+        beside = f" and {samples} samples" if problem.sensors else ""
         raise IdentificationError(
-            f"{hits} impacts for {unknowns} unknowns, {problem.family.size} of them parameters;"
-            " expected more: record longer, or free less"
+            f"{hits} impacts{beside} for {unknowns} unknowns, {problem.family.size} of them"
+            " parameters; expected more: record longer, or free less"
         )
     if near is not None:
-        found = solved(problem, near, robust=robust)
-        if found.converged:
-            return problem, found
+        found = weighed(problem, near, robust=robust)
+        if found[1].converged:
+            return found
     if problem.near is not None:
-        return problem, solved(problem, by_gaps_near(problem, problem.near), robust=robust)
+        return weighed(problem, by_gaps_near(problem, problem.near), robust=robust)
     y = start_of(problem)
     shot = problem.shot(y)
     if np.max(np.abs(shot.speeds)) <= _STILL:
@@ -283,7 +337,7 @@ def _fit(
             f"{words}: with a suitable initial state no impact moves by that, so impact times do"
             f" not determine it; hold {'it' if one else 'one of them'} fixed"
         )
-    return problem, solved(problem, by_gaps(problem, y, robust=robust), robust=robust)
+    return weighed(problem, by_gaps(problem, y, robust=robust), robust=robust)
 
 
 def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[dict[str, float], ...]:
@@ -317,7 +371,8 @@ def _identification(
 ) -> Identification:
     family, n = problem.family, problem.family.system.n
     used = max(solution.rms if clock is None else clock, ROUNDED)
-    widened = widening(solution, clock)
+    fits = sensor_fits(problem, solution)
+    widened = max(widening(solution, clock), *(each.widening for each in fits), 1.0)
     root = solution.root * used * widened
     covariance = root @ root.T
     found = directions(problem, solution.shot)
@@ -338,7 +393,8 @@ def _identification(
         clock=used,
         declared=clock is not None,
         rms=solution.rms,
-        freedom=int(solution.freedom),
+        freedom=round(solution.freedom),
+        sensors=fits,
         stamps=frozen(problem.stamps[solution.counted]),
         shifts=frozen(solution.shifts),
         contacts=tuple(tuple(names[i] for i in hits[k][1]) for k in solution.counted),

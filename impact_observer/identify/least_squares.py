@@ -23,250 +23,54 @@ solve ::
     min |e|^2    subject to    A dy + B (s + e - t) + g = 0
 
 by two orthogonal triangulations, as Paige (Computer solution and perturbation analysis of
-generalized linear least squares problems, 1979). The instants are unknowns, not results: a motion
-that is switched at given instants forgets its start, so nothing in ``A`` or ``B`` grows with the
-length of the recording, however unstable the impacting motion is by itself.
-
-The first guess has the instants fixed at the stamps, and the least gaps there. It is linear in
-the initial state.
+generalized linear least squares problems, 1979). Samples of sensors add rows to ``A`` and ``B``:
+their noise in units of the clock's error is among the ``e``. The instants are unknowns, not
+results: a motion that is switched at given instants forgets its start, so nothing in ``A`` or
+``B`` grows with the length of the recording, however unstable the impacting motion is by itself.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from impact_observer.errors import IdentificationError
-from impact_observer.identify.motion import FlightEnd
-from impact_observer.identify.shooting import Shot, shoot
-from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.identify.constrained import constrained_least_squares, redundancies
+from impact_observer.identify.first_guess import directions
+from impact_observer.identify.problem import LEAST, Problem, Solution, deviation
+from impact_observer.identify.sensor_rows import Rows
+from impact_observer.identify.shooting import Shot
 from impact_observer.states import Matrix, Vector
 
-RANK = 1e-9
-"""Singular value that counts as zero, relative to the largest: the limit of stamps of 1 ns."""
 _STEPS = 40
 """Most Gauss-Newton steps; a fit takes about six."""
 _HALVINGS = 12
 """Most halvings of a step."""
 _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""
-_LOST = 0.02
-"""Error of the instants, relative to the time between two, above which a fit is tried again."""
-_TRIES = 40
-"""Most evaluations of one search for the least gaps; ten are usual."""
-_FEW = 12
-"""The same where the search begins near the answer."""
-_PRIOR_WEIGHT = 0.03
-"""Weight of the prior on the parameters in the first search, m for an error of their size."""
-_LEAST = 1e-9
-"""Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
 _CAUCHY = 2.0
 """Scale of the Cauchy weights, over the usual shift."""
-_FAR = 3.0
-"""Distance of a model's own impacts from the stamps, in times between two, that is too far."""
-_FIRST = 8
-"""Moments that the second try begins with."""
+_WEIGHINGS = 8
+"""Most fits, each with the deviations of clock and sensors that the one before has shown."""
 
 
-class Problem(NamedTuple):
-    """A recording and the systems that may explain it.
+def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Problem, Solution]:
+    """The most likely motion, with the deviations of clock and sensors that it shows.
 
-    Attributes:
-        family: the systems.
-        moments: the recorded impacts, closings and openings, in order.
-        start: where the initial state holds, s since the epoch.
-        near: initial state and parameters to begin with, shape (2n + p,); None for none.
+    Where these are declared, or there are no samples to be weighed, they stay.
+
+    Raises:
+        IdentificationError: fewer hits and samples than unknowns.
     """
-
-    family: ParametricFamily
-    moments: Sequence[FlightEnd]
-    start: float
-    near: Vector | None = None
-
-    @property
-    def stamps(self) -> Vector:
-        """As recorded, s since the epoch, shape (moments,)."""
-        return np.array([each.t for each in self.moments])
-
-    @property
-    def interval(self) -> float:
-        """Median of the time between two moments, s."""
-        return float(np.median(np.diff(self.stamps, prepend=self.start)))
-
-    @property
-    def counted(self) -> NDArray[np.int64]:
-        """Indices of the moments whose stamps are compared: measured impacts and closings."""
-        return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
-
-    def shot(self, y: Vector, t: Vector | None = None) -> Shot:
-        """The motion of ``y`` switched at ``t``, by default at the stamps."""
-        t = self.stamps if t is None else t
-        return shoot(self.family, y, self.moments[: t.size], t, self.start)
-
-
-class Solution(NamedTuple):
-    """A motion that explains the recorded instants.
-
-    Attributes:
-        y: initial state (q, u) and parameters, shape (2n + p,).
-        t: instants, s since the epoch, shape (moments,).
-        shot: the motion.
-        shifts: instants minus stamps, s, of the moments that count, shape (counted,).
-        counted: indices of these moments.
-        freedom: degrees of freedom of the shifts.
-        root: how far an error of each stamp moves ``y``, shape (2n + p, counted):
-            ``root root^T`` times the variance of a stamp is the covariance of ``y``.
-        converged: whether the steps converged.
-    """
-
-    y: Vector
-    t: Vector
-    shot: Shot
-    shifts: Vector
-    counted: NDArray[np.int64]
-    freedom: int
-    root: Matrix
-    converged: bool
-
-    @property
-    def rms(self) -> float:
-        """Estimated standard deviation of a stamp, s."""
-        return _deviation(self.shifts, self.freedom)
-
-
-def _deviation(shifts: Vector, freedom: int) -> float:
-    return float(np.sqrt(np.sum(shifts**2) / max(freedom, 1)))
-
-
-def start_of(problem: Problem) -> Vector:
-    """A first guess of ``y``: the given parameters, the initial state with the smallest gaps."""
-    n = problem.family.system.n
-    y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
-    shot = problem.shot(y)
-    y[: 2 * n] = linalg.lstsq(shot.by_start[:, : 2 * n], -shot.gaps, cond=RANK)[0]
-    return y
-
-
-def own_impacts(problem: Problem, y: Vector) -> Shot:
-    """The motion of ``y`` switched where its own gaps vanish; at the stamps if that is far away.
-
-    What changes the size of a motion changes its gaps at the stamps, unless they are zero.
-    """
-    at_stamps = shot = problem.shot(y)
-    t = problem.stamps
-    for _ in range(_TRIES):
-        step = linalg.lstsq(shot.by_instant, shot.gaps, cond=RANK)[0]
-        t = t - step
-        if np.max(np.abs(t - problem.stamps)) > _FAR * problem.interval:
-            return at_stamps
-        with np.errstate(over="ignore", invalid="ignore"):
-            shot = problem.shot(y, t)
-        if not (np.all(np.isfinite(shot.gaps)) and np.all(np.isfinite(shot.by_instant))):
-            return at_stamps
-        if np.max(np.abs(step)) <= _LEAST * problem.interval:
-            return shot
-    return at_stamps
-
-
-def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
-    """``y`` of the least gaps at the stamps, from all moments or from more and more of them.
-
-    The search begins at ``y``, with a weak prior on the parameters: far from the answer unbounded
-    motions would make small gaps too. If ``robust`` a few gaps may be large.
-    """
-    speed = float(np.linalg.norm(problem.shot(y).speeds))
-
-    def error(y: Vector) -> float:
-        """Gaps at the stamps as an error of the instants, s."""
-        return float(np.linalg.norm(problem.shot(y).gaps) / speed)
-
-    found = _least_gaps(problem, _least_gaps(problem, y, prior=_PRIOR_WEIGHT), robust=robust)
-    if error(found) <= _LOST * problem.interval:
-        return found
-    other, upto = y, _FIRST
-    while upto < len(problem.moments):
-        other = _least_gaps(problem, other, upto, prior=_PRIOR_WEIGHT)
-        upto *= 2
-    other = _least_gaps(problem, _least_gaps(problem, other, prior=_PRIOR_WEIGHT), robust=robust)
-    return min(found, other, key=error)
-
-
-def by_gaps_near(problem: Problem, y: Vector) -> Vector:
-    """``y`` of the least gaps near another one: of the first moments, then of all."""
-    first = _least_gaps(problem, y, _FIRST, prior=_PRIOR_WEIGHT, tries=_FEW)
-    return _least_gaps(problem, first, tries=_FEW)
-
-
-def _least_gaps(
-    problem: Problem,
-    y: Vector,
-    upto: int | None = None,
-    *,
-    prior: float = 0.0,
-    robust: bool = False,
-    tries: int = _TRIES,
-) -> Vector:
-    """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values."""
-    n, family, stamps = problem.family.system.n, problem.family, problem.stamps[:upto]
-    low, high = (
-        np.concatenate([np.full(2 * n, end), bound])
-        for end, bound in zip((-np.inf, np.inf), family.bounds, strict=True)
-    )
-    pull = prior * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
-    given = np.concatenate([np.zeros(2 * n), family.nominal])
-    # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
-    shot = lru_cache(1)(lambda y: problem.shot(np.frombuffer(y), stamps))
-    usual = float(np.median(np.abs(problem.shot(y, stamps).gaps)))
-    found = optimize.least_squares(
-        lambda y: np.concatenate([shot(y.tobytes()).gaps, pull @ (y - given)]),
-        np.clip(y, low, high),
-        jac=lambda y: np.vstack([shot(y.tobytes()).by_start, pull]),
-        bounds=(low, high),
-        x_scale=np.concatenate([np.ones(2 * n), family.sizes]),
-        loss="soft_l1" if robust else "linear",
-        f_scale=max(usual, _LEAST),
-        xtol=1e-12,
-        ftol=1e-12,
-        gtol=1e-15,
-        max_nfev=tries,
-    )
-    return np.asarray(found.x)
-
-
-class Directions(NamedTuple):
-    """Directions of initial state and parameters.
-
-    Attributes:
-        determined: those that move the gaps, as columns, shape (2n + p, rank).
-        undetermined: those that move no gap, shape (2n + p, 2n + p - rank).
-        singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
-    """
-
-    determined: Matrix
-    undetermined: Matrix
-    singular: Vector
-
-
-def directions(problem: Problem, shot: Shot) -> Directions:
-    """The directions of ``y`` that the gaps determine, and the others.
-
-    Directions are of unit length where states are in units of the motion's largest, and parameters
-    in units of their sizes. Positions count between impacts too: at them a ball is at its floor.
-    """
-    n = problem.family.system.n
-    reach = np.max(np.abs(shot.states), axis=0)
-    speed = np.max(reach[n:])
-    state = np.repeat([max(np.max(reach[:n]), speed * problem.interval) or 1.0, speed or 1.0], n)
-    units = np.concatenate([state, problem.family.sizes])
-    found, right = linalg.svd(shot.by_start * units)[1:]
-    singular = np.zeros(units.size)
-    singular[: found.size] = found
-    rank = int(np.count_nonzero(singular > RANK * singular[0]))
-    basis = units[:, None] * right.T
-    return Directions(basis[:, :rank], basis[:, rank:], singular)
+    found = solved(problem, y, robust=robust)
+    for _ in range(_WEIGHINGS if problem.sensors else 0):
+        after = problem.weighed_by(found)
+        if after.is_like(problem):
+            break
+        problem, found = after, solved(after, found.y, robust=robust)
+    return problem, found
 
 
 def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
@@ -291,12 +95,18 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
         if converged or length == 0.0:
             break
     step = now.step_within(basis)
-    return Solution(
-        now.y, now.t, now.shot, now.shifts, counted, step.freedom, step.root, converged
+    errors = tuple(
+        each.deviation * deviation(np.sqrt([rows.squares]), freedom)
+        for each, rows, freedom in zip(
+            problem.sensors, now.shot.sensors, step.of_sensors, strict=True
+        )
     )
+    cost = float(np.sum(now.shifts**2)) + now.squares
+    found = now.y, now.t, now.shot, now.shifts
+    return Solution(*found, counted, step.freedom, step.root, converged, errors, cost)
 
 
-def usual_size(shifts: Vector, freedom: int) -> float:
+def usual_size(shifts: Vector, freedom: float) -> float:
     """Standard deviation of a stamp that a few large shifts do not change, s.
 
     As many shifts as there are unknowns can be fitted to zero: the median is that of the others.
@@ -310,18 +120,20 @@ class _Step(NamedTuple):
     """A Gauss-Newton step.
 
     ``t`` are the new instants, s, and ``penalty`` (s^2/m) is that on a gap in the merit function,
-    larger than any multiplier; see ``Solution`` for the others.
+    larger than any multiplier; ``of_sensors`` are the degrees of freedom of the errors of each;
+    see ``Solution`` for the others.
     """
 
     dy: Vector
     t: Vector
     root: Matrix
-    freedom: int
+    freedom: float
     penalty: float
+    of_sensors: tuple[float, ...] = ()
 
     def is_small(self, now: "_Iterate") -> bool:
         """Whether it is small beside the standard errors."""
-        clock = max(_deviation(now.shifts, self.freedom), _LEAST)
+        clock = max(deviation(now.shifts, self.freedom), LEAST)
         size = clock * np.linalg.norm(self.root, axis=1)
         small = np.abs(self.dy) <= _CONVERGED * size + 1e-12 * np.abs(now.y)
         return bool(np.all(small) and np.max(np.abs(self.t - now.t)) <= clock / 10)
@@ -342,13 +154,18 @@ class _Iterate(NamedTuple):
         """Instants minus stamps, s, shape (counted,)."""
         return np.asarray((self.t - self.problem.stamps)[self.counted])
 
+    @property
+    def squares(self) -> float:
+        """Sum of the squared errors of samples, as errors of the clock, s^2."""
+        return sum(rows.squares for rows in self.shot.sensors) * self.problem.clock**2
+
     def weighted(self) -> "_Iterate":
         """The same with smaller weights for shifts that are larger than usual."""
         sizes = np.abs(self.shifts)
         if not np.any(sizes):
             return self
         unknowns = min(self.y.size, sizes.size - 1)
-        usual = max(usual_size(sizes, sizes.size - unknowns) * _CAUCHY, _LEAST)
+        usual = max(usual_size(sizes, sizes.size - unknowns) * _CAUCHY, LEAST)
         return self._replace(weights=1 / np.sqrt(1 + (sizes / usual) ** 2))
 
     def step_within(self, basis: Matrix) -> _Step:
@@ -372,20 +189,38 @@ class _Iterate(NamedTuple):
         A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
         B = shot.by_instant[:, self.counted]
         d = -(shot.gaps - B @ self.shifts)
-        if len(A) < A.shape[1]:
+        seen = [_Seen.of(rows, basis, inserted, self) for rows in shot.sensors]
+        whole = np.vstack([A, *(each.A for each in seen)])
+        if len(whole) < whole.shape[1]:
             raise IdentificationError(
-                f"{len(A)} impacts for {A.shape[1]} unknowns; record longer, or free less"
+                f"{len(whole)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
             )
-        x, e, root = constrained_least_squares(A, B / self.weights, d)
-        e = e / self.weights
+        count, noises = self.counted.size, sum(each.d.size for each in seen)
+        weighed = np.zeros((len(whole), count + noises))
+        weighed[:, :count] = np.vstack([B, *(each.B for each in seen)]) / self.weights
+        weighed[len(A) :, count:] = np.eye(noises)
+        x, errors, root = constrained_least_squares(
+            whole, weighed, np.concatenate([d, *(each.d for each in seen)])
+        )
+        e = errors[:count] / self.weights
         r = basis.shape[1]
         t = self.t.copy()
         t[self.counted] = problem.stamps[self.counted] + e
         t[inserted] += x[r:]
-        multipliers = linalg.lstsq(B.T, 2 * e * self.weights**2)[0]
+        pulled = (weighed[len(A) :, :count] * self.weights).T @ errors[count:]
+        multipliers = linalg.lstsq(B.T, 2 * (e * self.weights**2 - pulled))[0]
         penalty = 2 * float(np.max(np.abs(multipliers), initial=0.0)) + 1e-30
-        freedom = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
-        return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty)
+        freedom: float = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
+        of_sensors: tuple[float, ...] = ()
+        if seen:
+            left = redundancies(whole, weighed)
+            freedom = float(np.sum(left[:count]))
+            parts = np.split(left[count:], np.cumsum([each.d.size for each in seen])[:-1])
+            of_sensors = tuple(
+                float(np.sum(part)) + rows.alone
+                for part, rows in zip(parts, shot.sensors, strict=True)
+            )
+        return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty, of_sensors)
 
     def towards(self, step: _Step) -> tuple["_Iterate", float]:
         """The first of 1, 1/2, 1/4 .. of ``step`` that lowers the merit function, and which."""
@@ -403,28 +238,23 @@ class _Iterate(NamedTuple):
         return self, 0.0
 
     def merit(self, penalty: float) -> float:
-        """Sum of the squared shifts, and of the gaps with their penalty."""
-        return float(
-            np.sum((self.weights * self.shifts) ** 2) + penalty * np.sum(np.abs(self.shot.gaps))
-        )
+        """Sum of the squared shifts and errors, and of the gaps with their penalty."""
+        own = float(np.sum((self.weights * self.shifts) ** 2))
+        return own + self.squares + penalty * float(np.sum(np.abs(self.shot.gaps)))
 
 
-def constrained_least_squares(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, Vector, Matrix]:
-    """``x`` and the least ``e`` with ``A x + B e = d``.
+class _Seen(NamedTuple):
+    """Rows of a sensor as those of gaps, ``A x + B e + e' = d``; errors ``e'`` are in s.
 
-    Args:
-        A: of full column rank, shape (r, k).
-        B: shape (r, c).
-        d: shape (r,).
-
-    Returns:
-        ``x``, ``e``, and how far each of ``e`` moves ``x``, shape (k, c): a root of the covariance
-        of ``x`` where that of ``e`` is one.
+    The ``e`` are shifts; see ``constrained_least_squares``.
     """
-    k = A.shape[1]
-    Q, R = linalg.qr(A)
-    range_of_A, left = Q[:, :k].T, Q[:, k:].T @ B
-    e = linalg.lstsq(left, Q[:, k:].T @ d)[0] if left.size else np.zeros(B.shape[1])
-    free = linalg.null_space(left) if left.size else np.eye(B.shape[1])
-    x = linalg.solve_triangular(R[:k], range_of_A @ (d - B @ e))
-    return x, e, linalg.solve_triangular(R[:k], range_of_A @ B @ free) @ free.T
+
+    A: Matrix
+    B: Matrix
+    d: Vector
+
+    @classmethod
+    def of(cls, rows: Rows, basis: Matrix, inserted: Sequence[int], now: _Iterate) -> "_Seen":
+        clock, B = now.problem.clock, rows.by_instant[:, now.counted]
+        A = np.hstack([rows.by_start @ basis, rows.by_instant[:, inserted]])
+        return cls(clock * A, clock * B, clock * (rows.residual + B @ now.shifts))

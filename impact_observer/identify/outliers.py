@@ -26,7 +26,8 @@ from scipy import linalg
 from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
-from impact_observer.identify.least_squares import Problem, Solution, usual_size
+from impact_observer.identify.least_squares import usual_size
+from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Hit, Recording
 from impact_observer.model import System
 from impact_observer.observer import Observer, initial_state, law_named, replay
@@ -50,7 +51,7 @@ _SEARCHED = 0.01
 _PRECISION = 1e-7
 """Largest depth of a penetration that is rounding, relative to the motion."""
 _SAMPLES = 24
-"""Samples of a motion within a period of the fastest mode."""
+"""CountedSamples of a motion within a period of the fastest mode."""
 _MOST = 2000
 """Most samples between two moments."""
 

@@ -23,14 +23,17 @@ import numpy as np
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Kind
-from impact_observer.identify.least_squares import Problem
 from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.problem import Problem
+from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Vector
 
+NEAR = 4.0
+"""Standard deviations of a stamp within which a sample may be before an impact, or after it."""
 Hit: TypeAlias = tuple[int, int]
 """A stamp, ns, and the index of a contact."""
 
@@ -44,12 +47,18 @@ class Recording:
         rejected: impacts that are rejected as spurious.
         inserted: impacts that are taken for missed.
         state: (q, u) at the start, about, shape (2n,); None where nothing is known of it.
+        sensors: samples of what is measured beside the impacts.
+        clock: standard deviation of a stamp, s, declared or a first guess.
+        is_declared: which of both.
     """
 
     episode: Episode
     rejected: frozenset[Hit] = field(default=frozenset())
     inserted: frozenset[Hit] = field(default=frozenset())
     state: Vector | None = None
+    sensors: tuple[CountedSamples, ...] = ()
+    clock: float = 0.0
+    is_declared: bool = True
 
     @property
     def start(self) -> float:
@@ -97,4 +106,12 @@ class Recording:
             held = phases.independent(change.closed)
             moments.append(FlightEnd(change.t, change.hit, pressed, held, not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
-        return Problem(family, moments, self.start, near)
+        sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
+        return Problem(family, moments, self.start, near, sensors, self.clock, self.is_declared)
+
+    def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:
+        """Samples that are certain to be before or after any impact, which ``lasts`` so many s."""
+        hits = [key.stamp for key in self.episode.keys] + [stamp for stamp, _ in self.inserted]
+        impacts = np.array([seconds_between(self.episode.epoch, s) for s in sorted({*hits})])
+        margin = NEAR * self.clock
+        return tuple(each.away_from(impacts, margin, lasts) for each in self.sensors)

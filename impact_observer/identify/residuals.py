@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, stats
 
-from impact_observer.identify.least_squares import Solution
+from impact_observer.identify.problem import Solution
 from impact_observer.states import Vector
 
 REJECTED = 1e-3
@@ -60,14 +60,14 @@ class HeldBack(NamedTuple):
     def between(first: Solution, every: Solution) -> "HeldBack":
         """From a fit of the first impacts and one of all."""
         impacts = every.shifts.size - first.shifts.size
-        more = max(float(np.sum(every.shifts**2) - np.sum(first.shifts**2)), 0.0)
+        more = max(every.cost - first.cost, 0.0)
         residual = float(np.sqrt(more / impacts))
         ratio = (residual / max(first.rms, ROUNDED)) ** 2
         probability = float(stats.f.sf(ratio, impacts, max(first.freedom, 1)))
         return HeldBack(impacts, residual, first.rms, probability)
 
 
-def probability_of_size(shifts: Vector, clock: float, freedom: int) -> float:
+def probability_of_size(shifts: Vector, clock: float, freedom: float) -> float:
     """Probability of shifts this large if stamps have the standard deviation ``clock``, s."""
     return float(stats.chi2.sf(np.sum((shifts / clock) ** 2), max(freedom, 1)))
 
@@ -109,14 +109,14 @@ def widening(solution: Solution, clock: float | None) -> float:
 
 def _jackknife(solution: Solution) -> float:
     """The error of a stamp that gives the jackknife's variance in its largest direction, s."""
-    root = solution.root
+    root, count = solution.root, solution.shifts.size
     scale = linalg.norm(root, axis=1, keepdims=True)
     # rows of unit length: the combinations of shifts that the fit takes up
     singular, right = linalg.svd(root / np.where(scale > 0, scale, 1.0), full_matrices=False)[1:]
     taken = right[singular > 1e-12 * singular[0]]
     remain = np.eye(root.shape[1]) - taken.T @ taken
     changes = []
-    for part in np.array_split(np.arange(root.shape[1]), _PARTS):
+    for part in np.array_split(np.arange(count), _PARTS):
         own = linalg.pinvh(remain[np.ix_(part, part)], rtol=_SINGULAR)
         changes.append(taken[:, part] @ own @ solution.shifts[part])
     largest = linalg.norm(np.array(changes), 2) if taken.size else 0.0

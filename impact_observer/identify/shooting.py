@@ -21,6 +21,7 @@ import numpy as np
 
 from impact_observer.identify.general_motion import GeneralMotion, is_general
 from impact_observer.identify.motion import EquationsOfMotion, FlightEnd
+from impact_observer.identify.sensor_rows import CountedSamples, RowMaker, Rows
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
@@ -35,6 +36,7 @@ class Shot(NamedTuple):
         by_instant: derivatives with respect to the instants, shape (hits, moments).
         moment: index of each hit's moment, shape (hits,).
         states: (q, u) just after each moment, shape (moments, 2n).
+        sensors: rows of what is measured beside the impacts.
     """
 
     gaps: Vector
@@ -43,6 +45,7 @@ class Shot(NamedTuple):
     by_instant: Matrix
     moment: np.ndarray
     states: Matrix
+    sensors: tuple[Rows, ...] = ()
 
 
 def equations_of(family: ParametricFamily, values: Vector) -> EquationsOfMotion:
@@ -54,7 +57,13 @@ def equations_of(family: ParametricFamily, values: Vector) -> EquationsOfMotion:
 
 
 def shoot(
-    family: ParametricFamily, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
+    family: ParametricFamily,
+    start: Vector,
+    moments: Sequence[FlightEnd],
+    t: Vector,
+    t0: float,
+    *,
+    samples: Sequence[CountedSamples] = (),
 ) -> Shot:
     """The motion that is switched at the instants ``t``, and its gaps there.
 
@@ -64,12 +73,16 @@ def shoot(
         moments: the contacts that switch.
         t: their instants, ascending, s since the epoch, shape (moments,).
         t0: where the initial state holds, s since the epoch.
+        samples: of each sensor beside the impacts.
     """
     n = family.system.n
     equations = equations_of(family, start[2 * n :])
     z, Z = equations.start(start[: 2 * n], moments, t, t0)
     W, d = family.system.W, start.size
     states = np.zeros((len(moments), 2 * n))
+    maker = RowMaker(family, start[2 * n :], samples, t) if samples else None
+    if maker:
+        maker.flight(-1, t0, z[: 2 * n], Z[: 2 * n], ())
     rows: list[tuple[float, float, Vector, int]] = []
     for k, moment in enumerate(moments):
         before = moments[k - 1].held if k else ()
@@ -87,6 +100,8 @@ def shoot(
         else:
             z, Z = equations.jumped(z, Z, moment)
         states[k] = z[: 2 * n]
+        if maker:
+            maker.flight(k, float(t[k]), states[k], Z[: 2 * n], moment.held)
     table = np.array([row[2] for row in rows]).reshape(len(rows), d + len(moments))
     return Shot(
         np.array([row[0] for row in rows]),
@@ -95,4 +110,5 @@ def shoot(
         table[:, d:],
         np.array([row[3] for row in rows], dtype=int),
         states,
+        maker.rows(len(moments)) if maker else (),
     )

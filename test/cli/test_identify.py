@@ -130,6 +130,39 @@ def test_a_clock_error_that_makes_outliers_is_named(
     assert "times the declared clock error" in said
 
 
+@pytest.mark.usefixtures("in_tmp_path")
+def test_samples_of_sensors_make_standard_errors_smaller(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Ten seconds of a rig with an encoder; a topic that is missing is one line."""
+    made = ["simulate", "two_mass", "--duration", "10", "--seed", "1", "--jitter", "0.001"]
+    assert main([*made, "--measurements", "encoder", "-o", "rig"]) == 0
+    words = ["identify", "rig", "--free", "restitution", "--clock-error", "0.001"]
+    words.append("--trust-events")
+    errors = []
+    for more in ([], ["--measurements", "encoder"]):
+        capsys.readouterr()
+        assert main([*words, *more, "--json"]) == 0
+        results = json.loads(capsys.readouterr().out)
+        found = results["parameters"]["restitution.stop"]
+        assert abs(found["value"] - 0.7) < 4 * found["standard_error"]
+        errors.append(found["standard_error"])
+    assert errors[1] < errors[0] / 10
+    (sensor,) = results["sensors"]
+    assert sensor["rms"] == pytest.approx(sensor["deviation"], rel=0.2)
+    assert sensor["fits"]
+    assert main([*words, "--measurements", "encoder"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{sensor['samples']} samples of encoder differ from the motion by" in said
+    other = Path("other.yaml")
+    text = "measurements: [{name: e, topic: /none, field: x, position: {x1: 1}, deviation: 1}]"
+    other.write_text(text, encoding="utf-8")
+    assert main([*words, "--measurements", str(other)]) == 1
+    error = capsys.readouterr().err
+    assert "no topic /none" in error
+    assert len(error.splitlines()) == 1
+
+
 @pytest.mark.slow
 def test_check_ends_with_1_where_the_model_does_not_fit(
     model: Path, capsys: pytest.CaptureFixture[str]

@@ -24,10 +24,10 @@ from systems import EPOCH, Harmonic, event, forcing, run, sample, system
 
 from impact_observer.errors import IdentificationError
 from impact_observer.events import ImpactEvent
+from impact_observer.identify.constrained import constrained_least_squares
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_picture import fit_picture
 from impact_observer.identify.identification import Identification, identify
-from impact_observer.identify.least_squares import constrained_least_squares
 from impact_observer.identify.model_edit import changes
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family

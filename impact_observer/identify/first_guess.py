@@ -1,0 +1,173 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where a fit begins: the motion of the least gaps at the stamps, and what these determine.
+
+The search is linear in the initial state, so nobody has to guess one.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, optimize
+
+from impact_observer.identify.problem import LEAST, Problem
+from impact_observer.identify.shooting import Shot
+from impact_observer.states import Matrix, Vector
+
+RANK = 1e-9
+"""Singular value that counts as zero, relative to the largest: the limit of stamps of 1 ns."""
+_LOST = 0.02
+"""Error of the instants, relative to the time between two, above which a fit is tried again."""
+_TRIES = 40
+"""Most evaluations of one search for the least gaps; ten are usual."""
+_FEW = 12
+"""The same where the search begins near the answer."""
+_PRIOR_WEIGHT = 0.03
+"""Weight of the prior on the parameters in the first search, m for an error of their size."""
+_FAR = 3.0
+"""Distance of a model's own impacts from the stamps, in times between two, that is too far."""
+_FIRST = 8
+"""Moments that the second try begins with."""
+
+
+def start_of(problem: Problem) -> Vector:
+    """A first guess of ``y``: the given parameters, the initial state with the smallest gaps."""
+    n = problem.family.system.n
+    y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
+    shot = problem.shot(y)
+    values, by_start = problem.gaps_of(shot, problem.moved(shot))
+    y[: 2 * n] = linalg.lstsq(by_start[:, : 2 * n], -values, cond=RANK)[0]
+    return y
+
+
+def own_impacts(problem: Problem, y: Vector) -> Shot:
+    """The motion of ``y`` switched where its own gaps vanish; at the stamps if that is far away.
+
+    What changes the size of a motion changes its gaps at the stamps, unless they are zero.
+    """
+    at_stamps = shot = problem.shot(y)
+    t = problem.stamps
+    for _ in range(_TRIES):
+        step = linalg.lstsq(shot.by_instant, shot.gaps, cond=RANK)[0]
+        t = t - step
+        if np.max(np.abs(t - problem.stamps)) > _FAR * problem.interval:
+            return at_stamps
+        with np.errstate(over="ignore", invalid="ignore"):
+            shot = problem.shot(y, t)
+        if not (np.all(np.isfinite(shot.gaps)) and np.all(np.isfinite(shot.by_instant))):
+            return at_stamps
+        if np.max(np.abs(step)) <= LEAST * problem.interval:
+            return shot
+    return at_stamps
+
+
+def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
+    """``y`` of the least gaps at the stamps, from all moments or from more and more of them.
+
+    The search begins at ``y``, with a weak prior on the parameters: far from the answer unbounded
+    motions would make small gaps too. If ``robust`` a few gaps may be large.
+    """
+    speed = float(np.linalg.norm(problem.shot(y).speeds))
+
+    def error(y: Vector) -> float:
+        """Gaps at the stamps as an error of the instants, s."""
+        return float(np.linalg.norm(problem.shot(y).gaps) / speed)
+
+    found = _least_gaps(problem, _least_gaps(problem, y, prior=_PRIOR_WEIGHT), robust=robust)
+    if error(found) <= _LOST * problem.interval:
+        return found
+    other, upto = y, _FIRST
+    while upto < len(problem.moments):
+        other = _least_gaps(problem, other, upto, prior=_PRIOR_WEIGHT)
+        upto *= 2
+    other = _least_gaps(problem, _least_gaps(problem, other, prior=_PRIOR_WEIGHT), robust=robust)
+    return min(found, other, key=error)
+
+
+def by_gaps_near(problem: Problem, y: Vector) -> Vector:
+    """``y`` of the least gaps near another one: of the first moments, then of all."""
+    first = _least_gaps(problem, y, _FIRST, prior=_PRIOR_WEIGHT, tries=_FEW)
+    return _least_gaps(problem, first, tries=_FEW)
+
+
+def _least_gaps(
+    problem: Problem,
+    y: Vector,
+    upto: int | None = None,
+    *,
+    prior: float = 0.0,
+    robust: bool = False,
+    tries: int = _TRIES,
+) -> Vector:
+    """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values."""
+    n, family, stamps = problem.family.system.n, problem.family, problem.stamps[:upto]
+    low, high = (
+        np.concatenate([np.full(2 * n, end), bound])
+        for end, bound in zip((-np.inf, np.inf), family.bounds, strict=True)
+    )
+    pull = prior * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
+    given = np.concatenate([np.zeros(2 * n), family.nominal])
+    # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
+    begin = problem.shot(y, stamps)
+    usual, moved = float(np.median(np.abs(begin.gaps))), problem.moved(begin)
+    made = lru_cache(1)(lambda y: problem.gaps_of(problem.shot(np.frombuffer(y), stamps), moved))
+    found = optimize.least_squares(
+        lambda y: np.concatenate([made(y.tobytes())[0], pull @ (y - given)]),
+        np.clip(y, low, high),
+        jac=lambda y: np.vstack([made(y.tobytes())[1], pull]),
+        bounds=(low, high),
+        x_scale=np.concatenate([np.ones(2 * n), family.sizes]),
+        loss="soft_l1" if robust else "linear",
+        f_scale=max(usual, LEAST),
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-15,
+        max_nfev=tries,
+    )
+    return np.asarray(found.x)
+
+
+class Directions(NamedTuple):
+    """Directions of initial state and parameters.
+
+    Attributes:
+        determined: those that move the gaps, as columns, shape (2n + p, rank).
+        undetermined: those that move no gap, shape (2n + p, 2n + p - rank).
+        singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
+    """
+
+    determined: Matrix
+    undetermined: Matrix
+    singular: Vector
+
+
+def directions(problem: Problem, shot: Shot) -> Directions:
+    """The directions of ``y`` that the gaps determine, and the others.
+
+    Directions are of unit length where states are in units of the motion's largest, and parameters
+    in units of their sizes. Positions count between impacts too: at them a ball is at its floor.
+    """
+    n = problem.family.system.n
+    reach = np.max(np.abs(shot.states), axis=0)
+    speed = np.max(reach[n:])
+    state = np.repeat([max(np.max(reach[:n]), speed * problem.interval) or 1.0, speed or 1.0], n)
+    units = np.concatenate([state, problem.family.sizes])
+    found, right = linalg.svd(problem.gaps_of(shot, problem.moved(shot))[1] * units)[1:]
+    singular = np.zeros(units.size)
+    singular[: found.size] = found
+    rank = int(np.count_nonzero(singular > RANK * singular[0]))
+    basis = units[:, None] * right.T
+    return Directions(basis[:, :rank], basis[:, rank:], singular)

@@ -1,0 +1,149 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A recording that a motion is to explain, and what explains it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.identify.motion import FlightEnd
+from impact_observer.identify.sensor_rows import CountedSamples
+from impact_observer.identify.shooting import Shot, shoot
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.states import Matrix, Vector
+
+LEAST = 1e-9
+"""Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
+_KNOWN = 0.02
+"""Change of a deviation that is small, relative to itself."""
+
+
+class Problem(NamedTuple):
+    """A recording and the systems that may explain it.
+
+    Attributes:
+        family: the systems.
+        moments: the recorded impacts, closings and openings, in order.
+        start: where the initial state holds, s since the epoch.
+        near: initial state and parameters to begin with, shape (2n + p,); None for none.
+        sensors: samples of what is measured beside the impacts.
+        clock: standard deviation of a stamp, s, by which samples are weighed.
+        is_declared: whether that is declared; else the shifts show it.
+    """
+
+    family: ParametricFamily
+    moments: Sequence[FlightEnd]
+    start: float
+    near: Vector | None = None
+    sensors: tuple[CountedSamples, ...] = ()
+    clock: float = 0.0
+    is_declared: bool = True
+
+    @property
+    def stamps(self) -> Vector:
+        """As recorded, s since the epoch, shape (moments,)."""
+        return np.array([each.t for each in self.moments])
+
+    @property
+    def interval(self) -> float:
+        """Median of the time between two moments, s."""
+        return float(np.median(np.diff(self.stamps, prepend=self.start)))
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        """Indices of the moments whose stamps are compared: measured impacts and closings."""
+        return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
+
+    def shot(self, y: Vector, t: Vector | None = None) -> Shot:
+        """The motion of ``y`` switched at ``t``, by default at the stamps.
+
+        At the first of the moments only where ``t`` is shorter, with the samples until the next.
+        """
+        t, sensors = self.stamps if t is None else t, self.sensors
+        if t.size < len(self.moments):
+            end = self.moments[t.size].t
+            sensors = tuple(each.which(each.t < end) for each in sensors)
+        return shoot(self.family, y, self.moments[: t.size], t, self.start, samples=sensors)
+
+    def moved(self, shot: Shot) -> float:
+        """How far contacts move in one standard deviation of the clock, m."""
+        return self.clock * (float(np.sqrt(np.mean(shot.speeds**2))) or 1.0)
+
+    def gaps_of(self, shot: Shot, usual: float) -> tuple[Vector, Matrix]:
+        """What should vanish, and its derivatives by initial state and parameters.
+
+        The gaps, and errors of samples: one of a standard deviation is a gap of ``usual``, m.
+        """
+        values = [shot.gaps, *(-usual * rows.residual for rows in shot.sensors)]
+        by_start = [shot.by_start, *(usual * rows.by_start for rows in shot.sensors)]
+        return np.concatenate(values), np.vstack(by_start)
+
+    def weighed_by(self, found: "Solution") -> "Problem":
+        """The same, with the deviations of clock and sensors that a solution has shown."""
+        sensors = tuple(
+            each._replace(deviation=rms) if each.is_learned and rms > 0 else each
+            for each, rms in zip(self.sensors, found.errors, strict=True)
+        )
+        clock = self.clock if self.is_declared else max(found.rms, LEAST)
+        return self._replace(sensors=sensors, clock=clock)
+
+    def is_like(self, other: "Problem") -> bool:
+        """Whether its deviations are nearly those of another."""
+        mine, theirs = (
+            np.array([p.clock, *(each.deviation for each in p.sensors)]) for p in (self, other)
+        )
+        return bool(np.all(np.abs(mine - theirs) <= _KNOWN * theirs))
+
+
+class Solution(NamedTuple):
+    """A motion that explains the recorded instants.
+
+    Attributes:
+        y: initial state (q, u) and parameters, shape (2n + p,).
+        t: instants, s since the epoch, shape (moments,).
+        shot: the motion.
+        shifts: instants minus stamps, s, of the moments that count, shape (counted,).
+        counted: indices of these moments.
+        freedom: degrees of freedom of the shifts.
+        root: how far an error of each stamp, and of samples in its unit, moves ``y``, shape
+            (2n + p, any): ``root root^T`` times the variance of a stamp is the covariance of
+            ``y``. The stamps come first.
+        converged: whether the steps converged.
+        errors: estimated standard deviations of the noise of the sensors, each in its unit.
+        cost: sum of the squared shifts and errors, the latter as those of the clock, s^2.
+    """
+
+    y: Vector
+    t: Vector
+    shot: Shot
+    shifts: Vector
+    counted: NDArray[np.int64]
+    freedom: float
+    root: Matrix
+    converged: bool
+    errors: tuple[float, ...] = ()
+    cost: float = 0.0
+
+    @property
+    def rms(self) -> float:
+        """Estimated standard deviation of a stamp, s."""
+        return deviation(self.shifts, self.freedom)
+
+
+def deviation(shifts: Vector, freedom: float) -> float:
+    """The estimated standard deviation of ``shifts`` with so many degrees of freedom."""
+    return float(np.sqrt(np.sum(shifts**2) / max(freedom, 1)))

@@ -1,0 +1,301 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What sensors measure beside the impacts, as further rows of a fit.
+
+Between two moments a motion depends on the state after the first of them, its instant, and the
+parameters. So all samples of a flight are a few rows on these, triangulated (Golub and Van Loan,
+Matrix computations, section 5.3), and what no unknown changes is a sum of squares.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.readings import DeclaredSensor, sensors_of
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.model.free_parameters import OFFSET
+from impact_observer.model.measurement import Measurement
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.observer.samples import SensorSample
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Matrix, Vector
+
+_STEP = 1e-6
+"""Step of a difference by a parameter, relative to its size; of a guided motion by its start."""
+_USUAL = 1.4826
+"""Standard deviation over median of the magnitudes of normal numbers."""
+
+
+class CountedSamples(NamedTuple):
+    """Samples of one sensor that count in a fit.
+
+    Attributes:
+        sensor: its declaration.
+        t: s since the epoch, ascending, shape (samples,).
+        values: as measured, less what moving grounds add, shape (samples,).
+        deviation: of its noise, in the unit of the values; where it is learned, as it is known.
+        near: how many were left out, as they are near impacts.
+        rejected: how many were left out by the gate.
+    """
+
+    sensor: Measurement
+    t: Vector
+    values: Vector
+    deviation: float
+    near: int = 0
+    rejected: int = 0
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether its deviation is to be learned."""
+        return self.sensor.deviation is None
+
+    def which(self, kept: NDArray[np.bool_]) -> "CountedSamples":
+        """Some of them."""
+        return self._replace(t=self.t[kept], values=self.values[kept])
+
+    def away_from(self, impacts: Vector, margin: float, lasts: float) -> "CountedSamples":
+        """Those farther than ``margin`` from ``impacts``, which last and blank for a while, s."""
+        after = max(margin, lasts, self.sensor.blanking)
+        i = np.searchsorted(impacts, self.t, side="right")
+        ago = self.t - np.append(-np.inf, impacts)[i]
+        until = np.append(impacts, np.inf)[i] - self.t
+        kept = (ago > after) & (until > margin)
+        return self.which(kept)._replace(near=self.near + int(np.sum(~kept)))
+
+    def within_gate(self, errors: Vector) -> "CountedSamples":
+        """Those whose ``errors`` are not beyond the gate, nor much larger than usual."""
+        usual = max(self.deviation, _USUAL * float(np.median(np.abs(errors))))
+        kept = np.abs(errors) <= self.sensor.gate * usual
+        return self.which(kept)._replace(rejected=self.rejected + int(np.sum(~kept)))
+
+
+class Rows(NamedTuple):
+    """The samples of one sensor, linearised about a motion; in units of its deviation.
+
+    Attributes:
+        by_start: derivatives of what is expected by initial state and parameters, (k, 2n + p).
+        by_instant: by the instants of the moments, shape (k, moments).
+        residual: samples less what is expected, in the directions of the rows, shape (k,).
+        rest: sum of the squares that no unknown changes.
+        errors: of all samples, less what is expected, in the unit of the sensor, (samples,).
+    """
+
+    by_start: Matrix
+    by_instant: Matrix
+    residual: Vector
+    rest: float
+    errors: Vector
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squares of all errors."""
+        return float(self.residual @ self.residual) + self.rest
+
+    @property
+    def alone(self) -> int:
+        """Number of errors that no unknown changes."""
+        return self.errors.size - self.residual.size
+
+
+def used_samples(
+    family: ParametricFamily,
+    measurements: Sequence[Measurement],
+    samples: Sequence[SensorSample],
+    epoch: int,
+    within: tuple[int, int],
+) -> tuple[CountedSamples, ...]:
+    """The samples of each sensor ``within`` two stamps (ns), for a fit of ``family``.
+
+    Raises:
+        UsageError: a sensor or a parameter is of a kind that does not go with the other; the
+            system does not have what is measured; a sensor is declared to be exact.
+    """
+    found = []
+    for i, sensor in enumerate(sensors_of(measurements, family.system)):
+        given = sensor.measurement
+        _check(family, sensor)
+        own = [s for s in samples if s.sensor == i and within[0] <= s.stamp <= within[1]]
+        own.sort(key=lambda s: s.stamp)
+        instants = np.array([s.stamp - epoch for s in own], dtype=np.int64)
+        values = np.array([s.value for s in own], dtype=float)
+        finite = np.isfinite(values)
+        values = values[finite] - sensor.shifts(instants[finite])
+        spread = float(np.std(values)) if values.size else 0.0
+        deviation = given.deviation or max(spread, np.finfo(float).tiny)
+        found.append(CountedSamples(given, instants[finite] / NS_PER_S, values, deviation))
+    return tuple(found)
+
+
+def _check(family: ParametricFamily, sensor: DeclaredSensor) -> None:
+    given = sensor.measurement
+    if given.is_exact:
+        raise given.wrong("deviation", "0 found; identify needs a positive number, or learn")
+    if sensor.is_dynamic and family.system.guides:
+        problem = "cannot be used by identify where guides rub; leave this sensor out"
+        raise given.wrong("acceleration", problem)
+    grounds = [name for name in family.names if name.startswith("ground-")]
+    if grounds and not given.gap:
+        raise UsageError(
+            f"parameter {grounds[0]!r}: moves the coordinates that {given.name} measures; expected"
+            " others, or sensors of gaps alone"
+        )
+
+
+class RowMaker:
+    """Collects the rows of samples while a motion is made, flight by flight."""
+
+    def __init__(
+        self,
+        family: ParametricFamily,
+        values: Vector,
+        every: Sequence[CountedSamples],
+        moments: Vector,
+    ) -> None:
+        """Rows for parameter ``values``, shape (p,).
+
+        ``moments`` are where flights end, s since the epoch.
+        """
+        self._n, self._every, self._values = family.system.n, every, values
+        self._offset = family.names.index(OFFSET) if OFFSET in family.names else None
+        self._here = _Expected(family.system_at(values), every)
+        self._aside = [*_asides(family, values, every)]
+        times = self._late([each.t for each in every], values)
+        self._place = [np.searchsorted(moments, each, side="right") for each in times]
+        self._found: list[list[tuple[Matrix, Vector, float]]] = [[] for _ in every]
+        self._errors = [np.zeros(each.t.size) for each in every]
+
+    def flight(self, k: int, t: float, x: Vector, X: Matrix, closed: Contacts) -> None:
+        """The samples of a flight from ``t``, s since the epoch.
+
+        It begins at the state ``x``, shape (2n,), just after the moment ``k``, at the start for
+        -1. ``X`` are the derivatives of this state by initial state, parameters and instants.
+        """
+        places = [np.flatnonzero(place == k + 1) for place in self._place]
+        if not any(place.size for place in places):
+            return
+        n2, p = 2 * self._n, self._values.size
+        times = [each.t[place] for each, place in zip(self._every, places, strict=True)]
+        now = self._here.values(t, x, self._late(times, self._values), closed)
+        columns = self._columns(t, x, times, closed)
+        rate = self._here.moving.rate_of(t, x, closed)
+        for s, (each, place) in enumerate(zip(self._every, places, strict=True)):
+            if not place.size:
+                continue
+            errors = each.values[place] - now[s]
+            self._errors[s][place] = errors
+            table = np.column_stack([columns[s], errors])
+            table, rest = _triangular(table / each.deviation)
+            by = table[:, :n2] @ X
+            by[:, n2 : n2 + p] += table[:, n2 : n2 + p]
+            if k >= 0:
+                by[:, n2 + p + k] -= table[:, :n2] @ rate
+            self._found[s].append((by, table[:, -1], rest))
+
+    def _columns(
+        self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
+    ) -> list[Matrix]:
+        """Derivatives of what sensors measure at ``times`` by the state at ``t`` and parameters.
+
+        One of shape (samples, 2n + p) for each sensor.
+        """
+        n2 = x.size
+        found = [np.zeros((each.size, n2 + self._values.size)) for each in times]
+        step, late = self._here.step, self._late(times, self._values)
+        for i, aside in enumerate(step * np.eye(n2)):
+            more = self._here.values(t, x + aside, late, closed)
+            less = self._here.values(t, x - aside, late, closed)
+            for table, one, other in zip(found, more, less, strict=True):
+                table[:, i] = (one - other) / (2 * step)
+        for j, (above, below, high, low) in self._aside:
+            more = above.values(t, x, self._late(times, high), closed)
+            less = below.values(t, x, self._late(times, low), closed)
+            for table, one, other in zip(found, more, less, strict=True):
+                table[:, n2 + j] = (one - other) / (high[j] - low[j])
+        return found
+
+    def _late(self, times: Sequence[Vector], values: Vector) -> list[Vector]:
+        """``times`` by the clock of the impacts, whose offset may be among the parameters."""
+        late = 0.0 if self._offset is None else float(values[self._offset])
+        return [each + late for each in times]
+
+    def rows(self, moments: int) -> tuple[Rows, ...]:
+        """What was found, one for each sensor."""
+        found, first = [], 2 * self._n + self._values.size
+        for parts, errors in zip(self._found, self._errors, strict=True):
+            table, rest = np.zeros((0, first + moments + 1)), 0.0
+            if parts:
+                table = np.vstack([np.column_stack([by, left]) for by, left, _ in parts])
+                table, rest = _triangular(table)
+                rest += sum(each for *_, each in parts)
+            by_instant = table[:, first:-1]
+            found.append(Rows(table[:, :first], by_instant, table[:, -1], rest, errors))
+        return tuple(found)
+
+
+class _Expected:
+    """What sensors of one system measure."""
+
+    def __init__(self, system: System, every: Sequence[CountedSamples]) -> None:
+        self.moving = MovingSystem(system)
+        self._sensors = sensors_of([each.sensor for each in every], system)
+
+    @property
+    def step(self) -> float:
+        """Of differences by a state: any is exact where no guide rubs."""
+        return _STEP if self.moving.guided else 1.0
+
+    def values(
+        self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
+    ) -> list[Vector]:
+        """At ``times``, s since the epoch, of a motion that begins with ``x`` at ``t``."""
+        motion, found = self.moving.motion(t, x, closed), []
+        for sensor, each in zip(self._sensors, times, strict=True):
+            s = np.maximum(each - t, 0.0) if self.moving.guided else each - t
+            states = motion.states(s) if s.size else np.zeros((0, x.size))
+            found.append(sensor.values(self.moving, each, states, closed))
+        return found
+
+
+def _asides(
+    family: ParametricFamily, values: Vector, every: Sequence[CountedSamples]
+) -> "Sequence[tuple[int, tuple[_Expected, _Expected, Vector, Vector]]]":
+    """Index, systems with more and with less of each parameter that is seen, and their values."""
+    gaps = [family.system.contact_names.index(s.sensor.gap) for s in every if s.sensor.gap]
+    found = []
+    for j, each in enumerate(family.parameters):
+        if not (each.moves or np.any(each.effect.gap[gaps])):
+            continue
+        high, low = values.copy(), values.copy()
+        step = _STEP * each.size
+        high[j], low[j] = min(values[j] + step, each.high), max(values[j] - step, each.low)
+        pair = (_Expected(family.system_at(theta), every) for theta in (high, low))
+        found.append((j, (*pair, high, low)))
+    return found
+
+
+def _triangular(table: Matrix) -> tuple[Matrix, float]:
+    """As many rows as there are unknowns at most, and the sum of squares of what is left."""
+    unknowns = table.shape[1] - 1
+    if len(table) <= unknowns:
+        return table, 0.0
+    factor = linalg.qr(table, mode="r", check_finite=False)[0]
+    return factor[:unknowns], float(factor[unknowns, -1] ** 2)
