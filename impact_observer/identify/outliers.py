@@ -51,7 +51,7 @@ _SEARCHED = 0.01
 _PRECISION = 1e-7
 """Largest depth of a penetration that is rounding, relative to the motion."""
 _SAMPLES = 24
-"""CountedSamples of a motion within a period of the fastest mode."""
+"""Samples of a motion within a period of the fastest mode."""
 _MOST = 2000
 """Most samples between two moments."""
 
