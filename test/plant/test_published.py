@@ -210,3 +210,33 @@ def test_siconos_ball_on_a_moving_plane_is_within_its_steps() -> None:
     np.testing.assert_allclose((q[48], u[48]), (0.717472, -2.3544), atol=1e-9)
     np.testing.assert_allclose((q[59], u[59]), (1.10266081, 7.19211543), atol=9.81 * 0.005)
     np.testing.assert_allclose(q[400], 4.83582431, atol=3 * 10 * 0.005)
+
+
+CAM_FOLLOWER = """
+name: CamFollower
+bodies: [{name: q, mass: 1.221}]
+springs: [{between: [ground, q], stiffness: 1430.8}]
+stops: [{name: s, body: q, limit: 0, side: below, restitution: 0.8}]
+"""
+
+
+def test_siconos_cam_follower_is_within_its_steps() -> None:
+    """CamFollower-Rheonomous.ref of the Siconos tutorials (Apache-2.0, Siconos team): 0.1 ms.
+
+    Its cam is only plotted: the relation of its plugin ends with ``y = q``, and the force is zero,
+    so the stop is still. In CF.ref nothing moves at all. Each of its hits is within a step late.
+    """
+    made = run(parse_model(CAM_FOLLOWER, "c").system, [0.4], [0.4], seconds=1.0)
+    published = {
+        0: (0.0468, -13.69860822, 10.95888658),
+        1: (0.1386, -10.95888718, 8.76710974),
+        2: (0.2304, -8.76710666, 7.01368533),
+        5: (0.5058, -4.48875858, 3.59100686),
+        10: (0.9649, -1.47087469, 1.17669976),
+    }
+    assert len(made.switchings) == 11
+    for k, (t, before, after) in published.items():
+        hit = made.switchings[k]
+        late = t - (hit.instant.stamp - EPOCH) / NS_PER_S
+        assert 0 < late < 1e-4 * (k + 1)
+        assert (hit.before[1], hit.after[1]) == pytest.approx((before, after), rel=1e-5)
