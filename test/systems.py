@@ -43,6 +43,7 @@ from impact_observer.model.grounds import Grounds, motion_of
 from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -339,6 +340,48 @@ def switched(
         except ImpactLawError:
             assume(False)
         yield states, True
+
+
+def beside_its_plant(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) -> int:
+    """Check that V of a replica from ``y`` to a plant from ``x`` never rises; how many switchings.
+
+    Under the true switching; where only guides switch the replica knows nothing of it.
+    """
+    model, t = law.system, 0.0
+    plant = Plant(replace(model, live=None), *np.split(x, 2), epoch=EPOCH)
+    y = law.admissible(y)
+    first = last = distance(model, model.to_frame(np.zeros(1, dtype=np.int64), x[None])[0], y)
+    motion = law.motion(0.0, y, ())
+    closed: tuple[int, ...] = ()
+    for count in range(25):
+        try:
+            switching = plant.next_switching(EPOCH + round(seconds * NS_PER_S))
+        except ImpactLawError:
+            return count
+        if switching is None:
+            return count
+        plant.cross(switching)
+        now = -switching.instant.until(EPOCH)
+        y = motion.state(now - t)
+        size = 1e-9 * (first + 1e-3) + 1e-12 * float(np.max(np.abs(y))) ** 2
+        before = distance(model, switching.before, y)
+        assert before <= last + size
+        last = distance(model, switching.after, y)
+        if switching.contacts or switching.closed != closed:
+            true = switching.before
+            if switching.contacts:
+                try:
+                    y = law.impact(y, switching.contacts, switching.closed)
+                    true = Kinematic(model).impact(true, switching.contacts, switching.closed)
+                except ImpactLawError:
+                    assume(False)
+            closed = switching.closed
+            # Where impacts accumulate the plant leaves out the last of them.
+            cut = distance(model, switching.after, true)
+            last = distance(model, switching.after, y)
+            assert last <= before + size + 2 * np.sqrt(cut * before) + cut
+            t, motion = now, law.motion(now, y, closed)
+    return 25
 
 
 def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:

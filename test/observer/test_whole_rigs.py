@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import (
     EPOCH,
+    beside_its_plant,
     distance,
     examples,
     numbers,
@@ -57,12 +58,12 @@ def stamps(seconds: st.SearchStrategy[float], most: int) -> st.SearchStrategy[li
 
 
 @st.composite
-def rigs(draw: st.DrawFn) -> System:
+def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     """Harmonics, samples, live forces and a drive; stops and guides on grounds that move.
 
     Guides rub, and the restitution of a single contact depends on the speed.
     """
-    model = draw(systems(max_n=3, contacts=(1, 2)))
+    model = draw(systems(max_n=3, contacts=(1, 2), gaps=gaps))
     n, times = model.n, numbers(0.0, 5.0)
     guides = tuple(
         Guide(f"g{i}", w if np.any(w) else np.eye(n)[0], draw(st.integers(1, 16)) / 8)
@@ -117,3 +118,19 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
         now = distance(model, *found)
         assert now <= last + size
         last = now
+
+
+@pytest.mark.slow
+@LAWS
+@examples(12)
+@given(st.data())
+def test_distance_of_a_replica_to_its_plant_never_rises(
+    law: type[ReplicaLaw], data: st.DataObject
+) -> None:
+    """Under the true switching, with all of it at once: by less than 1e-9 of the first."""
+    model = data.draw(rigs(gaps=(0.5, 1.5)))
+    assume(passes_eigenvalue_test(model))
+    x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
+    at_rest = model.to_frame(np.zeros(1, dtype=np.int64), x[None])[0]
+    assume(np.all(model.gap(at_rest[: model.n]) >= 0))
+    beside_its_plant(law(model), x, data.draw(vectors(2 * model.n)))

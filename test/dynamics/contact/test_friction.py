@@ -28,6 +28,7 @@ from scipy.integrate import solve_ivp
 from systems import (
     EPOCH,
     Harmonic,
+    beside_its_plant,
     chain,
     distance,
     estimates,
@@ -49,7 +50,7 @@ from systems import (
 from impact_observer.check.model_check import check_model, largest_kept
 from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import Clutches, Phases, Piecewise
-from impact_observer.errors import ImpactLawError, ModelError, UsageError
+from impact_observer.errors import ModelError, UsageError
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
 from impact_observer.model import System, parse_model
@@ -290,40 +291,7 @@ def test_distance_of_a_replica_to_its_plant_never_rises(
     assume(passes_eigenvalue_test(model))
     x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
     assume(np.all(model.gap(x[: model.n]) >= 0))
-    plant = Plant(model, *np.split(x, 2), epoch=EPOCH)
-    replica, t = law(model), 0.0
-    y = replica.admissible(data.draw(vectors(2 * model.n)))
-    first = last = distance(model, x, y)
-    motion = replica.motion(0.0, y, ())
-    closed: tuple[int, ...] = ()
-    for _ in range(25):
-        try:
-            switching = plant.next_switching(EPOCH + 4 * NS_PER_S)
-        except ImpactLawError:
-            break
-        if switching is None:
-            break
-        plant.cross(switching)
-        now = seconds_of(switching)
-        y = motion.state(now - t)
-        size = 1e-9 * (first + 1e-3) + 1e-12 * float(np.max(np.abs(y))) ** 2
-        before = distance(model, switching.before, y)
-        assert before <= last + size
-        last = distance(model, switching.after, y)
-        if switching.contacts or switching.closed != closed:
-            true = switching.before
-            if switching.contacts:
-                try:
-                    y = replica.impact(y, switching.contacts, switching.closed)
-                    true = Kinematic(model).impact(true, switching.contacts, switching.closed)
-                except ImpactLawError:
-                    assume(False)
-            closed = switching.closed
-            # Where impacts accumulate the plant leaves out the last of them.
-            cut = distance(model, switching.after, true)
-            last = distance(model, switching.after, y)
-            assert last <= before + size + 2 * np.sqrt(cut * before) + cut
-            t, motion = now, replica.motion(now, y, closed)
+    beside_its_plant(law(model), x, data.draw(vectors(2 * model.n)))
 
 
 def test_replica_at_the_plants_state_stays_with_it() -> None:
