@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts, Kind
-from impact_observer.model import Forcing, System
+from impact_observer.model import System
 from impact_observer.states import Vector
 
 
@@ -104,16 +104,17 @@ class ContactChange(NamedTuple):
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
         return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
 
-    def informative(self, held: Contacts, forcing: Forcing) -> Contacts:
+    def informative(self, held: Contacts, system: System) -> Contacts:
         """The contacts whose guard is measured: those that hit, or one alone that opens.
 
         The load of one that opens, among the ``held`` ones, has come down to zero, unless the
-        force jumps.
+        force jumps, or that of a guide that turns.
         """
         if self.hit:
             return self.hit
         opened = self.opened
-        jumps = forcing.sampled is not None and forcing.sampled.hold == "previous"
+        sampled = system.forcing.sampled
+        jumps = bool(system.guides) or (sampled is not None and sampled.jumps)
         return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
 
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:

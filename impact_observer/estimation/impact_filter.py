@@ -371,7 +371,7 @@ class ImpactFilter:
         if change.hit:
             return change.hit
         held = self.members.given.moving.phase(change.before).held
-        return change.informative(held, self.system.forcing)
+        return change.informative(held, self.system)
 
     def _expected(
         self, member: Member, change: ContactChange, contacts: Contacts, view: Joint, about: Joint

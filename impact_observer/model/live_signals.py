@@ -355,4 +355,7 @@ def refused(system: System, what: str) -> None:
     What turns with a drive turns there with its nominal frequency.
     """
     if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
-        raise UsageError(f"{system.name}: {', '.join(names)} arrive live, which {what} cannot use")
+        raise UsageError(
+            f"{system.name}: known only live: {', '.join(names)}, which {what} cannot use; expected"
+            " forces and grounds that are harmonic or sampled"
+        )

@@ -230,7 +230,7 @@ class _Errors:
 
     def informative(self, change: ContactChange) -> Contacts:
         """The contacts that add rows: those that hit, or a single one that opens by itself."""
-        return change.informative(self._phases.independent(change.before), self._system.forcing)
+        return change.informative(self._phases.independent(change.before), self._system)
 
     def cross(self, change: ContactChange) -> Matrix:
         """Propagate to ``change`` and across it.

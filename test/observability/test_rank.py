@@ -336,7 +336,7 @@ def test_contacts_that_open_together_or_by_a_jump_of_the_force_add_nothing() -> 
     closed_then_open = [event_at(1.0, ("c1", Kind.CLOSE)), event_at(2.0, ("c1", Kind.OPEN))]
     found = {}
     for hold in ("previous", "linear"):
-        samples = Samples(np.array([0.0, 9.0]), np.zeros((2, 2)), hold)
+        samples = Samples(np.array([0.0, 9.0]), np.array([[0.0, 0.0], [1.0, 0.0]]), hold)
         force = Forcing(np.zeros(2), np.empty(0), np.empty((0, 2)), np.empty((0, 2)), samples)
         masses = system(
             np.eye(2),

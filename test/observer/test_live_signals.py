@@ -222,7 +222,7 @@ def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], lin
 def test_who_has_no_signals_refuses_the_model() -> None:
     """One line names what arrives live."""
     system = parse_model(RIG, "rig").system
-    line = "rig: motor, base arrive live, which a plant without signals cannot use"
+    line = "rig: known only live: motor, base, which a plant without signals cannot use"
     with pytest.raises(UsageError, match=line):
         Plant(system, *START, epoch=EPOCH)
     with pytest.raises(UsageError, match="which the integrator moreau cannot use"):
