@@ -342,8 +342,8 @@ def switched(
         yield states, True
 
 
-def beside_its_plant(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) -> int:
-    """Check that V of a replica from ``y`` to a plant from ``x`` never rises; how many switchings.
+def largest_rise(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) -> float:
+    """By how much V of a replica from ``y`` to a plant from ``x`` rises beyond rounding at most.
 
     Under the true switching; where only guides switch the replica knows nothing of it.
     """
@@ -353,19 +353,20 @@ def beside_its_plant(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) 
     first = last = distance(model, model.to_frame(np.zeros(1, dtype=np.int64), x[None])[0], y)
     motion = law.motion(0.0, y, ())
     closed: tuple[int, ...] = ()
-    for count in range(25):
+    rise = -np.inf
+    for _ in range(25):
         try:
             switching = plant.next_switching(EPOCH + round(seconds * NS_PER_S))
         except ImpactLawError:
-            return count
+            break
         if switching is None:
-            return count
+            break
         plant.cross(switching)
         now = -switching.instant.until(EPOCH)
         y = motion.state(now - t)
         size = 1e-9 * (first + 1e-3) + 1e-12 * float(np.max(np.abs(y))) ** 2
         before = distance(model, switching.before, y)
-        assert before <= last + size
+        rise = max(rise, before - last - size)
         last = distance(model, switching.after, y)
         if switching.contacts or switching.closed != closed:
             true = switching.before
@@ -379,9 +380,9 @@ def beside_its_plant(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) 
             # Where impacts accumulate the plant leaves out the last of them.
             cut = distance(model, switching.after, true)
             last = distance(model, switching.after, y)
-            assert last <= before + size + 2 * np.sqrt(cut * before) + cut
+            rise = max(rise, last - before - size - 2 * np.sqrt(cut * before) - cut)
             t, motion = now, law.motion(now, y, closed)
-    return 25
+    return float(rise)
 
 
 def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:
