@@ -132,7 +132,7 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
     """What became of the samples of each sensor, and the deviations that were learned."""
     learned = observer.learned_deviations
     for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
-        kinds = ("accepted", "rejected", "unused", "invalid")
+        kinds = ("accepted", "rejected", "unused", "invalid", "dropped")
         found = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
         line = f"{sensor.name}: {counts['samples']} samples: {found or 'none used yet'}"
         if sensor.name in learned:

@@ -137,8 +137,6 @@ def plot(
             )
         progress.show(f"drawing {output}")
         if output.suffix.lower() in PAGES:
-            if measurements:
-                progress.line("warning: a page has no dots of samples; a picture has")
             write_page(recording, output)
         else:
             about = f"{recording.name}: {bag.name}".removeprefix(": ")

@@ -50,8 +50,8 @@ class SampleStream:
     Attributes:
         sensors: whose samples.
         waiting: those that are not in the timeline yet.
-        counts: of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate, ``unused`` and
-            ``invalid``.
+        counts: of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate, ``unused``,
+            ``invalid``, and ``dropped`` as too many were waiting.
         newest: the latest stamp of each sensor, ns; 0 before the first.
         verdicts: that nobody has taken yet.
     """
@@ -78,6 +78,8 @@ class SampleStream:
                 continue
             self.newest[sensor] = max(self.newest[sensor], stamp)
             key = EventKey.measured(stamp, sensor, float(value))
+            if len(self.waiting) == MOST_KEPT:
+                self.counts[self.waiting[0].sensor]["dropped"] += 1
             self.waiting.append(key)
             self._recent.append(key)
 

@@ -27,7 +27,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage
 from impact_observer.observer import Observer
-from impact_observer.observer.samples import SensorSample
+from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.options import AUTO, NONE
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -85,6 +85,7 @@ class SensorIntake:
         self._subscriptions: dict[str, Subscription] = {}
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
+        self._lost = [0] * len(self._sensors)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -207,12 +208,16 @@ class SensorIntake:
             silence = f"no sample for {age:.3g} s" if newest else "no sample yet"
             level = DiagnosticStatus.WARN
             message = f"{silence}; timeout is {declared.timeout:g} s"
+        elif lost := counts["dropped"] - self._lost[index]:
+            self._lost[index] += lost
+            level = DiagnosticStatus.WARN
+            message = f"{lost} samples were dropped: more than {MOST_KEPT} waited to be used"
         elif new:
             level, message = DiagnosticStatus.WARN, f"{new} samples were rejected"
         values = {
             "topic": topic,
             **{kind: counts[kind] for kind in ("samples", "accepted", "rejected", "unused")},
-            "invalid": counts["invalid"],
+            **{kind: counts[kind] for kind in ("invalid", "dropped")},
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
         }

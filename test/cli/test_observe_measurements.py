@@ -312,7 +312,7 @@ def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
     assert ends[1][0] != ends[1][1]
 
 
-@pytest.mark.parametrize("command", ["smooth", "identify"])
+@pytest.mark.parametrize("command", ["smooth"])
 def test_what_uses_impacts_alone_says_so_by_one_line(
     command: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

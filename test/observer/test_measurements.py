@@ -48,7 +48,7 @@ from impact_observer.events import ImpactEvent, Kind, MeasurementVerdict
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, law_named, make_observer
-from impact_observer.observer.samples import SensorSample
+from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.plant import Run, simulate
 from impact_observer.stamps import NS_PER_S
 
@@ -521,6 +521,18 @@ def test_samples_wait_for_the_epoch_and_are_used_then() -> None:
         later.receive(each)
     later.measure(samples[20:])
     np.testing.assert_array_equal(x_of(later, at(3.0)), x_of(given, at(3.0)))
+
+
+def test_samples_that_are_too_many_to_wait_are_counted() -> None:
+    """The oldest go; the counts of all sensors say how many."""
+    model, whole = truth("two_mass", 3.0)
+    sensors = [encoder(), encoder("x2")]
+    observer = watcher(model, "geometric", whole.states[0], sensors, epoch=0)
+    observer.measure([SensorSample(0, at(k * 1e-3), 0.0) for k in range(10)])
+    observer.measure([SensorSample(1, at(k * 1e-3), 0.0) for k in range(MOST_KEPT - 3)])
+    observer.measure([SensorSample(1, at(60.0), 0.0)])
+    assert [counts["dropped"] for counts in observer.samples.counts] == [8, 0]
+    assert len(observer.samples.waiting) == MOST_KEPT
 
 
 def test_a_new_episode_uses_the_samples_that_follow_it() -> None:

@@ -72,6 +72,14 @@ def _content(recording: PlotContent) -> dict[str, Any]:
                 }
                 for each in recording.series
             ],
+            "dots": [
+                {
+                    "name": printable(each.name),
+                    "t": _numbers(each.seconds, 9),
+                    "y": _rounded(each.values),
+                }
+                for each in recording.dots.get(quantity.name, ())
+            ],
         }
         for column, quantity in enumerate(recording.quantities)
     ]
@@ -145,6 +153,8 @@ data.rows.forEach((row) => row.marks.forEach((each) => {
     named.add(each.what);
   }
 }));
+const sensors = new Set(data.panels.flatMap((panel) => panel.dots.map((each) => each.name)));
+if (sensors.size) legend.append(span("\\u2022 samples: " + [...sensors].join(", "), "#111"));
 const thinned = data.series.filter((each) => each.kept < each.samples);
 note.textContent = "Time in s since the epoch; shaded: two standard deviations."
   + " Wheel: zoom. Drag: move. Double click: all."
@@ -203,7 +213,7 @@ function drawStrip() {
 const panels = data.panels.map((panel) => [panel, canvas(170, panel.label)]);
 function range(panel) {
   let low = Infinity, high = -Infinity;
-  panel.curves.forEach(({ t, y }) => {
+  [...panel.curves, ...panel.dots].forEach(({ t, y }) => {
     for (let i = Math.max(first(t, from) - 1, 0); i < t.length; i++) {
       low = Math.min(low, y[i]);
       high = Math.max(high, y[i]);
@@ -266,6 +276,11 @@ function drawPanel([panel, made]) {
     if (at !== null && t.length)
       readings.push(label + " " + values[near].toPrecision(6)
         + (d.length ? " \\u00b1 " + d[near].toPrecision(2) : ""));
+  });
+  pen.fillStyle = "#111";
+  panel.dots.forEach(({ t, y: values }) => {
+    for (let i = first(t, from); i < t.length && t[i] <= to; i++)
+      pen.fillRect(x(t[i], w) - 1, y(values[i]) - 1, 2, 2);
   });
   if (at !== null) {
     Object.assign(pen, { strokeStyle: "#888", lineWidth: 1, textAlign: "left" });

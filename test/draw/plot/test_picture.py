@@ -28,7 +28,7 @@ from impact_observer.draw.plot.impact_marks import Mark
 from impact_observer.draw.plot.page import write_page
 from impact_observer.draw.plot.picture import MOST_ROWS, mark_rows_of, recording_picture
 from impact_observer.draw.plot.quantities import quantities_of
-from impact_observer.draw.plot.series import PlotContent, Series
+from impact_observer.draw.plot.series import Dots, PlotContent, Series
 from impact_observer.events import Ruling
 
 SECONDS = np.linspace(0.0, 2.0, 21)
@@ -137,6 +137,18 @@ def test_page_has_the_numbers_and_needs_nothing_else(
     assert data["panels"][0]["curves"][1]["d"] == [200.0] * 21
     assert [each["t"] for each in data["rows"][0]["marks"]] == [[0.5, 1.0], [1.5]]
     assert "http" not in text
+
+
+def test_page_has_the_samples_of_sensors_as_dots(page_of: Callable[[PlotContent], str]) -> None:
+    """In the panel of what they measure, with the sensor's name in the legend."""
+    quantity = recording().quantities[1].name
+    samples = Dots("encoder", np.array([0.5, 1.0]), np.array([0.25, -3.0]))
+    text = page_of(recording(dots={quantity: (samples,)}))
+    found = re.search(r"const data = (\{.*\});\n", text)
+    assert found is not None
+    panels = json.loads(found[1])["panels"]
+    assert [each["dots"] for each in panels[:1] + panels[2:]] == [[], [], []]
+    assert panels[1]["dots"] == [{"name": "encoder", "t": [0.5, 1.0], "y": [0.25, -3.0]}]
 
 
 def test_names_cannot_end_the_script_of_the_page(page_of: Callable[[PlotContent], str]) -> None:
