@@ -34,7 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from impact_observer.estimation.square_root import triangular
 from impact_observer.states import Matrix, Vector
+
+_NOTHING = np.zeros(0)
 
 
 class Step(NamedTuple):
@@ -48,6 +51,7 @@ class Step(NamedTuple):
         y: shape (k,).
         V: shape (k, any), of rank k unless ``H`` and the prior make the innovation's covariance
             regular.
+        density: what the evidence has besides, such as the logarithm of a factor of units.
     """
 
     A: Matrix
@@ -56,6 +60,7 @@ class Step(NamedTuple):
     H: Matrix
     y: Vector
     V: Matrix
+    density: float = 0.0
 
     @classmethod
     def unmeasured(cls, A: Matrix, b: Vector, N: Matrix | None = None) -> "Step":
@@ -145,7 +150,7 @@ class Chain:
         for block in blocks:
             state = kept[-1]
             for k in block:
-                state, _, density = _filtered(state, self.step(k))
+                state, density = _filtered(state, self.step(k))
                 self.evidence += density
             kept.append(state)
         d = kept[-1].mean.size
@@ -153,7 +158,7 @@ class Chain:
         for before, block in zip(reversed(kept[:-1]), reversed(blocks), strict=True):
             states, turns = [before], list[_Turn]()
             for k in block:
-                state, turn, _ = _filtered(states[-1], self.step(k))
+                state, turn = _turned(states[-1], self.step(k))
                 states.append(state)
                 turns.append(turn)
             for k, state, turn in zip(
@@ -169,32 +174,55 @@ def _given(state: Normal, errors: Normal) -> Normal:
     return Normal(state.mean + state.root @ errors.mean, state.root @ errors.root)
 
 
-def _filtered(before: Normal, step: Step) -> tuple[Normal, _Turn, float]:
-    """The state after a step and its measurement, and how errors go back through it.
+def _joint(before: Normal, step: Step) -> tuple[Vector, Matrix]:
+    """The mean after a step, and a root of measurement and state together.
 
-    Last the logarithm of the measurement's probability density.
+    Of at least as many columns as rows; first those of the measurement's errors.
     """
-    (k, d), c, own = step.H.shape, before.root.shape[1], step.V.shape[1]
-    mean = step.A @ before.mean + step.b
-    root = np.hstack([step.A @ before.root, step.N])
-    columns = max(own + root.shape[1], k + d)
-    joint = np.zeros((k + d, columns))
-    joint[:k, :own], joint[:k, own : own + root.shape[1]] = step.V, step.H @ root
-    joint[k:, own : own + root.shape[1]] = root
-    Q, R = np.linalg.qr(joint.T, mode="complete")
-    found = R[: k + d].T
-    white, seen = np.zeros(0), step.y - step.H @ mean
-    if k:
-        white = linalg.solve_triangular(found[:k, :k], seen, lower=True, check_finite=False)
-    turn = Q[own : own + c]
-    after = Normal(mean + found[k:, :k] @ white, found[k:, k:])
-    sizes = np.abs(np.diag(found[:k, :k])) * math.sqrt(2 * math.pi)
-    density = -float(white @ white) / 2 - float(np.sum(np.log(sizes)))
-    return after, _Turn(turn[:, :k] @ white, turn[:, k:]), density
+    (k, d), own = step.H.shape, step.V.shape[1]
+    root = np.concatenate([step.A.dot(before.root), step.N], axis=1)
+    end = own + root.shape[1]
+    joint = np.zeros((k + d, max(end, k + d)))
+    joint[:k, :own], joint[:k, own:end], joint[k:, own:end] = step.V, step.H.dot(root), root
+    return step.A.dot(before.mean) + step.b, joint
+
+
+def _corrected(mean: Vector, found: Matrix, step: Step) -> tuple[Normal, Vector, float]:
+    """The state after a measurement, of the triangular root of both.
+
+    Then the normalised innovation, and the logarithm of the measurement's probability density.
+    """
+    k = len(step.H)
+    if not k:
+        return Normal(mean, found), _NOTHING, step.density
+    own, seen = found[:k, :k], step.y - step.H.dot(mean)
+    white = linalg.lapack.dtrtrs(own, seen, lower=1)[0]
+    sizes = np.abs(np.diag(own)) * math.sqrt(2 * math.pi)
+    density = step.density - float(white.dot(white)) / 2 - float(np.sum(np.log(sizes)))
+    return Normal(mean + found[k:, :k].dot(white), found[k:, k:]), white, density
+
+
+def _filtered(before: Normal, step: Step) -> tuple[Normal, float]:
+    """The state after a step and its measurement, and the logarithm of the latter's density."""
+    mean, joint = _joint(before, step)
+    after, _, density = _corrected(mean, triangular(joint), step)
+    return after, density
+
+
+def _turned(before: Normal, step: Step) -> tuple[Normal, _Turn]:
+    """The state after a step and its measurement, and how errors go back through it."""
+    mean, joint = _joint(before, step)
+    rows, columns = joint.shape
+    # LAPACK's routines themselves: of small matrices checks cost more than they do.
+    reflected, tau = linalg.lapack.dgeqrf(joint.T)[:2]
+    whole = np.zeros((columns, columns), order="F")
+    whole[:, :rows] = reflected
+    after, white, _ = _corrected(mean, np.tril(reflected[:rows].T), step)
+    own, k = step.V.shape[1], len(step.H)
+    turn = linalg.lapack.dorgqr(whole, tau)[0][own : own + before.root.shape[1]]
+    return after, _Turn(turn[:, :k].dot(white), turn[:, k:])
 
 
 def _lower(root: Matrix) -> Matrix:
     """A square root of the same covariance, of as many columns as rows."""
-    if root.shape[1] <= len(root):
-        return root
-    return np.asarray(np.linalg.qr(root.T)[1].T)
+    return triangular(root) if root.shape[1] > len(root) else root

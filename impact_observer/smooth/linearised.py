@@ -51,6 +51,9 @@ from impact_observer.states import Matrix, Vector
 
 IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
+_NOTHING = np.zeros((0, 0))
+_SURE = 3.0
+"""Deviations of a filter's start, relative to those that are known."""
 _ROUNDED = 1e-13
 """Rounding of a state of the path, relative to its size."""
 
@@ -59,6 +62,7 @@ class Path(NamedTuple):
     """What the motion is linearised about.
 
     Attributes:
+        start: first state (q, u), shape (2n,).
         early: by how much each instant is before the stamp of its moment, s, shape (k,).
         x: states (q, u) just before, as if without the jump, shape (k, 2n).
         doubt: standard deviations of the gap of a contact that hits then, m, shape (k,).
@@ -67,6 +71,7 @@ class Path(NamedTuple):
             derivatives with respect to them are taken.
     """
 
+    start: Vector
     early: Vector
     x: Matrix
     doubt: Vector
@@ -107,12 +112,24 @@ class Arc:
         self._sizes = filter_.phases.scales.sizes
         self._diffusion = filter_.members.given.moving.diffusion
         self._errors = ErrorAccounts(filter_, (0.0,))
+        self._latest: tuple[Path | None, int, tuple[Expansion, Contacts]]
+        self._latest = None, -1, (Expansion(*[_NOTHING] * 4), ())
 
-    def predicted(self) -> Path:
-        """The path of the filter, from the first state on."""
+    def predicted(self, about: Normal | None = None) -> Path:
+        """The path of the filter, from the first state on, or from one that is known better.
+
+        Then deviations are larger than those of ``about`` by ``_SURE``.
+        """
         count, filter_ = len(self.moments), self.filter
         early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
         state, t = self._state, self._t
+        if about is not None:
+            state = state._replace(
+                x=about.mean[: self._size],
+                constants=about.mean[self._size :],
+                root=_SURE * about.root,
+            )
+        start = state.x
         for k, moment in enumerate(self.moments):
             change = moment.change
             prediction = filter_.predict(t, state, _level(moment, ErrorKind.ACCELERATION))
@@ -126,7 +143,7 @@ class Arc:
             early[k], x[k] = change.t - joint.t, joint.x
             state = filter_.posterior(change, joint)
         deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
-        return Path(early, x, doubt, state.constants, deviations)
+        return Path(start, early, x, doubt, state.constants, deviations)
 
     def instant(self, path: Path, k: int) -> float:
         """The ``k``-th instant of a path, s since the epoch; -1 for the start."""
@@ -192,7 +209,9 @@ class Arc:
 
         0 for one that measures nothing. A contact that separates cannot hit.
         """
-        guard = self._guard(path, k)
+        return self._log_slope(k, self._guard(path, k))
+
+    def _log_slope(self, k: int, guard: Step) -> float:
         if self.moments[k].is_inserted or not guard.y.size:
             return 0.0
         slopes = guard.H[:, 0]
@@ -282,7 +301,7 @@ class Arc:
             A[0, -1] = 1.0
         noise = np.zeros((1 + d, 1))
         noise[0] = moment.clock
-        return guard._replace(A=A, b=b, N=noise)
+        return guard._replace(A=A, b=b, N=noise, density=self._log_slope(k, guard))
 
     def _guard(self, path: Path, k: int) -> Step:
         """The measurement that the guards of the ``k``-th moment are zero."""
@@ -328,16 +347,22 @@ class Arc:
         level = _level(moment, ErrorKind.RESTITUTION)
         if level and change.hit and not change.closed:
             columns.append(level * self._errors.kicks(x, change.hit))
-        noise = np.hstack(columns)
-        return Step.unmeasured(A, b, np.pad(noise, ((0, self._count), (0, 0))))
+        noise = np.zeros((d, sum(each.shape[1] for each in columns)))
+        noise[:size] = np.hstack(columns)
+        return Step.unmeasured(A, b, noise)
 
     def _jump_of(self, path: Path, k: int) -> tuple[Expansion, Contacts]:
         """The jump at the ``k``-th moment, and the contacts that take an impulse."""
+        about, which, known = self._latest
+        if about is path and which == k:
+            return known
         change, x, member = self.moments[k].change, path.x[k], self.member(path)
         pressed = self.filter.pressed(member, change, x)
         t = self.instant(path, k)
         jet = member.jump_about(t, x, pressed, change.before, change.closed)
-        return jet.expanded(x, member.moving.forces(t)), pressed
+        found = jet.expanded(x, member.moving.forces(t)), pressed
+        self._latest = path, k, found
+        return found
 
     def _jumped(self, path: Path, k: int) -> Vector:
         """The path's state just after the jump at the ``k``-th moment, (2n,)."""
@@ -346,7 +371,7 @@ class Arc:
     def _after(self, path: Path, k: int) -> Vector:
         """The path's state just after the ``k``-th moment, contacts at rest; -1 for the start."""
         if k < 0:
-            return self._state.x
+            return path.start
         x = self._jumped(path, k)
         return self._rested(path, k, x).x if self.rests(k) else x
 

@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import BagError
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
@@ -81,14 +81,9 @@ def smoothed_runs(
         give: gives an observer the recorded samples of live inputs.
 
     Raises:
-        UsageError: an option cannot be used; a guide rubs.
+        UsageError: an option cannot be used.
         BagError: no event could be applied.
     """
-    if system.guides:
-        raise UsageError(
-            f"{system.name}: guide {system.guides[0].name!r} rubs, which smooth cannot take;"
-            " expected a model without friction"
-        )
     refuse_contact_time(system, "smooth")
     runs: dict[int, list[ImpactEvent]] = {}
     for each in placed(events, options.epoch):
@@ -186,6 +181,8 @@ class _Run:
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
         """The likeliest account whose first moments are found backward, from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
+        if law.system.guides:
+            return best  # a guide that sticks has forgotten how it came to rest
         count, given = len(known.moments), best.smoothed.known
         if known.decisions == known.as_reported().decisions:
             return best

@@ -18,6 +18,10 @@ The filter's path through the account is a first guess. The motion is linearised
 smoothed, which gives a better path, until the change is small against the deviations: Gauss and
 Newton's method for the likeliest motion (Bell, The iterated Kalman smoother as a Gauss-Newton
 method, 1994).
+
+Where guides rub, whether one sticks depends on the state, and several motions may explain the
+events locally best. So filters that begin about the smoothed start give other first paths, until
+none leads to a likelier motion.
 """
 
 import math
@@ -39,6 +43,10 @@ MOST_ROUNDS = 20
 """Most linearisations."""
 _MOST_WORSE = 3
 """Linearisations without a smaller change than before, after which there are no more."""
+_MOST_STARTS = 3
+"""Most filters after the first from whose path a motion with friction is smoothed."""
+_LIKELIER = 0.1
+"""Logarithm of the factor by which a motion is likelier that is preferred to another one."""
 _ROOM = 0.4
 """Distance by which an instant may move at once, relative to that to the one before or after."""
 _FEW_NUMBERS = 2**20
@@ -72,6 +80,12 @@ class Smoothed(NamedTuple):
     def is_settled(self) -> bool:
         """Whether another linearisation would change it by less than its deviations."""
         return self.change < 1.0
+
+    def is_better(self, other: "Smoothed") -> bool:
+        """Whether it explains the same events better than another motion."""
+        if self.is_settled != other.is_settled:
+            return self.is_settled
+        return self.evidence > other.evidence + _LIKELIER
 
     def instant(self, k: int) -> tuple[float, float]:
         """By how much the ``k``-th moment was before its stamp, and the deviation of that, s."""
@@ -129,11 +143,22 @@ def smooth(
 
     ``progress`` is called with the number of linearisations done, and the most that may be.
     """
-    path, nodes, worse = arc.predicted(), arc.nodes, 0
+    best = _settled(arc, arc.predicted(), progress)
+    for _ in range(_MOST_STARTS if arc.filter.system.guides else 0):
+        again = _settled(arc, arc.predicted(best.first), progress)
+        if not again.is_better(best):
+            break
+        best = again
+    return best
+
+
+def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoothed:
+    """``smooth``, linearised about ``path`` at first."""
+    nodes, worse = arc.nodes, 0
     best: Smoothed | None = None
     for rounds in range(1, MOST_ROUNDS + 1):
         first, known, evidence = _linear(arc, path, nodes)
-        better, change = _improved(arc, path, known)
+        better, change = _improved(arc, path, first, known)
         progress(rounds, MOST_ROUNDS)
         worse += 1
         if best is None or change < best.change:
@@ -173,11 +198,10 @@ def _linear(arc: Arc, path: Path, nodes: Sequence[Node]) -> tuple[Normal, KnownS
             first = z
         else:
             known.set(i, z)
-    slopes = sum(arc.log_slope(path, k) for k in range(len(arc.moments)))
-    return first, known, chain.evidence + slopes
+    return first, known, chain.evidence
 
 
-def _improved(arc: Arc, path: Path, known: KnownStates) -> tuple[Path, float]:
+def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[Path, float]:
     """The path of the smoothed motion, and how far it is from ``path``, in deviations.
 
     The distance is infinite where the motion is not finite.
@@ -204,4 +228,5 @@ def _improved(arc: Arc, path: Path, known: KnownStates) -> tuple[Path, float]:
         # Of an inserted moment in a chattering sequence the instant is rounding.
         far = np.abs(moved) / np.maximum(deviations, STILL)
         largest = max(largest, float(np.max(far)) * is_measured)
-    return Path(early, x, doubt, arc.bounded(constants), path.spread), largest
+    start = first.mean[: x.shape[1]]
+    return Path(start, early, x, doubt, arc.bounded(constants), path.spread), largest

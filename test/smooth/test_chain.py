@@ -18,12 +18,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from conditioning import conditioned
 from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
 from impact_observer.smooth.chain import Chain, Normal, Step
-from impact_observer.states import Matrix, Vector
 
 
 def random_chain(rng: np.random.Generator, count: int, exact: float) -> tuple[Normal, list[Step]]:
@@ -42,32 +42,6 @@ def random_chain(rng: np.random.Generator, count: int, exact: float) -> tuple[No
     return first, steps
 
 
-def dense(first: Normal, steps: list[Step]) -> tuple[list[Vector], list[Matrix], float]:
-    """Means and covariances of all states given all measurements, and their log density.
-
-    All states are functions of one vector of independent errors.
-    """
-    size = first.root.shape[1] + sum(each.N.shape[1] for each in steps)
-    F, c, used = np.zeros((len(first.mean), size)), first.mean, first.root.shape[1]
-    F[:, :used] = first.root
-    maps, offsets, rows, values, noises = [F], [c], [], [], []
-    for step in steps:
-        F, c = step.A @ F, step.A @ c + step.b
-        F[:, used : used + step.N.shape[1]] += step.N
-        used += step.N.shape[1]
-        maps.append(F)
-        offsets.append(c)
-        rows.append(step.H @ F)
-        values.append(step.y - step.H @ c)
-        noises += np.sum(step.V**2, axis=1).tolist()
-    H, y = np.vstack(rows), np.concatenate(values)
-    S = H @ H.T + np.diag(noises)
-    mean, P = H.T @ np.linalg.solve(S, y), np.eye(size) - H.T @ np.linalg.solve(S, H)
-    density = -(y @ np.linalg.solve(S, y) + np.linalg.slogdet(2 * np.pi * S)[1]) / 2
-    means = [c + F @ mean for F, c in zip(maps, offsets, strict=True)]
-    return means, [F @ P @ F.T for F in maps], float(density)
-
-
 @examples(200)
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_states_are_those_of_conditioning_on_all_measurements(seed: int, count: int) -> None:
@@ -75,7 +49,7 @@ def test_states_are_those_of_conditioning_on_all_measurements(seed: int, count: 
     first, steps = random_chain(np.random.default_rng(seed), count, 0.3)
     chain = Chain(first, count, lambda k: steps[k])
     found = dict(chain.states())
-    means, covariances, density = dense(first, steps)
+    means, covariances, density = conditioned(first, steps)
     for k in range(-1, count):
         np.testing.assert_allclose(found[k].mean, means[k + 1], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found[k].covariance, covariances[k + 1], rtol=1e-9, atol=1e-9)

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from conditioning import conditioned
 from scipy import optimize
 from systems import EPOCH, sample
 
@@ -27,10 +28,13 @@ from impact_observer.observer import make_observer, replay
 from impact_observer.options import Options
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.smooth import SmoothedMotion, smoothed_runs
+from impact_observer.smooth.chain import Chain
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Vector
 
 JITTER = 1e-3
+DEVIATION = 0.02
+"""Of a start that is nearly known."""
 SURE = Options(
     law="minimum-variance",
     clock_error=JITTER,
@@ -75,13 +79,59 @@ def states(motion: SmoothedMotion, seconds: Sequence[float]) -> list[Estimate]:
     return [each for batch in motion.estimates(stamps) for each in batch]
 
 
+def about(x: Vector, deviation: float, **others: object) -> Options:
+    """Every event is trusted; the start has this deviation about ``x``."""
+    start = ",".join(f"{each:.17g}" for each in x)
+    given = {"initial_state": start, "initial_deviation": f"{deviation}", **others}
+    return Options(**{**SURE.__dict__, **given})
+
+
+@pytest.mark.parametrize(
+    ("name", "learned"),
+    [
+        ("two_mass", {}),
+        ("three_mass", {}),
+        ("rubbing_guide", {}),
+        ("without rebound", {}),
+        (
+            "two_mass",
+            {
+                "model_error": 0.05,
+                "clock_offset_error": 0.02,
+                "estimate_parameters": ("stiffness-scale",),
+            },
+        ),
+    ],
+)
+def test_states_are_those_of_conditioning_on_all_events(
+    name: str, learned: dict[str, object]
+) -> None:
+    """About the same path: with friction, jumps that lose directions, and contact that stays."""
+    soft = parse_model(PRESSED.replace("0.4}", "0}"), "pressed")
+    model = soft if name == "without rebound" else sample(name)
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 4.0 if model is soft else 12.0, SensorModel(jitter=JITTER))
+    arc, path, *_ = smoothed(model.system, events, about(x, 0.1, **learned)).smoothed
+    steps = [arc.step(path, node) for node in arc.nodes]
+    chain = Chain(arc.first, len(steps), steps.__getitem__)
+    found = dict(chain.states())
+    means, covariances, density = conditioned(arc.first, steps)
+    for k in range(-1, len(steps)):
+        np.testing.assert_allclose(found[k].mean, means[k + 1], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found[k].covariance, covariances[k + 1], atol=1e-11)
+    assert chain.evidence == pytest.approx(density + sum(each.density for each in steps))
+    ranks = [int(np.linalg.matrix_rank(each.A)) for each in steps]
+    assert (min(ranks) < x.size) == (name in {"rubbing_guide", "without rebound"})
+
+
 @pytest.mark.slow
-def test_start_is_that_of_a_fit_of_simulated_instants() -> None:
+@pytest.mark.parametrize("name", ["two_mass", "rubbing_guide"])
+def test_start_is_that_of_a_fit_of_simulated_instants(name: str) -> None:
     """The likeliest start: instants of the event-driven plant, fitted by SciPy.
 
     Its covariance follows from the derivatives of the instants, by differences.
     """
-    model = sample("two_mass")
+    model = sample(name)
     system, x = model.system, np.concatenate(model.initial_state())
     events = recording(system, x, 12.0, SensorModel(jitter=JITTER))
     reported = np.array([each.stamp for each in events])
@@ -93,11 +143,11 @@ def test_start_is_that_of_a_fit_of_simulated_instants() -> None:
             (e.stamp - s.instant.stamp) * 1e-9 - s.instant.remainder
             for e, s in zip(events, run.impacts, strict=True)
         ]
-        return np.append(np.array(found) / JITTER, start)
+        return np.append(np.array(found) / JITTER, (start - x) / DEVIATION)
 
     fit = optimize.least_squares(residuals, x, x_scale=1e-2, diff_step=1e-5, xtol=1e-12)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-    found = smoothed(system, events, SURE).smoothed.first
+    found = smoothed(system, events, about(x, DEVIATION)).smoothed.first
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
     assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)
@@ -110,8 +160,7 @@ def test_last_state_is_the_filters() -> None:
     system, x = model.system, np.concatenate(model.initial_state())
     events = recording(system, x, 15.0, SensorModel(jitter=JITTER))
     last = np.array([EPOCH + 15 * NS_PER_S])
-    start = ",".join(f"{each + 0.01:.17g}" for each in x)
-    options = Options(**{**SURE.__dict__, "initial_state": start, "initial_deviation": "0.02"})
+    options = about(x + 0.01, 0.02)
     (own,) = [
         each
         for each in replay(make_observer(system, options), events, last)

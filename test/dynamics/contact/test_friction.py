@@ -56,14 +56,13 @@ from impact_observer.events import Kind
 from impact_observer.model import System, parse_model
 from impact_observer.model.system import Guide
 from impact_observer.observability.rank import observability
-from impact_observer.observer import Options, ReplicaLaw
+from impact_observer.observer import ReplicaLaw
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.plant import Plant, Switching
 from impact_observer.plant.time_stepping import TimeSteppingPlant
-from impact_observer.smooth.recording import smoothed_runs
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -400,12 +399,10 @@ def test_time_stepping_refuses_friction_by_name() -> None:
         TimeSteppingPlant(model, np.zeros(2), np.zeros(2), epoch=EPOCH, step=1e-3)
 
 
-def test_smooth_and_observability_refuse_friction_by_name() -> None:
-    """One line each, which names the guide."""
+def test_observability_refuses_friction_by_name() -> None:
+    """One line, which names the guide."""
     model = parse_model(MODEL, "rub.yaml").system
     events = [event(0.5, "s"), event(1.0, "s")]
-    with pytest.raises(UsageError, match=r"guide 'guide' rubs, which smooth cannot take"):
-        smoothed_runs(model, events, Options())
     with pytest.raises(UsageError, match=r"guide 'guide' rubs, so what impacts determine"):
         observability(model, events)
 
