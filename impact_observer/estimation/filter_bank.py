@@ -19,6 +19,7 @@ Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeAlias
@@ -77,8 +78,10 @@ CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
 _MOST_MISSED = 256
 """Missed impacts between two events that a hypothesis may insert."""
+_MOST_FLIGHTS = 256
+"""Flights between two events after which none inserts anything: a silence may last for hours."""
 FORLORN = -40.0
-"""The same for hypotheses with an exact model: a misfit shows in how unlikely they are."""
+"""``UNLIKELY`` of hypotheses with an exact model: a misfit shows in how unlikely they are."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _FLIGHTS = 8
@@ -420,14 +423,16 @@ class FilterBank:
         if len(hypotheses) == 1 and not (dips := self._dips(t, s, hypotheses))[0]:
             return tuple(self._flown(t, s, hypotheses, dips))
         found: list[Hypothesis] = []
-        waiting = [(t, s, hypotheses)]
+        waiting, flights = deque([(t, s, hypotheses)]), 0
         while waiting:
-            t, s, group = waiting.pop(0)
+            t, s, group = waiting.popleft()
+            flights += 1
             dips = self._dips(t, s, group)
             found += self._flown(t, s, group, dips)
             most = max(path.weight for path in found)
             for h, some in zip(group, dips, strict=True):
-                waiting += self._inserted(h, some, t, s, most + self._least(h))
+                if flights + len(waiting) < _MOST_FLIGHTS:
+                    waiting += self._inserted(h, some, t, s, most + self._least(h))
         if len(found) == 1:
             return tuple(found)
         found.sort(key=_weight)

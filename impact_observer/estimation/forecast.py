@@ -21,6 +21,7 @@ more than its deviation explains, an impact or a release was missed.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,8 @@ _KEPT = 8
 _EPS = float(np.finfo(np.float64).eps)
 _ROUNDED = 64 * _EPS
 """Rounding of a guard function, relative to the terms of its sum."""
+_MOST_DIPS = 32
+"""Most dips of a function in a flight; a flight may last for years."""
 _SHALLOW = 8.0
 """Depth of a dip that is rounding, in standard deviations of that."""
 _ROOT = 4 * _EPS
@@ -169,7 +172,7 @@ def dips_of(
     states: Sequence[GaussianState],
     levels: Sequence[float],
 ) -> list[list[Dip]] | None:
-    """All dips of states that start at ``t``, of the same closed contacts; see ``Forecast.dips``.
+    """The dips of states that start at ``t``, of the same closed contacts; see ``Forecast.dips``.
 
     None where the kernel does not find them.
     """
@@ -215,7 +218,7 @@ class Forecast:
         return self._prepare()
 
     def dips(self, duration: float) -> list[Dip]:
-        """All dips within ``duration`` seconds, in the order in which they begin."""
+        """The dips within ``duration`` seconds, in the order in which they begin."""
         found = dips_of(self._filter, self._t, duration, [self._state], [self._level])
         if found is not None:
             return found[0]
@@ -225,11 +228,12 @@ class Forecast:
         values = samples.values(self._state.x)
         if self._flight.guided:
             values = self._all_values(samples.s)
-        dips = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
+        each = [self._of(j, samples, values[:, j]) for j in range(values.shape[1])]
+        dips = [dip for some in each for dip in islice(some, _MOST_DIPS)]
         return sorted(dips, key=lambda dip: dip.below)
 
     def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
-        """The dips of one function."""
+        """The first dips of one function."""
         s, values = self._with_minima(j, samples.s, values)
         below = np.flatnonzero(values < 0)
         if not below.size:

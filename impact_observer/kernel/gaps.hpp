@@ -25,6 +25,7 @@ namespace kernel::kalman {
 constexpr double FINE = 6.0;           // samples in the inverse of the fastest rate: 38 a period
 constexpr double MOST_SAMPLES = 4096;  // of a flight; in a longer one their distance is larger
 constexpr int FINER = 8;               // additional samples in the first interval
+constexpr int MOST_DIPS = 32;          // of a gap in a flight, which may last for years
 constexpr double SHALLOW = 8.0;        // depth of a dip that is rounding, in its deviations
 
 // An interval in which a gap is negative. Times are seconds after the start.
@@ -80,8 +81,8 @@ class Gaps {
         return found;
     }
 
-    // All dips on a grid, in the order in which they begin. `level` is that of white
-    // accelerations, m/s^1.5.
+    // The first dips of each gap on a grid, in the order in which they begin. `level` is that of
+    // white accelerations, m/s^1.5.
     std::vector<Dip> dips(const Grid& grid, const Prior& prior, double level) const {
         const double t = grid.t;
         std::vector<Dip> found;
@@ -98,7 +99,8 @@ class Gaps {
             if (scale.empty()) scale = sizes.of(prior.x.data, 0.0);
             double size = std::abs(rest[j]);
             for (std::size_t i = 0; i < motion.n(); ++i) size += std::abs(W(j, i)) * scale[i];
-            for (std::size_t k = 0; k < s.size(); ++k) {
+            int dips = 0;
+            for (std::size_t k = 0; k < s.size() && dips < MOST_DIPS; ++k) {
                 if (values[k] >= 0) continue;
                 const std::size_t first = k;
                 std::size_t lowest = k;
@@ -116,6 +118,7 @@ class Gaps {
                                  log_normal(-deep), k < s.size(), 0.0});
                 Dip& dip = found.back();
                 dip.began = root(t, prior, level, j, dip.above, dip.below, 0.0);
+                ++dips;
             }
         }
         std::stable_sort(found.begin(), found.end(),
