@@ -81,7 +81,8 @@ def test_a_recorded_bag_holds_a_run_of_its_model(name: str) -> None:
 
 def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Comparison, list[Verdict]]:
     """The comparison and the verdicts of an observer, run on a bag as a user does."""
-    arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", *options.split()]
+    given = ["--law", law, "--initial", "random:1", "--ensemble", "2", *options.split()]
+    arguments = ["observe", str(bag), *given]
     assert main([*arguments, "-o", str(output)]) == 0
     with BagReader(output) as reader:
         comparison = compare_bag(reader, model_of(reader).system).comparisons["/observer"]
@@ -272,7 +273,7 @@ def test_a_node_fed_by_play_estimates_what_observe_does(
         truth = qos_profile(Quality())
         spinner.probe.create_subscription(JointState, "plant/joint_states", id, truth)
         topics = ["/impacts", "/plant/joint_states"]
-        play = ["play", str(bag), "--rate", "3", "--delay", "10", "--topics", *topics]
+        play = ["play", str(bag), "--rate", "6", "--delay", "5", "--topics", *topics]
         with running("impact_observer", play, ros_environment) as player:
             spinner.until(lambda: player.poll() is not None)
             assert player.returncode == 0, player.communicate()

@@ -73,6 +73,7 @@ class MovingSystem:
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
+        self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._rate = lru_cache(KEPT)(lambda closed: fastest_rate(self.phase(closed)))
 
@@ -117,8 +118,11 @@ class MovingSystem:
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """The motion through ``x``, shape (2n,), at ``t``, s since the epoch."""
         if self.guided:
-            return self._clutches.motion(t, x, closed, fix=False)
+            return self._rubbed_motion(t, x.tobytes(), closed)
         return self.phase(closed).start(t, x)
+
+    def _motion_of(self, t: float, state: bytes, closed: Contacts) -> Motion:
+        return self._clutches.motion(t, np.frombuffer(state), closed, fix=False)
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
