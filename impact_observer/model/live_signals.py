@@ -356,6 +356,6 @@ def refused(system: System, what: str) -> None:
     """
     if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
         raise UsageError(
-            f"{system.name}: known only live: {', '.join(names)}, which {what} cannot use; expected"
-            " forces and grounds that are harmonic or sampled"
+            f"{system.name}: known only live: {', '.join(names)}, which {what} cannot use;"
+            " expected forces and grounds that are harmonic or sampled"
         )

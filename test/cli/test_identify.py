@@ -16,6 +16,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,7 +140,7 @@ def test_samples_of_sensors_make_standard_errors_smaller(
     assert main([*made, "--measurements", "encoder", "-o", "rig"]) == 0
     words = ["identify", "rig", "--free", "restitution", "--clock-error", "0.001"]
     words.append("--trust-events")
-    errors = []
+    errors, results = list[float](), dict[str, Any]()
     for more in ([], ["--measurements", "encoder"]):
         capsys.readouterr()
         assert main([*words, *more, "--json"]) == 0

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_live_estimates_are_those_of_the_same_samples_offline(
     laser = [
         (s, float(np.float32(2 - x[1]))) for (s, _), x in zip(encoder, whole.states, strict=True)
     ]
-    declared = {"clock_error": 1e-3} if law == "minimum-variance" else {}
+    declared: dict[str, Any] = {"clock_error": 1e-3} if law == "minimum-variance" else {}
     with rig_with(tmp_path, law=law, measurement_verdicts="all", **declared) as rig:
         rig.spinner.until(rig.laser.get_subscription_count)
         rig.tick(EPOCH + 2 * NS_PER_S)
