@@ -17,7 +17,8 @@
     ./dev soak attack --law minimum-variance --only burst corrupt
 
 The node is a process of its own. A plant runs here in real time; its events go to the node on
-their topic, and each attack comes on top of them, from another publisher on the same topic. A
+their topic, and each attack comes on top of them, from another publisher on the same topic, or on
+that of a live force, which is zero unless its bytes were changed. A
 third process notes when estimates were published. Printed are the longest time without an
 estimate, from the attack until five seconds after it, how many of the plant's events had a
 verdict, and how soon after the attack one of them was applied. It fails when the longest silence
@@ -33,6 +34,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Thread
 
 import rclpy
@@ -40,12 +43,13 @@ from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 
 from benchmarks.soak_inputs import mutated
 from benchmarks.topic import running, take_domain
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Ruling, Switch
-from impact_observer.io.interfaces import EVENTS, Quality
+from impact_observer.io.interfaces import EVENTS, FORCING, Quality
 from impact_observer.model import read_model
 from impact_observer.plant import Plant, simulate
 from impact_observer.ros.message_classes import ros_messages
@@ -87,7 +91,12 @@ class Rig:
             EventVerdict, "observer/verdicts", self._decide, many
         )
 
-    def _publisher(self) -> Publisher:
+    def _publisher(self, *, forces: bool = False) -> Publisher:
+        """Of events, or of samples of a force."""
+        if forces:
+            return self.node.create_publisher(
+                JointState, FORCING.name, qos_profile(FORCING.quality)
+            )
         return self.node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
 
     def _read_stamps(self) -> None:
@@ -117,9 +126,9 @@ class Rig:
             self.step()
             time.sleep(0.001)
 
-    def attack(self, messages: Messages) -> tuple[int, float, float]:
+    def attack(self, messages: Messages, *, forces: bool) -> tuple[int, float, float]:
         """Send the messages; their number, the longest silence (s), and the time taken (s)."""
-        attacker = self._publisher()
+        attacker = self._publisher(forces=forces)
         while attacker.get_subscription_count() == 0:
             self.watch(0.05)
         begin, count = time.monotonic(), 0
@@ -203,6 +212,28 @@ def _extreme(rig: Rig) -> Messages:
             yield k * 0.02, _serialized(each)
 
 
+def _sample(stamp: int) -> bytes:
+    """No force at ``stamp``, ns, serialized."""
+    message = JointState(name=["motor"], effort=[0.0])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NS_PER_S)
+    return bytes(serialize_message(message))
+
+
+def _forces(_: Rig) -> Messages:
+    """1e5 samples of a force as fast as they can be sent."""
+    now = time.time_ns()
+    data = [_sample(now - (100_000 - k) * 10_000) for k in range(100_000)]
+    return ((0.0, each) for each in data)
+
+
+def _bad_forces(_: Rig) -> Messages:
+    """3000 samples of a force of which bytes were changed, in three seconds."""
+    draw = random.Random(3)
+    for k in range(3000):
+        data = _sample(time.time_ns())
+        yield k * 1e-3, mutated(draw, data, [data])
+
+
 ATTACKS: dict[str, Callable[[Rig], Messages]] = {
     "calm": _calm,
     "at-once": _at_once,
@@ -211,8 +242,12 @@ ATTACKS: dict[str, Callable[[Rig], Messages]] = {
     "late": _late,
     "corrupt": _corrupt,
     "extreme": _extreme,
+    "forces": _forces,
+    "bad-forces": _bad_forces,
 }
 """All of them, by name."""
+FORCES = ("forces", "bad-forces")
+"""Those that come as samples of a live force."""
 
 
 def _plant_events(epoch: int) -> list[Event]:
@@ -234,9 +269,21 @@ def _recovery(rig: Rig) -> float:
     return -1.0
 
 
-def _run(law: str, names: Sequence[str]) -> bool:
+def _driven(folder: Path) -> Path:
+    """A file of two_mass with a live force."""
+    path = folder / "two_mass.yaml"
+    text = (
+        read_model("two_mass")
+        .text()
+        .replace("forcing:\n", "forcing:\n  inputs: [{name: motor, direction: [0, 1]}]\n")
+    )
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _run(law: str, names: Sequence[str], model: Path) -> bool:
     """Attack an observer of a law; whether it has held."""
-    command = ("impact_observer.ros.entry", "observer", "--ros-args", "-p", "model:=two_mass")
+    command = ("impact_observer.ros.entry", "observer", "--ros-args", "-p", f"model:={model}")
     held, rig = True, None
     rclpy.init(args=[])
     node = Node("attacker")
@@ -250,7 +297,7 @@ def _run(law: str, names: Sequence[str]) -> bool:
             rig.watch(15.0)
             for name in names or ATTACKS:
                 before = rig.sent
-                count, silence, taken = rig.attack(ATTACKS[name](rig))
+                count, silence, taken = rig.attack(ATTACKS[name](rig), forces=name in FORCES)
                 recovery = _recovery(rig)
                 true = rig.events[before : rig.sent]
                 decided = sum(each.stamp in rig.decided for each in true)
@@ -299,8 +346,9 @@ def main(args: Sequence[str] | None = None) -> int:
     given = parser.parse_args(args)
     if given.watch:
         _watch()
-    with take_domain():
-        held = [_run(law, given.only) for law in ([given.law] if given.law else MOST_SILENCE)]
+    with take_domain(), TemporaryDirectory() as folder:
+        model, laws = _driven(Path(folder)), [given.law] if given.law else MOST_SILENCE
+        held = [_run(law, given.only, model) for law in laws]
     return 0 if all(held) else 1
 
 

@@ -112,8 +112,9 @@ class Grounds:
             i, k = (int(each) for each in np.unravel_index(np.argmax(left), left.shape))
             raise ModelError(
                 f"contacts[{i}]",
-                f"moves with {self.names[k]!r} against other stops of the same bodies; expected"
-                " stops of a body on the same ground",
+                f"moves with {self.names[k]!r} against other stops of the same bodies, so no frame"
+                " has both at rest; expected stops of a body on the same ground, or a heavy body"
+                " on a stiff spring to it as one of them",
             )
         return frozen(E)
 

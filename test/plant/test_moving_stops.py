@@ -17,7 +17,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import integrate
+from scipy import integrate, optimize
 from systems import EPOCH, run
 
 from impact_observer.model import Model, parse_model
@@ -199,3 +199,45 @@ def test_ball_rests_on_a_slow_table_and_leaves_it_when_that_falls_too_fast() -> 
         found.states[on, 1], -AMPLITUDE * fast * np.cos(fast * t[on]), atol=1e-13
     )
     assert np.all(found.states[:, 0] >= table - 1e-15)
+
+
+BETWEEN = """\
+name: between
+bodies: [{{name: plate, mass: {0!r}}}, {{name: ball, mass: 1}}]
+grounds: [{{name: table, motion: {{harmonics: [{{amplitude: 0.02, frequency: 40}}]}}}}]
+springs: [{{between: [table, plate], stiffness: {1!r}, damping: {2!r}}}]
+forces: [{{body: ball, constant: -9.81}}]
+stops:
+  - {{name: foot, between: [plate, ball], gap: 0, restitution: 0.6}}
+  - {{name: head, body: ball, limit: 0.05, side: above, restitution: 0.6}}
+"""
+
+
+def between_table_and_ceiling(count: int) -> Array:
+    """Impacts of a ball from rest at 0.03 m, s, each where the first of both gaps closes."""
+    t, q, u = 0.0, 0.03, 0.0
+    found: list[float] = []
+    while len(found) < count:
+        s = np.arange(1e-7, 1.0, 1e-4)
+
+        def gaps(s: Array, t: float = t, q: float = q, u: float = u) -> Array:
+            ball = q + u * s - GRAVITY * s**2 / 2
+            return np.stack([ball - 0.02 * np.cos(40 * (t + s)), 0.05 - ball])
+
+        k = int(np.argmax(np.any(gaps(s) < 0, axis=0)))
+        hit = int(np.argmin(gaps(s)[:, k]))
+        last = optimize.brentq(lambda s, i=hit, g=gaps: g(s)[i], s[k - 1], s[k], xtol=1e-14)
+        table = 0.0 if hit else -0.8 * np.sin(40 * (t + last))
+        q, u = q + u * last - GRAVITY * last**2 / 2, u - GRAVITY * last
+        t, u = t + last, table - 0.6 * (u - table)
+        found.append(t)
+    return np.array(found)
+
+
+def test_heavy_body_on_a_stiff_spring_is_a_table_below_a_ceiling_at_rest() -> None:
+    """Stops that move against each other, by the recipe of docs/model.md: as exact as it says."""
+    exact = between_table_and_ceiling(12)
+    for mass, off in ((1e4, 3e-4), (1e6, 3e-6)):
+        text = BETWEEN.format(mass, 1e9 * mass, 6.3e4 * mass)
+        found = impacts(parse_model(text, "between"), np.array([0.02, 0.03, 0.0, 0.0]), 1.0)
+        np.testing.assert_allclose(found[:12], exact, rtol=0, atol=off)
