@@ -158,11 +158,6 @@ class LiveSignals:
         """From which stamp on pulses since ``follow`` have changed the phase, ns."""
         return MAX_STAMP if self._turned is None else self._turned
 
-    @property
-    def is_pending(self) -> bool:
-        """Whether samples have come since ``follow``."""
-        return bool(self._pending or self._pulses)
-
     def keep_waiting(self, most: int) -> None:
         """Forget the oldest of more samples than ``most`` that wait for ``follow``."""
         if len(self._pending) > most:

@@ -216,7 +216,7 @@ def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], lin
     live = watcher("geometric").live
     assert live is not None
     assert live.add(*sample) == line
-    assert not live.is_pending
+    assert live.follow(EPOCH) is None
 
 
 def test_who_has_no_signals_refuses_the_model() -> None:

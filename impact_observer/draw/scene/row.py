@@ -74,7 +74,7 @@ class SceneRow:
         self.axes, self._film, self._track = axes, film, track
         scene = film.scene
         self._scene = scene
-        placed = self._placed = placement.prepare(axes)
+        placed = placement.prepare(axes)
         _draw_still(axes, placement, placed, track.label)
         grounds_of = scene.system.frame
         moving = [] if grounds_of is None else np.any(grounds_of.grounds.factors, axis=1).tolist()
