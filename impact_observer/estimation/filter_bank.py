@@ -19,30 +19,24 @@ Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern
 """
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
 from typing import NamedTuple, TypeAlias
 
-from scipy import special
-
+from impact_observer.estimation.between_events import FORLORN, BetweenEvents
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
-from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     NOTHING,
     Hypothesis,
-    MissedSwitch,
     Note,
     log_sum,
     normalised,
 )
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.likelihood import CERTAIN, Likelihood
-from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.events import Contacts, Ruling
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -64,28 +58,10 @@ _WORK = 1024
 """Numbers in the states of all hypotheses that are kept, of a state that is not small or large."""
 NEGLIGIBLE = 1e-4
 """Probability that the least likely hypotheses after an event may have together to be dropped."""
-UNLIKELY = -16.0
-"""Logarithm of a probability, relative to the largest, below which none is kept before an event:
-there they have not paid for what they penetrate.
-"""
 SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
-POSSIBLE = 0.5
-"""Depth of a dip, in standard deviations, from which on it may have been an impact."""
-LATE = 4.0
-"""Deviations of a stamp by which an impact may seem to be before an event, and be after it."""
-CONFIDENT = 3.0
-"""The same for a dip that is not over yet."""
-_MOST_MISSED = 256
-"""Missed impacts between two events that a hypothesis may insert."""
-_MOST_FLIGHTS = 256
-"""Flights between two events after which none inserts anything: a silence may last for hours."""
-FORLORN = -40.0
-"""``UNLIKELY`` of hypotheses with an exact model: a misfit shows in how unlikely they are."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
-_FLIGHTS = 8
-"""Flights of which the samples are kept, for hypotheses to share."""
 
 
 Restarts: TypeAlias = Callable[[], Sequence[Hypothesis]]
@@ -140,6 +116,7 @@ class FilterBank:
     Attributes:
         filter: predicts and corrects the state of each of them.
         trusts_estimate: whether nothing makes its covariance wrong.
+        between: predicts hypotheses from one event to the next.
     """
 
     def __init__(
@@ -171,7 +148,14 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
-        self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
+        self.between = BetweenEvents(
+            filter_,
+            self.errors,
+            trusts_events=self._trusts_events,
+            missed=self._missed,
+            most=self._most,
+            judges=self._judges,
+        )
 
     def likely(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Those of ``ordered``, the likeliest first, that are kept."""
@@ -402,129 +386,6 @@ class FilterBank:
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
         return sorted(found.values(), key=_weight)
-
-    def predict(
-        self, hypotheses: Sequence[Hypothesis], t: float, s: float
-    ) -> tuple[Hypothesis, ...]:
-        """``hypotheses`` of ``t`` (s since the epoch) ``s`` seconds later, the likeliest first.
-
-        One that penetrates a stop branches: the stop was missed by the sensor, or the estimate
-        is in error.
-        """
-        levels = [each.acceleration_error for each in hypotheses]
-        if any(each.missed for each in hypotheses):
-            hypotheses = [each.later(s) for each in hypotheses]
-        if self._trusts_events:
-            states = self.filter.priors(t, s, [each.state for each in hypotheses], levels)
-            return tuple(
-                h._replace(state=state, since=h.since + s)
-                for h, state in zip(hypotheses, states, strict=True)
-            )
-        if len(hypotheses) == 1 and not (dips := self._dips(t, s, hypotheses))[0]:
-            return tuple(self._flown(t, s, hypotheses, dips))
-        found: list[Hypothesis] = []
-        waiting, flights = deque([(t, s, hypotheses)]), 0
-        while waiting:
-            t, s, group = waiting.popleft()
-            flights += 1
-            dips = self._dips(t, s, group)
-            found += self._flown(t, s, group, dips)
-            most = max(path.weight for path in found)
-            for h, some in zip(group, dips, strict=True):
-                if flights + len(waiting) < _MOST_FLIGHTS:
-                    waiting += self._inserted(h, some, t, s, most + self._least(h))
-        if len(found) == 1:
-            return tuple(found)
-        found.sort(key=_weight)
-        most = found[0].weight
-        likely = [h for h in found[: 2 * self._most] if h.weight >= most + self._least(h)]
-        return tuple(sorted(likely, key=lambda each: each.penalised_weight, reverse=True))
-
-    def _least(self, h: Hypothesis) -> float:
-        """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
-        return FORLORN if self._judges and h.is_exact else UNLIKELY
-
-    def _dips(self, t: float, s: float, group: Sequence[Hypothesis]) -> list[list[Dip]]:
-        """Of each hypothesis the dips in the ``s`` seconds after ``t``."""
-        by_kernel = self.filter.gaps((), s) is not None
-        free = [each for each in group if by_kernel and not each.state.closed]
-        states = [each.state for each in free]
-        levels = [each.acceleration_error for each in free]
-        found = iter(dips_of(self.filter, t, s, states, levels) or () if free else ())
-        return [
-            next(found)
-            if by_kernel and not h.state.closed
-            else self.forecast(t, h.state, h.acceleration_error).dips(s)
-            for h in group
-        ]
-
-    def _flown(
-        self, t: float, s: float, group: Sequence[Hypothesis], dips: Sequence[Sequence[Dip]]
-    ) -> Iterator[Hypothesis]:
-        """``group`` ``s`` seconds after ``t``; each pays for the dips it goes through."""
-        levels = [each.acceleration_error for each in group]
-        states = self.filter.priors(t, s, [each.state for each in group], levels)
-        for h, state, found in zip(group, states, dips, strict=True):
-            some = [dip for dip in found if not _is_now(dip, s, h.clock)]
-            if not some:
-                yield h._replace(state=state, penetrating=NOTHING, since=h.since + s)
-                continue
-            over = sum(dip.unlikely for dip in some if dip.over)
-            penetrating = {dip.contact: dip.unlikely for dip in some if not dip.over}
-            yield h._replace(
-                state=state,
-                weight=h.weight + over,
-                penetrating=penetrating,
-                since=h.since + s,
-            )
-
-    def _inserted(
-        self, h: Hypothesis, dips: Sequence[Dip], t: float, left: float, enough: float
-    ) -> Iterator[tuple[float, float, tuple[Hypothesis, ...]]]:
-        """``h`` after its first dip as a missed switch: instant, seconds left, hypothesis.
-
-        None below ``enough``, the logarithm of a probability.
-        """
-        likely = (
-            dip
-            for dip in dips
-            if dip.depth > (POSSIBLE if dip.over else CONFIDENT)
-            and not _is_now(dip, left, h.clock)
-        )
-        dip = next(likely, None)
-        if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
-            return
-        weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
-        if weight < enough:
-            return
-        at = dip.began
-        if at is None:
-            at = self.forecast(t, h.state, h.acceleration_error).root(dip)
-        t, left = t + at, left - at
-        (before,) = self.filter.priors(t - at, at, [h.state], [h.acceleration_error])
-        state, kind = insert_switch(self.filter, t, before, dip)
-        missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
-        h = h._replace(state=state, weight=weight, missed=missed)
-        if self.errors is not None:
-            hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
-            h = self.errors.kicked(h, before.x, hit)
-        yield t, left, (h,)
-
-    def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
-        """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
-        prediction = self.filter.predict(t, state, model_error)
-        flight = partial(self._flight_of, t, state)
-        return Forecast(flight, prediction, state, self.filter, t=t, level=model_error)
-
-    def _flight_of(self, t: float, state: GaussianState) -> Flight:
-        members = self.filter.members
-        member = members.with_given_restitution(self.filter.member(state))
-        return self._flight(member, t, state.closed)
-
-
-def _is_now(dip: Dip, now: float, clock: float) -> bool:
-    """Whether an impact comes so late that it may be after the event, of which the stamp errs."""
-    return not dip.over and now - (dip.below if dip.began is None else dip.began) <= LATE * clock
 
 
 def _likely(ordered: Sequence[Hypothesis | _Branch]) -> int:

@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from impact_observer.estimation.filter_bank import CONFIDENT, LATE, POSSIBLE, RESTART, FilterBank
+from impact_observer.estimation.between_events import CONFIDENT, LATE, POSSIBLE
+from impact_observer.estimation.filter_bank import RESTART, FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (

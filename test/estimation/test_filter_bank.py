@@ -212,11 +212,11 @@ def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
     model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
     bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), (clock,))
     state = GaussianState.of(np.array([[1.0, -1.0]]), 1e-9 * np.eye(2))
-    found = bank.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
+    found = bank.between.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
     assert len(found) == ways
     unpaid = [h for h in found if not h.missed]
     assert [bool(h.penetrating) for h in unpaid] == [ways == 2]
-    (later,) = bank.predict([unpaid[0]], 1.0 + 1e-6, 0.5)[:1]
+    (later,) = bank.between.predict([unpaid[0]], 1.0 + 1e-6, 0.5)[:1]
     assert [each.kind for each in later.missed] == [Kind.IMPACT]
     np.testing.assert_allclose(later.state.x, [0.25, 0.5], atol=1e-5)
 

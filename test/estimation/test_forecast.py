@@ -61,7 +61,7 @@ SWINGING = system(
 def forecast(model: System, t: float, x: Array, root: Array, closed: tuple[int, ...]) -> Forecast:
     """The forecast from ``x`` at ``t`` on."""
     bank = FilterBank(ImpactFilter(model), without_faults())
-    return bank.forecast(t, GaussianState.of(x[None], root, closed))
+    return bank.between.forecast(t, GaussianState.of(x[None], root, closed))
 
 
 class GuardValues(NamedTuple):

@@ -37,7 +37,7 @@ from systems import (
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
-from impact_observer.estimation import filter_bank
+from impact_observer.estimation import between_events
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
@@ -265,7 +265,7 @@ def test_estimate_converges_again_after_the_plant_was_disturbed(
 
     In a long one so many impacts may have been missed that not all hypotheses can be followed.
     """
-    monkeypatch.setattr(filter_bank, "_MOST_FLIGHTS", 32)
+    monkeypatch.setattr(between_events, "_MOST_FLIGHTS", 32)
     model, start, whole = truth("two_mass", 30.0)
     state = np.random.default_rng(seed).normal(size=(2, 2)) * [[0.3], [2.0]]
     kicked = run(model, *state, seconds=16.0, rate=20.0)

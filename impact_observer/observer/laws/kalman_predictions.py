@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.estimation.between_events import CONFIDENT, BetweenEvents
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import CONFIDENT, FilterBank
 from impact_observer.estimation.forecast import FINE, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
@@ -140,16 +140,16 @@ class MissedSwitchPrediction(Prediction):
 
     def __init__(
         self,
-        bank: FilterBank,
+        between: BetweenEvents,
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
     ) -> None:
-        self._bank = bank
+        self._between = between
         self._t = t
         self._shown = hypotheses
         self._prior = prior
-        self._first = _WINDOW * bank.filter.phases.scales.timescale
+        self._first = _WINDOW * between.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first
 
     @cached_property
@@ -182,11 +182,11 @@ class MissedSwitchPrediction(Prediction):
 
     def _begun(self, since: float, start: float, state: GaussianState, root: Matrix) -> _Stretch:
         t = self._t + start
-        forecast = self._bank.forecast(t, state, self._hypotheses[0].acceleration_error)
+        forecast = self._between.forecast(t, state, self._hypotheses[0].acceleration_error)
         spread = forecast.prediction
         if root is not state.root:
             level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
-            spread = self._bank.filter.predict(t, state._replace(root=root), level)
+            spread = self._between.filter.predict(t, state._replace(root=root), level)
         return _Stretch(since, start, forecast, state.closed, spread)
 
     def _search(self) -> None:
@@ -201,7 +201,7 @@ class MissedSwitchPrediction(Prediction):
             self._searched, self._window = start + self._window, 2 * self._window
             return
         at, since = forecast.root(dip), start + forecast.confident_from(dip, CONFIDENT)
-        filter_ = self._bank.filter
+        filter_ = self._between.filter
         t, before = self._t + start + at, forecast.prediction.prior(at)
         state, kind = insert_switch(filter_, t, before, dip)
         # The other hypotheses jump with it, so their differences are reversed in the same way.
@@ -213,8 +213,8 @@ class MissedSwitchPrediction(Prediction):
         parts = [state.root, differences]
         level = mean_level(self._hypotheses, ErrorKind.RESTITUTION)
         if level and kind is Kind.IMPACT and not state.closed:
-            assert self._bank.errors is not None, "a level is learned"
-            kicked = level * self._bank.errors.kicks(before.x, (dip.contact,))
+            assert self._between.errors is not None, "a level is learned"
+            kicked = level * self._between.errors.kicks(before.x, (dip.contact,))
             parts.append(np.pad(kicked, ((0, len(state.root) - size), (0, 0))))
         root = triangular(np.hstack(parts))
         self._stretches.append(self._begun(since, start + at, state, root))

@@ -249,7 +249,7 @@ class MinimumVariance(Law):
             return moved()(ago + s)
 
         def prior(s: float) -> Belief:
-            predicted = self._bank.predict(hypotheses, t, s)
+            predicted = self._bank.between.predict(hypotheses, t, s)
             later = None if account is None else self._accounts.predicted(t, account, s)
             if belief.fit.is_compared:
                 return self._prior(predicted, motion(s), belief.fit, later)
@@ -260,7 +260,7 @@ class MinimumVariance(Law):
         found: Prediction = (
             MixturePrediction(self._bank.filter, t, shown, prior)
             if self.uncertainty.trusts_events
-            else MissedSwitchPrediction(self._bank, t, shown, prior)
+            else MissedSwitchPrediction(self._bank.between, t, shown, prior)
         )
         if not belief.fit.is_compared:
             return found

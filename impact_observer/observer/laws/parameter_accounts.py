@@ -210,7 +210,7 @@ class ParameterAccounts:
 
     def predicted(self, t: float, account: Account, s: float) -> Account:
         """The account of ``t`` (s since the epoch) ``s`` seconds later."""
-        return account._replace(hypotheses=self._bank.predict(account.hypotheses, t, s))
+        return account._replace(hypotheses=self._bank.between.predict(account.hypotheses, t, s))
 
     def predict(self, t: float, account: Account, prior: Callable[[float], Belief]) -> Prediction:
         """The prediction of what the account publishes, from ``t`` (s since the epoch) on.
@@ -223,4 +223,4 @@ class ParameterAccounts:
 
         if self._trusts_events:
             return MixturePrediction(self._bank.filter, t, shown, prior)
-        return MissedSwitchPrediction(self._bank, t, shown, prior)
+        return MissedSwitchPrediction(self._bank.between, t, shown, prior)
