@@ -22,6 +22,7 @@ import pytest
 from live_rig import RIG, bag
 from systems import run
 
+from benchmarks.identify import RUBBED_FREE, RUBBED_GUESS, RUBBED_TRUE, rubbed
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.identify.identification import identify
@@ -30,50 +31,27 @@ from impact_observer.identify.shooting import shoot
 from impact_observer.model import Model, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
 
-RUBBED = """\
-name: rubbed
-bodies: [{{name: x, mass: 1}}]
-springs: [{{between: [ground, x], stiffness: 20, damping: 0.1}}]
-forces: [{{body: x, amplitude: 6, frequency: 5.3}}, {{body: x, amplitude: 5, frequency: 3.1}}]
-friction: [{{name: guide, between: [ground, x], force: {}}}]
-stops:
-  - name: stop
-    body: x
-    limit: 0.3
-    side: above
-    contact_time: {}
-    restitution: {{value: 0.7, speed: 1, exponent: {}, limit: 0.95}}
-initial_state: {{position: [0.1], velocity: [0.5]}}
-"""
-TRUE = (0.8, 0.002, -0.1)
-FREE = ("friction", "contact-time", "restitution-exponent")
-
-
-def rubbed(*values: float) -> Model:
-    """A mass that sticks and slips between hits that last and yield."""
-    return parse_model(RUBBED.format(*values), "rubbed")
-
 
 @pytest.mark.slow
 def test_friction_contact_time_and_exponent_come_from_exact_times() -> None:
     """Together, from 40 s: to 1e-6, far below 1e-4."""
-    true = rubbed(*TRUE)
+    true = rubbed(*RUBBED_TRUE)
     made = run(true.system, *true.initial_state(), seconds=40.0, rate=1.0)
-    family = parametric_family(rubbed(0.75, 0.0018, -0.11).system, FREE)
+    family = parametric_family(rubbed(*RUBBED_GUESS).system, RUBBED_FREE)
     found = identify(family, list(made.events), trust_events=True)
     assert found.converged
     values = dict(zip(found.family.names, found.values.tolist(), strict=True))
-    assert values["friction.guide"] == pytest.approx(TRUE[0], rel=1e-6)
-    assert values["contact-time.stop"] == pytest.approx(TRUE[1], rel=1e-6)
-    assert values["restitution-exponent.stop"] == pytest.approx(TRUE[2], rel=1e-6)
+    assert values["friction.guide"] == pytest.approx(RUBBED_TRUE[0], rel=1e-6)
+    assert values["contact-time.stop"] == pytest.approx(RUBBED_TRUE[1], rel=1e-6)
+    assert values["restitution-exponent.stop"] == pytest.approx(RUBBED_TRUE[2], rel=1e-6)
     assert found.rms < 1e-9
 
 
 @pytest.mark.slow
 def test_derivatives_are_those_of_differences() -> None:
     """By state, parameters and instants, where a guide sticks and slips and a contact closes."""
-    model = rubbed(*TRUE).system
-    family = parametric_family(model, (*FREE, "restitution", "gap", "stiffness-scale"))
+    model = rubbed(*RUBBED_TRUE).system
+    family = parametric_family(model, (*RUBBED_FREE, "restitution", "gap", "stiffness-scale"))
     moments = [
         FlightEnd(0.31, (0,), (0,)),
         FlightEnd(0.83, (0,), (0,), (0,)),
