@@ -156,6 +156,8 @@ def work() -> None:
     from systems import EPOCH, PRESSED
 
     from impact_observer import Options, Plant, grid, make_observer, read_model, simulate
+    from impact_observer.model.measurement import Measurement
+    from impact_observer.observer.samples import SensorSample
 
     stamps = grid(EPOCH, EPOCH + 4_000_000_000, 10.0)
     starts = [(model.system, *model.initial_state()) for model in map(read_model, MODELS)]
@@ -163,12 +165,15 @@ def work() -> None:
     for system, q, u in starts:
         events = simulate(Plant(system, q, u, epoch=EPOCH), stamps).events
         for law in ("geometric", "minimum-variance"):
-            observer = make_observer(system, Options(law=law, initial_state="random:1"))
+            encoder = Measurement("e", "/e", system.coordinates[0], "position", deviation=1.0)
+            options = Options(law=law, initial_state="random:1", epoch=EPOCH)
+            observer = make_observer(system, options, measurements=[encoder])
             for k, event in enumerate(events):
                 if k % 5 != 3:  # missed
                     observer.receive(event)
             for stamp in stamps.tolist():
                 observer.estimate(stamp)
+                observer.measure([SensorSample(0, stamp + 1, 0.1)])
 
 
 class Wrong:

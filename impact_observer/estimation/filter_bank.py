@@ -115,6 +115,7 @@ class FilterBank:
 
     Attributes:
         filter: predicts and corrects the state of each of them.
+        trusts_events: whether every event is what it is reported to be.
         trusts_estimate: whether nothing makes its covariance wrong.
         between: predicts hypotheses from one event to the next.
     """
@@ -135,9 +136,9 @@ class FilterBank:
             clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
             for i, clock in enumerate(clocks)
         }
-        self._trusts_events = uncertainty.trusts_events
+        self.trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
-        self.trusts_estimate = self._trusts_events and uncertainty.unknowns is None
+        self.trusts_estimate = self.trusts_events and uncertainty.unknowns is None
         learns_error = uncertainty.model_error is None and clocks
         self.errors = ErrorAccounts(filter_, clocks) if learns_error else None
         self._missed, self._reported = _logs(uncertainty.missed)
@@ -151,7 +152,7 @@ class FilterBank:
         self.between = BetweenEvents(
             filter_,
             self.errors,
-            trusts_events=self._trusts_events,
+            trusts_events=self.trusts_events,
             missed=self._missed,
             most=self._most,
             judges=self._judges,

@@ -45,6 +45,11 @@ DOUBTFUL = 3
 """Samples of one sensor that are rejected in a row, before the covariance is doubted."""
 WIDENING = 3.0
 """Factor of the normalised innovation by which it is widened then."""
+_SMALL = 16
+"""Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
+_MOST_TURNS = 100.0
+"""Longest time that it takes, in the inverse of the fastest rate."""
+_NO_LEVEL = np.zeros(1)
 _LEAST_RESTITUTION = 1e-3
 """By which a speed after an impact is divided to find the one before."""
 
@@ -275,6 +280,69 @@ class SampleUpdate:
         found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
         return found, first.outcome, first.known_after(reading, known)
 
+    def followed(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
+        """``after`` of hypotheses that hold ``s`` seconds before it, ``since`` the epoch, s.
+
+        By one call of the kernel. None where anything is in doubt, or not for the kernel: then
+        they are to be predicted first.
+        """
+        known = self._sure(reading, hypotheses, s)
+        if known is None:
+            return None
+        filter_, sensor = self.bank.filter, reading.sensor
+        at = Place(reading.t, reading.instant, hypotheses[0].state.x, ())
+        row = sensor.row(filter_.members.given.moving, at)
+        made = filter_.members.given.free_gaps.followed(
+            since,
+            s,
+            [h.state for h in hypotheses],
+            _levels(hypotheses),
+            0.0 if filter_.noise is None else filter_.noise.model_error,
+            row.h,
+            row.rest,
+            reading.value,
+            known.variance,
+            sensor.measurement.gate,
+            not self.bank.trusts_events,
+        )
+        if made is None or not math.isfinite(sum(each[6] for each in made)):
+            return None
+        found = [
+            h._replace(state=GaussianState(*m[:4]), weight=h.weight + m[6], since=h.since + s)
+            for h, m in zip(hypotheses, made, strict=True)
+        ]
+        first = max(range(len(found)), key=lambda i: found[i].weight) if len(found) > 1 else 0
+        innovation, normalized, _, residual = made[first][4:]
+        outcome = SampleOutcome(innovation, normalized)
+        if normalized > (gate := sensor.measurement.gate):
+            if len(found) == 1:
+                return None  # the state before it goes on
+            outcome = _gated(innovation, normalized, gate)
+        learns = sensor.measurement.deviation is None
+        known = known.after(accepted=outcome.accepted, residual=residual if learns else -1.0)
+        return self._kept(found, new=False), outcome, known
+
+    def _sure(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float
+    ) -> SensorState | None:
+        """What is known of a sensor where nothing is in doubt, and the kernel can follow."""
+        known, declared = reading.known, reading.sensor.measurement.deviation
+        if known.variance < 0 and declared is not None:
+            known = known._replace(variance=declared * declared)
+        if known.variance <= 0 or known.rejected >= DOUBTFUL or reading.closed:
+            return None
+        filter_ = self.bank.filter
+        if self._system.n > _SMALL or s * filter_.members.given.moving.rate > _MOST_TURNS:
+            return None
+        if filter_.gaps((), s) is None:
+            return None
+        for h in hypotheses:
+            if h.penetrating or h.missed or h.state.closed:
+                return None
+        return known
+
     def _after_alone(
         self, reading: Reading, h: Hypothesis, known: SensorState
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
@@ -398,3 +466,10 @@ class SampleUpdate:
         change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
         eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
         return change / eps if speed > 0 else change  # it has jumped: the state before was faster
+
+
+def _levels(hypotheses: Sequence[Hypothesis]) -> Vector:
+    """Of white accelerations, m/s^1.5, shape (hypotheses,)."""
+    if len(hypotheses) == 1 and not hypotheses[0].error.level:
+        return _NO_LEVEL
+    return np.array([h.acceleration_error for h in hypotheses])

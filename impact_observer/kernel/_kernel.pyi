@@ -26,6 +26,17 @@ class FreeMotion:
     ) -> None: ...
     def rates(self, t: float, x: Vector) -> Vector: ...
     def diffusion(self, s: float) -> Matrix: ...
+    def projected(
+        self,
+        t: float,
+        s: float,
+        x: Vector,
+        due: Matrix,
+        row: Vector,
+        rest: float,
+        towards: Vector,
+        value: float,
+    ) -> tuple[Vector, Matrix, float]: ...
     def flown(self, t: float, x: Vector, s: float) -> Vector: ...
 
 class Sizes:
@@ -120,6 +131,20 @@ class Gaps:
         states: Sequence[tuple[object, ...]],
         levels: Vector,
     ) -> list[list[tuple[int, float, float, float, float, float, bool, float]]]: ...
+    def followed(
+        self,
+        t: float,
+        s: float,
+        states: Sequence[tuple[object, ...]],
+        levels: Vector,
+        declared: float,
+        row: Vector,
+        rest: float,
+        value: float,
+        noise: float,
+        gate: float,
+        searches: bool,
+    ) -> list[tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]] | None: ...
     def root(
         self,
         t: float,

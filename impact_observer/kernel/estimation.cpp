@@ -166,6 +166,32 @@ Array flown(const Motion& motion, double t, const Array& x, double s) {
     return flat(found);
 }
 
+// A replica s seconds later, moved by `towards` for each unit by which a sample is larger than
+// `row x + rest`; and the map of differences from it since they were noted.
+py::tuple projected(const Motion& motion, double t, double s, const Array& x, const Array& due,
+                    const Array& row, double rest, const Array& towards, double value) {
+    instant(t, s);
+    if (!(std::abs(s) * motion.rate <= MOST_STEPS)) throw py::value_error("s: too long");
+    if (!std::isfinite(rest + value)) throw py::value_error("rest, value: not finite");
+    const auto size = py::ssize_t(motion.size());
+    const Vector h = vector(row, "row", size), z = vector(towards, "towards", size);
+    Vector at = motion.flown(t, vector(x, "x", size), s);
+    const double innovation = value - (dot(h.data(), at.data(), h.size()) + rest);
+    add(innovation, z.data(), at.data(), at.size());
+    const View before = checked(due, "due", size, size);
+    const Matrix Phi = motion.transition(s);
+    Matrix after(h.size(), h.size());
+    for (std::size_t i = 0; i < h.size(); ++i)
+        for (std::size_t k = 0; k < h.size(); ++k)
+            add(Phi(i, k), before.row(k), after.row(i), h.size());
+    Vector seen(h.size());
+    for (std::size_t i = 0; i < h.size(); ++i) add(h[i], after.row(i), seen.data(), h.size());
+    for (std::size_t i = 0; i < h.size(); ++i) add(-z[i], seen.data(), after.row(i), h.size());
+    Matrix state(1, h.size());
+    state.data = at;
+    return py::make_tuple(flat(state), to_python(after), innovation);
+}
+
 Gaps gaps_of(const Motion& motion, const Sizes& sizes, const Array& W, const Array& rest) {
     const View rows = checked(W, "W", ANY, py::ssize_t(motion.n()));
     if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
@@ -199,6 +225,31 @@ py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& s
                                        d.over, d.began));
         each_state.append(each);
     }
+    return each_state;
+}
+
+py::object followed(const Gaps& gaps, double t, double s, const py::sequence& states,
+                    const Array& levels, double declared, const Array& row, double rest,
+                    double value, double noise, double gate, bool searches) {
+    duration_of(gaps, t, s);
+    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
+    const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
+    Sample sample{vector(row, "row", py::ssize_t(gaps.motion.size())), rest, value, noise, gate};
+    if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
+        throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
+    positive(declared, "declared");
+    std::vector<Followed> found;
+    {
+        const py::gil_scoped_release released;
+        found = gaps.followed(t, s, given.priors, level, declared, sample, searches);
+    }
+    if (found.size() < given.priors.size()) return py::none();
+    py::list each_state;
+    for (const Followed& each : found)
+        each_state.append(py::make_tuple(flat(each.state.x), flat(each.state.constants),
+                                         to_python(each.state.root),
+                                         to_python(each.state.differences), each.innovation,
+                                         each.normalised, each.density, each.residual));
     return each_state;
 }
 
@@ -264,6 +315,10 @@ void bind_estimation(py::module_& module) {
         .def("rates", &rates_of, py::arg("t"), py::arg("x"), "dx/dt of a state x at t.")
         .def("diffusion", &diffusion, py::arg("s"),
              "A square root of what white accelerations of 1 m/s^1.5 add in s seconds.")
+        .def("projected", &projected, py::arg("t"), py::arg("s"), py::arg("x"), py::arg("due"),
+             py::arg("row"), py::arg("rest"), py::arg("towards"), py::arg("value"),
+             "A replica s seconds after t, moved towards a sample; the map of differences, and the"
+             "\ninnovation.")
         .def("flown", &flown, py::arg("t"), py::arg("x"), py::arg("s"),
              "The state s seconds after x at t, by Taylor's series: for short times.");
     py::class_<Sizes>(module, "Sizes", "What states are rounded against; see dynamics.sizes.")
@@ -289,6 +344,12 @@ void bind_estimation(py::module_& module) {
              py::arg("levels"),
              "Where gaps are negative, for each state: contact, above, below,\n"
              "deepest, depth, unlikely, over, began; see Dip in gaps.hpp.")
+        .def("followed", &followed, py::arg("t"), py::arg("s"), py::arg("states"),
+             py::arg("levels"), py::arg("declared"), py::arg("row"), py::arg("rest"),
+             py::arg("value"), py::arg("noise"), py::arg("gate"), py::arg("searches").noconvert(),
+             "States s seconds after t, corrected by a sample then: x, constants, root,\n"
+             "differences, innovation, normalised, density, residual. None where a gap is "
+             "negative.")
         .def("root", &root_of, py::arg("t"), py::arg("state"), py::arg("level"),
              py::arg("contact"), py::arg("above"), py::arg("below"), py::arg("depth") = 0.0,
              "Where a gap plus depth deviations falls through zero, s.");

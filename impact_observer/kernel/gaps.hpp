@@ -39,6 +39,22 @@ struct Dip {
     double began;         // where it becomes negative
 };
 
+// A linear function of the state that is measured with noise.
+struct Sample {
+    Vector row;  // by the state
+    double rest, value;
+    double noise;  // its variance
+    double gate;   // innovation from which on it is rejected, in standard deviations
+};
+
+// A state after a sample.
+struct Followed {
+    Posterior state;
+    double innovation, normalised;
+    double density;   // logarithm of that of the sample, but for a constant
+    double residual;  // the expected square of its noise
+};
+
 class Gaps {
   public:
     Motion motion;
@@ -49,7 +65,7 @@ class Gaps {
     // Steps of a flight, for many states.
     struct Grid {
         double t, duration;
-        std::size_t count;
+        std::size_t count = 0;
         Matrix step, pushed;  // one step of a difference, and what forces add in each
     };
 
@@ -159,7 +175,119 @@ class Gaps {
         return high;
     }
 
+    // States s seconds later, corrected by a sample then. None where a gap is negative then, or,
+    // if that is searched, on the way. White accelerations, m/s^1.5, have the `declared` level
+    // beside that of each state.
+    std::vector<Followed> followed(double t, double s, const std::vector<Prior>& priors,
+                                   const View& levels, double declared, const Sample& sample,
+                                   bool searches) const {
+        std::vector<Followed> found;
+        Grid steps;
+        const Matrix Phi = motion.transition(s);
+        Matrix diffused;
+        for (std::size_t b = 0; b < priors.size(); ++b) {
+            const Prior& prior = priors[b];
+            Vector x = vector(prior.x);
+            const bool is_far = flown_far(t, s, x);
+            for (std::size_t j = 0; j < W.rows; ++j)
+                if (!(gap(j, x.data()) >= 0)) return {};
+            if (searches && !is_far) {
+                if (steps.count == 0) steps = grid(t, s, priors.size());
+                if (!dips(steps, prior, levels[b]).empty()) return {};
+            }
+            const double level = std::hypot(declared, levels[b]);
+            if (level > 0 && diffused.rows == 0) diffused = motion.diffusion(s);
+            Matrix root = carried(Phi, prior.root);
+            if (level > 0) root = with_noise(root, diffused, level);
+            found.push_back(updated(sample, x, prior.constants, std::move(root),
+                                    carried(Phi, prior.differences)));
+        }
+        return found;
+    }
+
   private:
+    // The state s seconds after x at t; whether no gap can have vanished on the way, as not even
+    // all terms of Taylor's series together reach so far.
+    bool flown_far(double t, double s, Vector& x) const {
+        const double turns = std::abs(s) * motion.rate;
+        Vector left(W.rows);
+        for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x.data());
+        motion.moved(
+            x, s, &t, [&](const double* term, double* to) { motion.rates(term, to); },
+            [&](const double* term) {
+                for (std::size_t j = 0; j < W.rows; ++j)
+                    left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term, motion.n()));
+            });
+        bool is_far = turns <= 1.0;
+        for (const double each : left) is_far = is_far && each > 0;
+        return is_far;
+    }
+
+    // Errors after a flight; the rows after those of the state stay.
+    static Matrix carried(const Matrix& Phi, const View& errors) {
+        Matrix found(errors.rows, errors.columns);
+        for (std::size_t i = 0; i < errors.rows; ++i) {
+            if (i >= Phi.rows) {
+                std::copy(errors.row(i), errors.row(i) + errors.columns, found.row(i));
+                continue;
+            }
+            for (std::size_t k = 0; k < Phi.rows; ++k)
+                add(Phi(i, k), errors.row(k), found.row(i), errors.columns);
+        }
+        return found;
+    }
+
+    // A root of what white accelerations add to a covariance: lower triangular.
+    static Matrix with_noise(const Matrix& root, const Matrix& diffused, double level) {
+        const std::size_t d = root.rows, c = root.columns;
+        Matrix whole(d, std::max(d, c + diffused.columns)), found(d, d);
+        for (std::size_t i = 0; i < d; ++i) {
+            std::copy(root.row(i), root.row(i) + c, whole.row(i));
+            if (i < diffused.rows) add(level, diffused.row(i), whole.row(i) + c, diffused.columns);
+        }
+        make_triangular(whole);
+        for (std::size_t i = 0; i < d; ++i)
+            std::copy(whole.row(i), whole.row(i) + d, found.row(i));
+        return found;
+    }
+
+    // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
+    // Factorization methods for discrete sequential estimation, 1977, chapter II).
+    static Followed updated(const Sample& sample, const Vector& x, const View& constants,
+                            Matrix root, Matrix differences) {
+        const std::size_t size = x.size(), d = root.rows, c = root.columns;
+        Vector columns(c), others(differences.columns);
+        for (std::size_t i = 0; i < size; ++i) {
+            if (sample.row[i] == 0.0) continue;
+            add(sample.row[i], root.row(i), columns.data(), c);
+            add(sample.row[i], differences.row(i), others.data(), others.size());
+        }
+        const double spread = dot(columns.data(), columns.data(), c);
+        const double variance = spread + sample.noise, share = sample.noise / variance;
+        Followed found;
+        found.innovation = sample.value - (dot(sample.row.data(), x.data(), size) + sample.rest);
+        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
+        const double least = std::min(found.normalised, sample.gate);
+        found.density = -(least * least + std::log(variance)) / 2;
+        found.residual = least * least * variance * share * share + spread * share;
+        found.state.x = Matrix(1, size), found.state.constants = Matrix(1, d - size);
+        std::copy(x.begin(), x.end(), found.state.x.row(0));
+        std::copy(constants.data, constants.data + d - size, found.state.constants.row(0));
+        if (!(found.normalised > sample.gate)) {
+            const double shrink = variance + std::sqrt(variance * sample.noise);
+            for (std::size_t i = 0; i < d; ++i) {
+                const double towards = dot(root.row(i), columns.data(), c);
+                const double change = towards / variance * found.innovation;
+                (i < size ? found.state.x.row(0)[i] : found.state.constants.row(0)[i - size]) +=
+                    change;
+                add(-towards / shrink, columns.data(), root.row(i), c);
+                add(-towards / variance, others.data(), differences.row(i), others.size());
+            }
+        }
+        found.state.root = std::move(root), found.state.differences = std::move(differences);
+        return found;
+    }
+
     struct Samples {
         Vector s;
         Matrix x;  // a state each row

@@ -106,9 +106,9 @@ struct Motion {
     }
 
     // Taylor's series of what moves by `next`, over s seconds: next(term, to) makes to = A term.
-    // Forces from t on are added where they are asked for.
-    template <class Next>
-    void moved(Vector& x, double s, const double* t, Next next) const {
+    // Forces from t on are added where they are asked for. each(term) sees all terms.
+    template <class Next, class Each>
+    void moved(Vector& x, double s, const double* t, Next next, Each each) const {
         const double turns = std::abs(s) * rate;
         if (turns == 0.0) return;
         if (!(turns < 1e9)) return x.assign(x.size(), NAN);  // a deviation has overflowed
@@ -137,9 +137,27 @@ struct Motion {
                     term[i] = other[i] * (h / (k + 1));
                     x[i] += term[i];
                 }
+                each(term.data());
                 size_of_term *= turn / (k + 1);
             }
         }
+    }
+
+    template <class Next>
+    void moved(Vector& x, double s, const double* t, Next next) const {
+        moved(x, s, t, next, [](const double*) {});
+    }
+
+    // Phi(s)
+    Matrix transition(double s) const {
+        Matrix found(size(), size());
+        for (std::size_t j = 0; j < size(); ++j) {
+            Vector column(size());
+            column[j] = 1.0;
+            column = carried(std::move(column), s);
+            for (std::size_t i = 0; i < size(); ++i) found(i, j) = column[i];
+        }
+        return found;
     }
 
     // The state s seconds after x at t

@@ -123,8 +123,12 @@ class EventUpdate:
         if reason := _silenced(reading, previous):
             outcome = SampleOutcome(0.0, -1.0, False, reason)
             return replace(previous, key=event, overruled=(), outcome=outcome)
-        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
-        posterior, outcome, known = self.law.measure(reading, prior)
+        prior, since = None, seconds_between(epoch, previous.since)
+        found = self.law.followed(reading, previous.belief, since, s)
+        if found is None:
+            prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
+            found = self.law.measure(reading, prior)
+        posterior, outcome, known = found
         now = previous.known
         if known != reading.known:
             now = {**now, event.sensor: known}
@@ -132,15 +136,18 @@ class EventUpdate:
             return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
         if not isfinite(posterior.x.dot(posterior.x)):
             raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-        return replace(
-            previous,
-            key=event,
-            since=stamp,
-            belief=posterior,
-            overruled=(),
-            outcome=outcome,
-            known=now,
-            prediction=None,
+        return Entry(
+            event,
+            stamp,
+            posterior,
+            previous.synchronization,
+            previous.closed,
+            previous.latest,
+            (),
+            previous.last,
+            impact,
+            outcome,
+            now,
         )
 
     def prediction(self, entry: Entry) -> Prediction:

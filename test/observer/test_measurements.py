@@ -48,9 +48,11 @@ from impact_observer.events import ImpactEvent, Kind, MeasurementVerdict
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, law_named, make_observer
+from impact_observer.observer.laws.law import Law
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.plant import Run, simulate
 from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate
 
 Array = NDArray[np.float64]
 REPLICAS = ("kinematic", "geometric", pytest.param("unilateral", marks=pytest.mark.slow))
@@ -554,6 +556,61 @@ def test_a_new_episode_uses_the_samples_that_follow_it() -> None:
     fed(fresh, [replace(e, episode=0) for e in again[:2]], moved[:60])
     stamp = max(again[1].stamp, moved[59].stamp) + 1
     np.testing.assert_array_equal(x_of(observer, stamp), x_of(fresh, stamp))
+
+
+@pytest.mark.parametrize(
+    ("law", "declared"),
+    [
+        ("geometric", EXACT_STAMPS),
+        ("minimum-variance", EXACT_STAMPS),
+        ("minimum-variance", Uncertainty(deviation=0.3, clock_error=1e-3)),
+        pytest.param("minimum-variance", Uncertainty(deviation=0.3), marks=pytest.mark.slow),
+    ],
+)
+def test_one_call_of_the_kernel_is_prediction_and_correction(
+    law: str, declared: Uncertainty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equal estimates and verdicts, with a missed impact, outliers and a learned deviation."""
+    model, whole = truth("three_mass", 3.0)
+    sensors = [encoder(), encoder("x2", deviation=None), encoder("x3", gain=0.5)]
+    samples = measured(whole, np.eye(6)[:3], 1e-3)
+    spoilt = [s._replace(value=s.value + 0.2 * (i % 50 == 30)) for i, s in enumerate(samples)]
+    start = whole.states[0] + 0.1
+    found: list[tuple[Estimate, Sequence[MeasurementVerdict], int]] = []
+    for follows in (True, False):
+        observer = watcher(model, law, start, sensors, uncertainty=declared)
+        if not follows:
+            monkeypatch.setattr(type(observer.law), "followed", Law.followed)
+        calls: list[object] = []
+        monkeypatch.setattr(observer.law, "measure", _counted(observer.law.measure, calls))
+        events = [*whole.events[:0:-1]]
+        for each in spoilt:
+            while events and events[-1].stamp <= each.stamp:
+                observer.receive(events.pop())
+            observer.measure([each])
+        estimate = observer.estimate(at(3.0))
+        found.append((estimate, observer.samples.take(), len(calls)))
+    (one, verdicts, few), (other, others, many) = found
+    assert many >= len(samples)
+    assert few < 0.5 * many
+    np.testing.assert_allclose(one.q, other.q, atol=1e-10)
+    np.testing.assert_allclose(one.u, other.u, atol=1e-9)
+    if one.covariance.size:
+        np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-9)
+    assert [(v.accepted, v.name) for v in verdicts] == [(v.accepted, v.name) for v in others]
+    for a, b in zip(verdicts, others, strict=True):
+        assert a.innovation == pytest.approx(b.innovation, abs=1e-8)
+        assert a.normalized == pytest.approx(b.normalized, abs=1e-5)
+
+
+def _counted(function: Callable[..., object], calls: list[object]) -> Callable[..., object]:
+    """A function that notes its calls."""
+
+    def called(*given: object) -> object:
+        calls.append(given)
+        return function(*given)
+
+    return called
 
 
 def test_a_wrong_name_is_one_line() -> None:

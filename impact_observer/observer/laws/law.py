@@ -98,6 +98,16 @@ class Law(ABC):
         reason = f"{self.name} uses no measurements"
         return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
 
+    def followed(
+        self, reading: Reading, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        """``measure`` of the prior ``s`` seconds after a ``posterior`` that holds ``since``, s.
+
+        None where the prior is to be made first, as by default.
+        """
+        del reading, posterior, since, s
+        return None
+
     @abstractmethod
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
         """The prediction from ``t`` (s since the epoch) on, ``closed`` having ``chi = 1``."""

@@ -70,6 +70,7 @@ from impact_observer.states import Matrix, Vector
 
 CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Standard deviations of a stamp, s: one hypothesis each where none is declared."""
+_NOTHING = np.zeros(0)
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of rounding a stamp to 1 ns, s."""
 
@@ -127,6 +128,7 @@ class MinimumVariance(Law):
             or self.uncertainty.clock_offset_error
         )
         self._single = self.uncertainty.trusts_events and not self._estimates_parameters
+        self._last_fit = Fit(), False
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, with closed contacts at rest."""
@@ -185,7 +187,7 @@ class MinimumVariance(Law):
         if self._single:
             assert prior.root is not None, "a belief of another law"
             differences = prior.ensemble.differences
-            state = GaussianState(prior.x, np.zeros(0), prior.root, differences, closed)
+            state = GaussianState(prior.x, _NOTHING, prior.root, differences, closed)
             (h,), outcome, known = self._samples.after(
                 reading, [Hypothesis(state, self.clocks[0])]
             )
@@ -205,19 +207,60 @@ class MinimumVariance(Law):
             account = self._accounts.measured(reading, account)
         if prior.fit.is_compared:
             return self._posterior(found, fallback, prior.fit, account), outcome, known
-        found, state = _best_first(found, prior.fit)
-        posterior = Belief(
+        posterior = self._measured(found, fallback, prior.fit, prior.behind)
+        return posterior._replace(account=account), outcome, known
+
+    def followed(
+        self, reading: Reading, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        """By one call of the kernel, where nothing is in doubt and the model fits."""
+        fit = posterior.fit
+        if self._single:
+            assert posterior.root is not None, "a belief of another law"
+            differences, x = posterior.ensemble.differences, posterior.x
+            state = GaussianState(x, _NOTHING, posterior.root, differences, reading.closed)
+            alone = Hypothesis(state, self.clocks[0])
+            made = self._samples.followed(reading, [alone], since, s)
+            if made is None:
+                return None
+            after = made[0][0].state
+            return Belief(after.ensemble, after.root, fit=fit), *made[1:]
+        fallback, (began, ago) = posterior.fallback, posterior.behind
+        if fallback is None or posterior.account is not None or self._is_misfit(fit):
+            return None
+        made = self._samples.followed(reading, posterior.hypotheses, since, s)
+        if made is None:
+            return None
+        behind = (began, ago + s) if ago else (since, s)
+        return self._measured(made[0], fallback, fit, behind), *made[1:]
+
+    def _is_misfit(self, fit: Fit) -> bool:
+        """Whether the model does not fit; found once for each fit, as many samples share it."""
+        known, found = self._last_fit
+        if known is not fit:
+            found = fit.is_misfit
+            self._last_fit = fit, found
+        return found
+
+    def _measured(
+        self,
+        found: tuple[Hypothesis, ...],
+        fallback: Fallback,
+        fit: Fit,
+        behind: tuple[float, float],
+    ) -> Belief:
+        """The belief of hypotheses after a sample; its covariance is found when asked for."""
+        found, state = _best_first(found, fit)
+        return Belief(
             state.ensemble,
-            fit=prior.fit,
+            fit=fit,
             clock_offset=state.offset,
-            learned=Learned(partial(self._learned_of, found, prior.fit)),
+            learned=Learned(partial(self._learned_of, found, fit)),
             hypotheses=found,
             fallback=fallback,
-            behind=prior.behind,
-            account=account,
-            misfit=prior.fit.message(""),
+            behind=behind,
+            misfit=fit.message("") if self._is_misfit(fit) else "",
         )
-        return posterior, outcome, known
 
     def _caught_up(self, belief: Belief, fallback: Fallback, closed: Contacts) -> Fallback:
         """The ``fallback`` of a belief when that holds."""

@@ -37,6 +37,10 @@ from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.sample_projection import SampleProjection
 from impact_observer.states import Matrix, Vector
 
+_SMALL = 16
+"""Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
+_MOST_TURNS = 100.0
+"""Longest time that it takes, in the inverse of the fastest rate."""
 _BEYOND = 1e-6
 """Probability of an initial error that exceeds the initial certified bound."""
 
@@ -63,6 +67,7 @@ class ReplicaLaw(Law):
         belonging = {
             "impact": ("impacts", "impact_ensemble", "energy_removed"),
             "motion": ("phase",),
+            "measure": ("followed",),
         }
         for method, others in belonging.items():
             for other in others if method in vars(cls) else ():
@@ -207,6 +212,45 @@ class ReplicaLaw(Law):
             bound = bound - alpha * (1 - alpha / 2) * energy if declared.is_exact else None
         belief = Belief(self.admitted(ensemble, closed), None, bound, prior.inconsistent)
         return self._checked(belief), SampleOutcome(innovation), reading.known
+
+    def followed(
+        self, reading: Reading, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        """By one call of the kernel, while all replicas move freely in one linear phase."""
+        if reading.closed or not self._is_free(s):
+            return None
+        sensor, ensemble = reading.sensor, posterior.ensemble
+        row = sensor.row(self.moving, Place(reading.t, reading.instant, posterior.x, ()))
+        jump, alpha = self._samples.jump(row.h, ()), sensor.measurement.gain
+        if jump is None:
+            return None
+        due = self._unit if ensemble.due is None else ensemble.due
+        x, due, innovation = self.moving.free.projected(
+            since, s, ensemble.x, due, row.h, row.rest, alpha * jump.z, reading.value
+        )
+        bound = posterior.bound
+        if bound is not None:
+            energy = jump.energy * innovation * innovation
+            exact = sensor.measurement.is_exact
+            bound = bound - alpha * (1 - alpha / 2) * energy if exact else None
+        belief = Belief(Ensemble(x, ensemble.since, due), None, bound, posterior.inconsistent)
+        return self._checked(belief), SampleOutcome(innovation), reading.known
+
+    def _is_free(self, s: float) -> bool:
+        """Whether all replicas move in one phase that the kernel knows, ``s`` seconds long."""
+        if self.system.n > _SMALL or not self.uses_measurements or self._is_forced:
+            return False
+        return s * self.moving.rate <= _MOST_TURNS and self.phase(()) is self._free
+
+    @cached_property
+    def _is_forced(self) -> bool:
+        """Whether samples of forces, or guides, are part of the motion."""
+        system = self.system
+        return bool(system.forcing.sampled is not None or system.live is not None or system.guides)
+
+    @cached_property
+    def _unit(self) -> Matrix:
+        return np.eye(2 * self.system.n)
 
     def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
         """The nearest states that the plant may have, after a sample while contacts are closed.
