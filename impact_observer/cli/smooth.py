@@ -31,7 +31,6 @@ from impact_observer.cli.arguments import (
     add_observer_arguments,
     observer_options,
 )
-from impact_observer.errors import UsageError
 
 LAW = "minimum-variance"
 
@@ -55,13 +54,9 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.model.free_parameters import with_unit
+    from impact_observer.model.measurements_file import read_measurements
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
-    if args.measurements:
-        raise UsageError(
-            f"measurements: {args.measurements} given, but smooth uses impacts alone; leave it"
-            " out, or use observe"
-        )
     chosen = observer_options(args, LAW)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
@@ -70,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
             read,
             chosen,
             args.output,
+            measurements=read_measurements(args.measurements),
             rate=args.rate,
             most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,

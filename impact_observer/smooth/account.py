@@ -26,11 +26,15 @@ import numpy as np
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.hypotheses import Note
 from impact_observer.estimation.model_error import NO_ERROR, LearnedError
+from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.verdicts import verdict_of
+from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples
 from impact_observer.stamps import Elapsed, seconds_between
 
 _SETTLED = 16
@@ -61,11 +65,13 @@ class EventAccount(NamedTuple):
         moments: those that are true, and those inserted, in order.
         verdicts: the final ones, in order.
         reported: the moments if all events are as they were reported, and none was missed.
+        samples: of sensors, and which of them the filter has rejected.
     """
 
     moments: tuple[Moment, ...]
     verdicts: tuple[Verdict, ...]
     reported: tuple[Moment, ...] = ()
+    samples: UsedSamples = NO_SAMPLES
 
     def as_reported(self) -> "EventAccount":
         """The account in which all events are as they were reported."""
@@ -76,7 +82,7 @@ class EventAccount(NamedTuple):
             for each in self.verdicts
             if each.ruling is not Ruling.INSERTED
         ]
-        return EventAccount(self.reported, tuple(verdicts), self.reported)
+        return EventAccount(self.reported, tuple(verdicts), self.reported, self.samples)
 
     @property
     def rejected(self) -> int:
@@ -114,14 +120,28 @@ class TracedLaw(MinimumVariance):
     Attributes:
         traces: by stamp and sequence number of the event.
         last: the belief after the last event.
+        rejected: sensor and instant (ns since the epoch) of samples that their gates rejected.
+        variances: of the noise of each sensor, by its index.
     """
 
     traces: dict[tuple[int, int], _Trace]
     last: Belief | None
+    rejected: set[tuple[int, int]]
+    variances: dict[int, float]
 
     def forget(self) -> None:
         """Forget all traces, before a recording begins."""
-        self.traces, self.last = {}, None
+        self.traces, self.last, self.rejected, self.variances = {}, None, set(), {}
+
+    def measure(
+        self, reading: Reading, prior: Belief
+    ) -> tuple[Belief, SampleOutcome, SensorState]:
+        """As the law does."""
+        posterior, outcome, known = super().measure(reading, prior)
+        self.variances[reading.sensor.index] = known.variance
+        if not outcome.accepted:
+            self.rejected.add((reading.sensor.index, reading.instant))
+        return posterior, outcome, known
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """As the law does."""
@@ -140,18 +160,20 @@ def account_of(
     observer: Observer,
     law: TracedLaw,
     events: Sequence[ImpactEvent],
+    samples: Sequence[SensorSample] = (),
     progress: Callable[[int], None] = lambda _: None,
 ) -> EventAccount:
     """The account of ``events`` by an ``observer`` with this ``law`` that has received none yet.
 
-    ``progress`` is called with the number of events done.
+    It has ``samples`` of its sensors, too. ``progress`` is called with the number of events done.
 
     Raises:
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
     law.forget()
     received = []
-    for each in replay_batches(observer, events, np.empty(0, dtype=np.int64), rejects=True):
+    nothing = np.empty(0, dtype=np.int64)
+    for each in replay_batches(observer, events, nothing, rejects=True, samples=samples):
         assert isinstance(each, Verdict), "no estimates are asked for"
         received.append(each)
         progress(len(law.traces))
@@ -167,7 +189,34 @@ def account_of(
     epoch = observer.epoch or min(each.stamp for each in events)
     moments = tuple(_moments(traces, decided, epoch))
     reported = tuple(_moments(traces, {}, epoch))
-    return EventAccount(moments, tuple(verdicts), reported)
+    first = start_of(events, observer.epoch)
+    used = _samples(observer, law, [each for each in samples if each.stamp >= first], epoch)
+    return EventAccount(moments, tuple(verdicts), reported, used)
+
+
+def start_of(events: Sequence[ImpactEvent], epoch: int) -> int:
+    """Where the initial state holds, ns: the epoch, or the first event if others are lost."""
+    first = min((each.sequence for each in events if each.sequence), default=0)
+    if epoch and first <= 1:
+        return epoch
+    return min(each.stamp for each in events)
+
+
+def _samples(
+    observer: Observer, law: TracedLaw, samples: Sequence[SensorSample], epoch: int
+) -> UsedSamples:
+    """The ``samples`` as readings, with what was learned of their sensors."""
+    sensors, readings = observer.samples.sensors, list[Reading]()
+    for sensor, stamp, value in samples:
+        known = SensorState(law.variances.get(sensor, -1.0))
+        if not abs(value) <= LARGEST_STATE or known.variance < 0:
+            continue
+        at = stamp - epoch
+        readings.append(Reading(sensors[sensor], value, Elapsed(at), at, known=known))
+    rejected = {
+        i for i, each in enumerate(readings) if (each.sensor.index, each.instant) in law.rejected
+    }
+    return UsedSamples(tuple(readings), frozenset(rejected))
 
 
 def _by_event(notes: Iterable[Note]) -> dict[tuple[int, int], list[Note]]:

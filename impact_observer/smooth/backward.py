@@ -34,8 +34,8 @@ from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.model_error import unit_kicks
 from impact_observer.events import Ruling, Verdict
 from impact_observer.smooth.account import EventAccount, Moment
+from impact_observer.smooth.arc import Arc
 from impact_observer.smooth.chain import Normal
-from impact_observer.smooth.linearised import Arc
 from impact_observer.smooth.smoother import smooth
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector

@@ -28,6 +28,7 @@ from impact_observer.events import Ruling
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import messages_of
 from impact_observer.io.live_inputs import give_recorded
+from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.observed_bag import (
     MOST_ESTIMATES,
@@ -40,6 +41,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options
 from impact_observer.smooth.recording import Progress, no_progress, smoothed_runs
 from impact_observer.smooth.smoothed_motion import SmoothedMotion
@@ -79,6 +81,7 @@ def smooth_bag(
     options: Options,
     output: Path,
     *,
+    measurements: Sequence[Measurement] = (),
     rate: float | None = None,
     most: int = MOST_ESTIMATES,
     flush: float = FLUSH,
@@ -91,6 +94,7 @@ def smooth_bag(
         model: that explains its events.
         options: of the observer.
         output: the bag to make.
+        measurements: what sensors measure beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
         most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
@@ -103,18 +107,27 @@ def smooth_bag(
     stamps = sample_stamps(reader, events, rate, options.epoch)
     check_size(reader, model.system, output, stamps, most, has_covariance=True)
     problems = list[str]()
+    samples = samples_in(reader, measurements)
 
     def give(observer: Observer) -> None:
         problems[:] = give_recorded(reader, observer.live)
 
     try:
         runs = smoothed_runs(
-            model.system, events, options, model.elements, progress=progress, give=give
+            model.system,
+            events,
+            options,
+            model.elements,
+            measurements=measurements,
+            samples=samples.samples,
+            progress=progress,
+            give=give,
         )
     except BagError as error:
         raise BagError(f"{reader.path}: {error}") from None
     counts = Counter(problems)
-    left_out = [f"{count} samples are left out: {each}" for each, count in counts.items()]
+    left_out = [*samples.problems]
+    left_out += [f"{count} samples are left out: {each}" for each, count in counts.items()]
     if rate is None and (line := unseen_events(events, stamps, options.epoch)):
         left_out.append(line)
     own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)

@@ -22,19 +22,18 @@ are linearised about the path's state at ``T``. A reported stamp is the instant 
 normal error; the instant of an inserted moment is the root of the guard.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.dynamics import Motion
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL
-from impact_observer.estimation.members import Member
-from impact_observer.estimation.missed_switch import posterior_of_missed
+from impact_observer.estimation.members import Member, transition_of
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.parametric import Map, Sensitivity
 from impact_observer.estimation.process_noise import ProcessNoise
@@ -52,8 +51,6 @@ from impact_observer.states import Matrix, Vector
 IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
 _NOTHING = np.zeros((0, 0))
-_SURE = 3.0
-"""Deviations of a filter's start, relative to those that are known."""
 _ROUNDED = 1e-13
 """Rounding of a state of the path, relative to its size."""
 
@@ -79,20 +76,8 @@ class Path(NamedTuple):
     spread: Vector
 
 
-class Node(NamedTuple):
-    """A step of the chain.
-
-    Attributes:
-        moment: its index.
-        is_rest: whether it is the rest of contacts after the moment.
-    """
-
-    moment: int
-    is_rest: bool = False
-
-
-class Arc:
-    """A recording from its first state on, as its account has it.
+class Linearised:
+    """The flights and jumps of a recording as linear functions near a path.
 
     Attributes:
         moments: of the account.
@@ -114,36 +99,7 @@ class Arc:
         self._errors = ErrorAccounts(filter_, (0.0,))
         self._latest: tuple[Path | None, int, tuple[Expansion, Contacts]]
         self._latest = None, -1, (Expansion(*[_NOTHING] * 4), ())
-
-    def predicted(self, about: Normal | None = None) -> Path:
-        """The path of the filter, from the first state on, or from one that is known better.
-
-        Then deviations are larger than those of ``about`` by ``_SURE``.
-        """
-        count, filter_ = len(self.moments), self.filter
-        early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
-        state, t = self._state, self._t
-        if about is not None:
-            state = state._replace(
-                x=about.mean[: self._size],
-                constants=about.mean[self._size :],
-                root=_SURE * about.root,
-            )
-        start = state.x
-        for k, moment in enumerate(self.moments):
-            change = moment.change
-            prediction = filter_.predict(t, state, _level(moment, ErrorKind.ACCELERATION))
-            prior = prediction.prior(change.t - t)
-            x[k], t, doubt[k] = prior.x, change.t, self.gap_deviation(k, prior.root)
-            if moment.is_inserted:
-                state = posterior_of_missed(filter_, change, prior)
-                continue
-            joint = filter_.joint_prior(change, prior, moment.clock)
-            joint = filter_.joint_posterior(change, joint)
-            early[k], x[k] = change.t - joint.t, joint.x
-            state = filter_.posterior(change, joint)
-        deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
-        return Path(start, early, x, doubt, state.constants, deviations)
+        self._moved: tuple[Path | None, int, float | None, Motion | None] = (None, -1, None, None)
 
     def instant(self, path: Path, k: int) -> float:
         """The ``k``-th instant of a path, s since the epoch; -1 for the start."""
@@ -157,16 +113,6 @@ class Arc:
         """Whether contacts are at rest after the ``k``-th moment, which measures their gaps."""
         return bool(self.closed_after(k))
 
-    @property
-    def nodes(self) -> list[Node]:
-        """The steps of the chain: each moment, and each rest after one."""
-        found = [Node(k, rest) for k in range(len(self.moments)) for rest in (False, True)]
-        return [each for each in found if not each.is_rest or self.rests(each.moment)]
-
-    def step(self, path: Path, node: Node) -> Step:
-        """The step of the chain that leads to ``node``."""
-        return (self.resting if node.is_rest else self.arrival)(path, node.moment)
-
     def member(self, path: Path) -> Member:
         """The system with the parameters of a path."""
         return self._members.at(path.constants[: self._p])
@@ -174,35 +120,8 @@ class Arc:
     def noise_after(self, k: int) -> ProcessNoise | None:
         """The noise of the flight after the ``k``-th moment; None for none."""
         is_last = k + 1 == len(self.moments)
-        level = 0.0 if is_last else _level(self.moments[k + 1], ErrorKind.ACCELERATION)
+        level = 0.0 if is_last else level_of(self.moments[k + 1], ErrorKind.ACCELERATION)
         return self.filter.noise_of(level)
-
-    def sampled(
-        self, path: Path, times: Mapping[int, Sequence[float]]
-    ) -> tuple["Arc", Path, list[int]]:
-        """The arc and path with moments at ``times`` at which nothing happens; where these are.
-
-        ``times`` (s since the epoch) are ascending, by the moment that they follow.
-        """
-        moments, early, states, wanted = list[Moment](), list[float](), list[Vector](), list[int]()
-        for k in range(-1, len(self.moments)):
-            if k >= 0:
-                moments.append(self.moments[k])
-                early.append(float(path.early[k]))
-                states.append(path.x[k])
-            closed, t = self.closed_after(k), self.instant(path, k)
-            for at in times.get(k, ()):
-                wanted.append(len(moments))
-                moments.append(
-                    Moment(ContactChange(at, closed, (), closed), 0.0, self.moments[k + 1].error)
-                )
-                early.append(0.0)
-                moving = self.member(path).moving
-                states.append(moving.flow_map(t, self._after(path, k), at - t, closed).value)
-        arc = Arc(self.filter, self._t, self._state, moments)
-        doubt = np.zeros(len(moments))
-        doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
-        return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
 
     def log_slope(self, path: Path, k: int) -> float:
         """Logarithm of what turns densities of guards into such of instants, at a moment.
@@ -241,12 +160,6 @@ class Arc:
         theta = np.clip(constants[: self._p], self._members.low, self._members.high)
         return np.concatenate([theta, constants[self._p :]])
 
-    def arrival(self, path: Path, k: int) -> Step:
-        """From where the moment before has left the chain to the ``k``-th, and its measurement."""
-        s = self.instant(path, k) - self.instant(path, k - 1)
-        flown = self.flight(path, k - 1, s).after(self.left(path, k - 1))
-        return self._stamped(path, k).after(flown)
-
     def left(self, path: Path, k: int) -> Step:
         """From the chain's vector at the ``k``-th moment to (x, constants) just after it."""
         if k < 0:
@@ -255,15 +168,21 @@ class Arc:
             )
         return self._projection(path, k) if self.rests(k) else self._jump(path, k)
 
-    def flight(self, path: Path, k: int, s: float) -> Step:
-        """From just after the ``k``-th moment ``s`` seconds on, no contact switching."""
-        t, closed, x = self.instant(path, k), self.closed_after(k), self._after(path, k)
-        theta, q, size = path.constants[: self._p], self._members.moving, self._size
+    def flight(
+        self, path: Path, k: int, end: float, since: float | None = None, *, noisy: bool = True
+    ) -> Step:
+        """From just after the ``k``-th moment, or ``since`` later, to the ``end``.
+
+        Both are s since the epoch; no contact switches.
+        """
+        closed, x = self.closed_after(k), self._state_at(path, k, since)
+        t = self.instant(path, k) if since is None else since
+        s, theta, q, size = end - t, path.constants[: self._p], self._members.moving, self._size
 
         def at(values: Vector) -> Map:
             return self._members.motion(values).flow_map(t, x, s, closed)
 
-        moved = at(theta)
+        moved = at(theta) if q else self._flown(path, k, since, s)
         A = np.eye(size + self._count)
         A[:size, :size] = moved.linear
         if q:
@@ -271,7 +190,7 @@ class Arc:
             A[:size, size : size + q] = Sensitivity.of(at, theta[:q], steps).first.T
         b = np.zeros(len(A))
         b[:size] = moved.value - A[:size] @ np.append(x, path.constants)
-        noise = self.noise_after(k)
+        noise = self.noise_after(k) if noisy else None
         root = np.zeros((len(A), 0))
         if noise is not None and s > 0:
             root = noise.added_to(root, size, partial(self._diffusion, closed), s)
@@ -344,7 +263,7 @@ class Arc:
             A[:size, 1 + size : 1 + size + self._p] = sensitivity.first.T
         b[:size] = expansion.value - A[:size, 1:] @ np.append(x, path.constants)
         columns = [np.diag(STATE_ROUNDING * self._sizes(x, change.flown))]
-        level = _level(moment, ErrorKind.RESTITUTION)
+        level = level_of(moment, ErrorKind.RESTITUTION)
         if level and change.hit and not change.closed:
             columns.append(level * self._errors.kicks(x, change.hit))
         noise = np.zeros((d, sum(each.shape[1] for each in columns)))
@@ -375,6 +294,29 @@ class Arc:
         x = self._jumped(path, k)
         return self._rested(path, k, x).x if self.rests(k) else x
 
+    def _state_at(self, path: Path, k: int, since: float | None) -> Vector:
+        """The path's state after the ``k``-th moment: just then, or at ``since``."""
+        if since is None:
+            return self._after(path, k)
+        return self._flown(path, k, None, since - self.instant(path, k)).value
+
+    def _flown(self, path: Path, k: int, since: float | None, s: float) -> Map:
+        """The flow over ``s`` seconds from after the ``k``-th moment, or from ``since``.
+
+        Guides that rub make a motion of many phases, which is kept for the next ``s``.
+        """
+        moving, closed = self.member(path).moving, self.closed_after(k)
+        about, *place, motion = self._moved
+        if about is not path or place != [k, since] or s <= 0:
+            t = self.instant(path, k) if since is None else since
+            x = self._state_at(path, k, since)
+            if not moving.guided or s <= 0:
+                return moving.flow_map(t, x, s, closed)
+            motion = moving.motion(t, x, closed)
+            self._moved = path, k, since, motion
+        assert motion is not None, "it is of this path"
+        return Map(motion.state(s), transition_of(motion, s))
+
     def _projection(self, path: Path, k: int) -> Step:
         """From (x, constants) after a rest was measured to closed contacts exactly at rest."""
         x, size = self._jumped(path, k), self._size
@@ -394,6 +336,6 @@ class Arc:
         return GaussianState(x, path.constants, nothing, nothing, closed, self._p)
 
 
-def _level(moment: Moment, kind: ErrorKind) -> float:
+def level_of(moment: Moment, kind: ErrorKind) -> float:
     """The level of one kind of model error at a moment."""
     return moment.error.level if moment.error.kind is kind else 0.0

@@ -26,15 +26,17 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.elements import Element
+from impact_observer.model.measurement import Measurement
 from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer import Observer, Options, initial_state, make_observer
+from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
-from impact_observer.smooth.account import EventAccount, TracedLaw, account_of
+from impact_observer.smooth.account import EventAccount, TracedLaw, account_of, start_of
+from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.backward import Retracing
-from impact_observer.smooth.linearised import Arc, Node
 from impact_observer.smooth.smoothed_motion import SmoothedMotion
 from impact_observer.smooth.smoother import Smoothed, smooth
-from impact_observer.stamps import Elapsed
+from impact_observer.stamps import MAX_STAMP, Elapsed
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and all of it."""
@@ -67,6 +69,8 @@ def smoothed_runs(
     options: Options,
     elements: Sequence[Element] = (),
     *,
+    measurements: Sequence[Measurement] = (),
+    samples: Sequence[SensorSample] = (),
     progress: Progress = no_progress,
     give: Callable[[Observer], object] = no_inputs,
 ) -> list[SmoothedMotion]:
@@ -77,6 +81,8 @@ def smoothed_runs(
         events: in order of reception, or as ``sender_runs.in_order`` has them.
         options: of the observer.
         elements: of which the system was assembled.
+        measurements: what sensors measure beside the impacts.
+        samples: what they have measured, in order of stamps.
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
 
@@ -91,8 +97,14 @@ def smoothed_runs(
             runs.setdefault(each.period, []).append(each.event)
     if not runs:
         raise BagError("it holds no impact")
-    made = partial(make_observer, system, _own(options), elements, law=TracedLaw)
-    found = [_Run(run, options, made, give, progress).motion() for run in runs.values()]
+    made = partial(
+        make_observer, system, _own(options), elements, law=TracedLaw, measurements=measurements
+    )
+    begins = [min(each.stamp for each in run) for run in runs.values()]
+    found = list[SmoothedMotion]()
+    for run, begin, end in zip(runs.values(), begins, [*begins[1:], MAX_STAMP + 1], strict=True):
+        own = [each for each in samples if (begin <= each.stamp or not found) and each.stamp < end]
+        found.append(_Run(run, own, options, made, give, progress=progress).motion())
     if not any(each.account.moments for each in found):
         raise BagError("no impact was applied: is it a recording of this model?")
     return found
@@ -137,12 +149,15 @@ class _Run:
     def __init__(
         self,
         events: Sequence[ImpactEvent],
+        samples: Sequence[SensorSample],
         options: Options,
         make: Callable[[], Observer],
         give: Callable[[Observer], object],
+        *,
         progress: Progress,
     ) -> None:
-        self._events, self._options, self._progress = events, options, progress
+        self._events, self._samples = events, samples
+        self._options, self._progress = options, progress
         self._make, self._give = make, give
 
     def motion(self) -> SmoothedMotion:
@@ -158,7 +173,7 @@ class _Run:
             best = self._searched(best, few)
         if len(self._events) > len(few):
             best = self._tried(self._events, best.smoothed)
-        start = self._start(best.epoch)
+        start = start_of(self._events, best.epoch)
         return SmoothedMotion(
             best.smoothed, best.account, best.law, start=start, epoch=best.epoch or start
         )
@@ -222,7 +237,8 @@ class _Run:
     def _evaluated(self, law: TracedLaw, account: EventAccount, epoch: int) -> "_Trial":
         """An account with the motion that explains it best."""
         whole = self._with_all_inputs(law, epoch)
-        arc = Arc(whole.filter, self._begin(epoch), self._prior(whole, epoch), account.moments)
+        prior, begin = self._prior(whole, epoch), self._begin(epoch)
+        arc = Arc(whole.filter, begin, prior, account.moments, account.samples)
         smoothed = smooth(arc, lambda done, total: self._progress("smoother", done, total))
         return _Trial(law, account, smoothed, epoch)
 
@@ -244,7 +260,7 @@ class _Run:
 
     def _begin(self, epoch: int) -> Elapsed:
         """Seconds from the epoch to the start; 0 where the epoch is unknown."""
-        start = self._start(epoch)
+        start = start_of(self._events, epoch)
         return Elapsed(start - (epoch or start))
 
     def _observer(
@@ -260,7 +276,7 @@ class _Run:
         law = made.law
         assert isinstance(law, TracedLaw), "it was asked for"
         if about is not None:
-            start = self._start(epoch)
+            start = start_of(self._events, epoch)
             n, first = law.system.n, about.first
             root = np.hstack([_SURE * first.root[: 2 * n], wider * law.uncertainty.root(n)])
             at = np.array([start - (epoch or start)])
@@ -271,14 +287,10 @@ class _Run:
     def _account(
         self, observer: Observer, law: TracedLaw, events: Sequence[ImpactEvent]
     ) -> EventAccount:
-        total = len(events)
+        total, samples = len(events), self._samples
+        if total < len(self._events):
+            last = max(each.stamp for each in events)
+            samples = [each for each in samples if each.stamp <= last]
         return account_of(
-            observer, law, events, lambda done: self._progress("filter", done, total)
+            observer, law, events, samples, lambda done: self._progress("filter", done, total)
         )
-
-    def _start(self, epoch: int) -> int:
-        """Where the initial state holds, ns: the epoch, or the first event if others are lost."""
-        first = min((each.sequence for each in self._events if each.sequence), default=0)
-        if epoch and first <= 1:
-            return epoch
-        return min(each.stamp for each in self._events)

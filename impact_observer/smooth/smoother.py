@@ -34,8 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.estimation.likelihood import STILL
+from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.chain import Chain, Normal, Step
-from impact_observer.smooth.linearised import Arc, Node, Path
+from impact_observer.smooth.linearised import Path
 
 SETTLED = 1e-3
 """Change of the path, in standard deviations, below which it is linearised no more."""
@@ -45,6 +46,8 @@ _MOST_WORSE = 3
 """Linearisations without a smaller change than before, after which there are no more."""
 _MOST_STARTS = 3
 """Most filters after the first from whose path a motion with friction is smoothed."""
+_MOST_GATES = 4
+"""Most times that samples are chosen again by their distance from the smoothed motion."""
 _LIKELIER = 0.1
 """Logarithm of the factor by which a motion is likelier that is preferred to another one."""
 _ROOM = 0.4
@@ -124,7 +127,7 @@ class KnownStates:
     def at(self, node: Node) -> Normal:
         """What is known at ``node``."""
         i, width = self._index[node], self._means.shape[1]
-        d = width - node.is_rest
+        d = width - node.is_after
         return Normal(self._means[i, :d].copy(), self._roots[i, : d * d].reshape(d, d).copy())
 
 
@@ -143,21 +146,31 @@ def smooth(
 
     ``progress`` is called with the number of linearisations done, and the most that may be.
     """
-    best = _settled(arc, arc.predicted(), progress)
+    best = _gated(_settled(arc, arc.predicted(), progress), progress)
     for _ in range(_MOST_STARTS if arc.filter.system.guides else 0):
-        again = _settled(arc, arc.predicted(best.first), progress)
+        again = _gated(_settled(arc, arc.predicted(best.first), progress), progress)
         if not again.is_better(best):
             break
         best = again
     return best
 
 
+def _gated(found: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
+    """The motion with the samples that are near it: at first the filter has chosen them."""
+    for _ in range(_MOST_GATES if found.arc.samples.readings else 0):
+        arc = found.arc.gated(found.path)
+        if arc.samples.rejected == found.arc.samples.rejected:
+            break
+        found = _settled(arc, found.path, progress)
+    return found
+
+
 def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoothed:
     """``smooth``, linearised about ``path`` at first."""
-    nodes, worse = arc.nodes, 0
+    worse = 0
     best: Smoothed | None = None
     for rounds in range(1, MOST_ROUNDS + 1):
-        first, known, evidence = _linear(arc, path, nodes)
+        first, known, evidence = _linear(arc, path)
         better, change = _improved(arc, path, first, known)
         progress(rounds, MOST_ROUNDS)
         worse += 1
@@ -178,14 +191,15 @@ def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iter
     which nothing happens.
     """
     arc, path, wanted = smoothed.arc.sampled(smoothed.path, times)
-    _, known, _ = _linear(arc, path, arc.nodes)
+    _, known, _ = _linear(arc, path)
     for k in wanted:
         step = arc.left(path, k)
         yield known.at(Node(k, arc.rests(k))).mapped(step.A, step.b, step.N)
 
 
-def _linear(arc: Arc, path: Path, nodes: Sequence[Node]) -> tuple[Normal, KnownStates, float]:
-    """The first state, those at ``nodes``, and the evidence, linearised about ``path``."""
+def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, float]:
+    """The first state, those at all nodes, and the evidence, linearised about ``path``."""
+    nodes = arc.nodes(path)
     first, known = arc.first, KnownStates(nodes, 1 + arc.first.mean.size)
 
     def step(i: int) -> Step:
@@ -198,7 +212,7 @@ def _linear(arc: Arc, path: Path, nodes: Sequence[Node]) -> tuple[Normal, KnownS
             first = z
         else:
             known.set(i, z)
-    return first, known, chain.evidence
+    return first, known, chain.evidence + arc.left_out(path)
 
 
 def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[Path, float]:
@@ -211,7 +225,7 @@ def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[
     instants = [arc.instant(path, k) for k in range(-1, len(early))]
     room = _ROOM * np.maximum(np.diff(instants, append=np.inf), 0.0)
     for node in known.nodes:
-        if node.is_rest:
+        if node.is_after:
             continue
         k, z = node.moment, known.at(node)
         if not np.isfinite(z.mean).all():

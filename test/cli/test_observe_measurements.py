@@ -14,6 +14,7 @@
 
 """simulate and observe with sensors beside the impacts, through bags."""
 
+import json
 import re
 from pathlib import Path
 
@@ -312,15 +313,19 @@ def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
     assert ends[1][0] != ends[1][1]
 
 
-@pytest.mark.parametrize("command", ["smooth"])
-def test_what_uses_impacts_alone_says_so_by_one_line(
-    command: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.slow
+def test_smooth_takes_samples_beside_the_impacts(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Rather than leave the samples out silently."""
-    given = [command, str(bag), "--measurements", "encoder", "-o", str(tmp_path / "out")]
-    assert main(given) == 2
-    (text,) = capsys.readouterr().err.splitlines()
-    assert f"measurements: encoder given, but {command} uses impact" in text
+    """From zero, the start is known to millimetres, where two impacts alone say little."""
+    output = tmp_path / "out"
+    given = ["--measurements", str(bag.parent / "rig.yaml"), "-o", str(output)]
+    assert main(["smooth", str(bag), "--clock-error", "0.001", *given]) == 0
+    assert main(["compare", str(output), "--json"]) == 0
+    text = capsys.readouterr().out
+    assert json.loads(text[text.index("{") :])["smoother"]["V_start"] < 1e-4
+    with BagReader(output) as reader:
+        assert {"/encoder", "/smoother/state"} <= reader.topics.keys()
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from systems import examples
 
 from impact_observer.smooth.chain import Chain, Normal, Step
+from impact_observer.smooth.used_samples import measured
 
 
 def random_chain(rng: np.random.Generator, count: int, exact: float) -> tuple[Normal, list[Step]]:
@@ -54,6 +55,26 @@ def test_states_are_those_of_conditioning_on_all_measurements(seed: int, count: 
         np.testing.assert_allclose(found[k].mean, means[k + 1], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found[k].covariance, covariances[k + 1], rtol=1e-9, atol=1e-9)
     assert chain.evidence == pytest.approx(density, rel=1e-9, abs=1e-9)
+
+
+@examples(100)
+@given(st.integers(0, 10**6))
+def test_many_measurements_of_a_state_are_as_good_as_a_few(seed: int) -> None:
+    """Their rows are turned into as many as the state has numbers; states and evidence stay."""
+    rng = np.random.default_rng(seed)
+    d, k = int(rng.integers(1, 5)), int(rng.integers(1, 12))
+    first = Normal(rng.normal(size=d), np.tril(rng.normal(size=(d, d))))
+    H, y = rng.normal(size=(k, d)), rng.normal(size=k)
+    deviations = 10 ** rng.uniform(-2, 1, size=k)
+    few = measured(H, y, deviations)
+    assert len(few.y) == min(k, d)
+    one = Step.unmeasured(np.eye(d), np.zeros(d))
+    every = one._replace(H=H, y=y, V=np.diag(deviations))
+    chains = [Chain(first, 1, [step].__getitem__) for step in (few, every)]
+    (a, b) = (dict(chain.states()) for chain in chains)
+    np.testing.assert_allclose(a[0].mean, b[0].mean, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(a[0].covariance, b[0].covariance, rtol=1e-8, atol=1e-9)
+    assert chains[0].evidence == pytest.approx(chains[1].evidence, rel=1e-9, abs=1e-7)
 
 
 @examples(100)

@@ -24,7 +24,9 @@ from systems import EPOCH, sample
 
 from impact_observer.events import ImpactEvent, Ruling, Switch
 from impact_observer.model import System, parse_model
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer import make_observer, replay
+from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.smooth import SmoothedMotion, smoothed_runs
@@ -67,10 +69,35 @@ def recording(
     return [each.event for each in made]
 
 
-def smoothed(system: System, events: Sequence[ImpactEvent], options: Options) -> SmoothedMotion:
-    """The motion of a recording of one run."""
-    (motion,) = smoothed_runs(system, events, options)
+def smoothed(
+    system: System,
+    events: Sequence[ImpactEvent],
+    options: Options,
+    samples: Sequence[SensorSample] = (),
+) -> SmoothedMotion:
+    """The motion of a recording of one run, with ``samples`` of an encoder if any."""
+    sensors = (encoder(system),) if samples else ()
+    (motion,) = smoothed_runs(system, events, options, measurements=sensors, samples=samples)
     return motion
+
+
+def encoder(system: System) -> Measurement:
+    """Of the first coordinate, with errors of 5 mm."""
+    name = system.coordinates[0]
+    return Measurement(
+        "encoder", "/encoder", field="data", position=((name, 1.0),), deviation=5e-3
+    )
+
+
+def encoded(system: System, x: Vector, seconds: float, rate: float) -> list[SensorSample]:
+    """Its samples of a plant that starts at ``x``."""
+    stamps = EPOCH + np.arange(1, round(seconds * rate)) * round(NS_PER_S / rate)
+    states = simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), stamps).states
+    errors = 5e-3 * np.random.default_rng(3).normal(size=len(stamps))
+    return [
+        SensorSample(0, stamp, value)
+        for stamp, value in zip(stamps.tolist(), (states[:, 0] + errors).tolist(), strict=True)
+    ]
 
 
 def states(motion: SmoothedMotion, seconds: Sequence[float]) -> list[Estimate]:
@@ -87,14 +114,16 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
 
 
 @pytest.mark.parametrize(
-    ("name", "learned"),
+    ("name", "rate", "learned"),
     [
-        ("two_mass", {}),
-        ("three_mass", {}),
-        ("rubbing_guide", {}),
-        ("without rebound", {}),
+        ("two_mass", 0, {}),
+        ("three_mass", 20, {}),
+        ("rubbing_guide", 0, {}),
+        ("rubbing_guide", 1, {}),
+        ("without rebound", 20, {}),
         (
             "two_mass",
+            10,
             {
                 "model_error": 0.05,
                 "clock_offset_error": 0.02,
@@ -104,15 +133,21 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
     ],
 )
 def test_states_are_those_of_conditioning_on_all_events(
-    name: str, learned: dict[str, object]
+    name: str, rate: float, learned: dict[str, object]
 ) -> None:
-    """About the same path: with friction, jumps that lose directions, and contact that stays."""
+    """About the same path: with friction, jumps that lose directions, and contact that stays.
+
+    An encoder with some samples a second may be beside them.
+    """
     soft = parse_model(PRESSED.replace("0.4}", "0}"), "pressed")
     model = soft if name == "without rebound" else sample(name)
     x = np.concatenate(model.initial_state())
-    events = recording(model.system, x, 4.0 if model is soft else 12.0, SensorModel(jitter=JITTER))
-    arc, path, *_ = smoothed(model.system, events, about(x, 0.1, **learned)).smoothed
-    steps = [arc.step(path, node) for node in arc.nodes]
+    seconds = 4.0 if model is soft else 12.0
+    events = recording(model.system, x, seconds, SensorModel(jitter=JITTER))
+    samples = encoded(model.system, x, seconds, rate) if rate else []
+    arc, path, *_ = smoothed(model.system, events, about(x, 0.1, **learned), samples).smoothed
+    assert any(node.group for node in arc.nodes(path)) == bool(rate)
+    steps = [arc.step(path, node) for node in arc.nodes(path)]
     chain = Chain(arc.first, len(steps), steps.__getitem__)
     found = dict(chain.states())
     means, covariances, density = conditioned(arc.first, steps)
@@ -125,9 +160,14 @@ def test_states_are_those_of_conditioning_on_all_events(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", "rubbing_guide"])
-def test_start_is_that_of_a_fit_of_simulated_instants(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "rate"),
+    [("two_mass", 0), ("rubbing_guide", 0), ("two_mass", 10), ("rubbing_guide", 2)],
+)
+def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) -> None:
     """The likeliest start: instants of the event-driven plant, fitted by SciPy.
+
+    An encoder with some samples a second may be beside the impacts.
 
     Its covariance follows from the derivatives of the instants, by differences.
     """
@@ -135,19 +175,26 @@ def test_start_is_that_of_a_fit_of_simulated_instants(name: str) -> None:
     system, x = model.system, np.concatenate(model.initial_state())
     events = recording(system, x, 12.0, SensorModel(jitter=JITTER))
     reported = np.array([each.stamp for each in events])
+    samples = [
+        each
+        for each in (encoded(system, x, 12.0, rate) if rate else ())
+        if each.stamp < reported[-1] and np.min(np.abs(each.stamp - reported)) > 5e-3 * NS_PER_S
+    ]
+    values = np.array([each.value for each in samples])
+    last = [*(each.stamp for each in samples), int(reported[-1]) + NS_PER_S // 5]
 
     def residuals(start: Vector) -> Vector:
-        last = np.array([int(reported[-1]) + NS_PER_S // 5])
-        run = simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), last)
+        run = simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), np.array(last))
         found = [
             (e.stamp - s.instant.stamp) * 1e-9 - s.instant.remainder
             for e, s in zip(events, run.impacts, strict=True)
         ]
-        return np.append(np.array(found) / JITTER, (start - x) / DEVIATION)
+        seen = (run.states[: len(samples), 0] - values) / 5e-3
+        return np.concatenate([np.array(found) / JITTER, seen, (start - x) / DEVIATION])
 
     fit = optimize.least_squares(residuals, x, x_scale=1e-2, diff_step=1e-5, xtol=1e-12)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-    found = smoothed(system, events, about(x, DEVIATION)).smoothed.first
+    found = smoothed(system, events, about(x, DEVIATION), samples).smoothed.first
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
     assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)
@@ -191,6 +238,33 @@ def test_start_is_exact_though_impacts_are_missed_and_false() -> None:
     assert inserted
     assert all(min(abs(each.stamp - stamp) for stamp in ideal) <= 1 for each in inserted)
     assert all(each.reported == 0 for each in inserted)
+
+
+@pytest.mark.slow
+def test_samples_that_are_far_from_the_motion_are_rejected() -> None:
+    """A tenth of them is off by half a metre; impacts are missed and false, and found by them."""
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    sensor = SensorModel(jitter=JITTER, missed=0.2, spurious=0.15)
+    events = recording(system, x, 10.0, sensor, seed=3)
+    samples = [
+        each._replace(value=each.value + 0.5 * (k % 10 == 0))
+        for k, each in enumerate(encoded(system, x, 10.0, 20))
+    ]
+    options = Options(law="minimum-variance", clock_error=JITTER)
+    motion = smoothed(system, events, options, samples)
+    seconds = [0.0, 2.0, 5.0]
+    stamps = np.array([EPOCH + round(each * NS_PER_S) for each in seconds])
+    truth = simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), stamps).states
+    for each, true in zip(states(motion, seconds), truth, strict=True):
+        error = np.append(each.q, each.u) - true
+        assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(each.covariance)))
+        assert np.all(np.abs(error) < 0.02)
+    used, rejected = motion.smoothed.arc.samples
+    until = motion.account.moments[-1].change.t
+    far = {k for k, each in enumerate(used) if k % 10 == 0 and each.t < until}
+    assert far <= rejected
+    assert sum(used[k].t < until for k in rejected) <= len(far) + 3
 
 
 @pytest.mark.slow

@@ -1,0 +1,278 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The chain of a recording: its moments, rests, and what sensors measure in between.
+
+At first the path of the filter through the account is what the motion is linearised about. Samples
+whose flight is without noise are functions of the state at its start, so they are measured there,
+all at once; else each is a step of the chain. Near an instant that is uncertain, or too soon after
+an impact, they are left out.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.likelihood import STILL
+from impact_observer.estimation.missed_switch import posterior_of_missed
+from impact_observer.estimation.model_error import ErrorKind
+from impact_observer.estimation.readings import Place, Reading, Row
+from impact_observer.estimation.sample_update import SampleFilter
+from impact_observer.smooth.account import Moment
+from impact_observer.smooth.chain import Normal, Step
+from impact_observer.smooth.linearised import Linearised, Path, level_of
+from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples, measured
+from impact_observer.states import Vector
+
+_MARGIN = 5.0
+"""Deviations of an instant within which a sample may be before it or after it."""
+_SURE = 3.0
+"""Deviations of a filter's start, relative to those that are known."""
+
+
+class Node(NamedTuple):
+    """A step of the chain.
+
+    Attributes:
+        moment: its index; -1 for the start.
+        is_rest: whether it is the rest of contacts after the moment.
+        group: which samples of the flight after the moment it measures, from 1 on; 0 for none.
+    """
+
+    moment: int
+    is_rest: bool = False
+    group: int = 0
+
+    @property
+    def is_after(self) -> bool:
+        """Whether its state is one after the moment, without the error of the instant."""
+        return self.is_rest or bool(self.group)
+
+
+class _Group(NamedTuple):
+    """Samples of a flight that are measured at once.
+
+    Attributes:
+        since: s since the epoch at which their step of the chain is; None for where the flight
+            begins.
+        readings: the samples.
+    """
+
+    since: float | None
+    readings: Sequence[Reading]
+
+
+class Arc(Linearised):
+    """A recording from its first state on, as its account has it.
+
+    Attributes:
+        samples: of what is measured beside the impacts.
+    """
+
+    def __init__(
+        self,
+        filter_: ImpactFilter,
+        t: float,
+        first: GaussianState,
+        moments: Sequence[Moment],
+        samples: UsedSamples = NO_SAMPLES,
+    ) -> None:
+        """The state ``first`` holds at ``t``, s since the epoch; no contact is closed then."""
+        super().__init__(filter_, t, first, moments)
+        self.samples, self._sample_filter = samples, SampleFilter(filter_)
+        self._measured: tuple[Path | None, dict[int, list[_Group]]] = (None, {})
+
+    def predicted(self, about: Normal | None = None) -> Path:
+        """The path of the filter, from the first state on, or from one that is known better.
+
+        Then deviations are larger than those of ``about`` by ``_SURE``.
+        """
+        count, filter_ = len(self.moments), self.filter
+        early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
+        state, t = self._state, self._t
+        if about is not None:
+            state = state._replace(
+                x=about.mean[: self._size],
+                constants=about.mean[self._size :],
+                root=_SURE * about.root,
+            )
+        start = state.x
+        margins = np.array([_MARGIN * each.clock for each in self.moments])
+        flights = self._flights(np.array([each.change.t for each in self.moments]), margins)
+        for k, moment in enumerate(self.moments):
+            change = moment.change
+            for reading in (self.samples.readings[i] for i in flights.get(k - 1, ())):
+                state, t = self._corrected(t, state, reading, moment), reading.t
+            prediction = filter_.predict(t, state, level_of(moment, ErrorKind.ACCELERATION))
+            prior = prediction.prior(change.t - t)
+            x[k], t, doubt[k] = prior.x, change.t, self.gap_deviation(k, prior.root)
+            if moment.is_inserted:
+                state = posterior_of_missed(filter_, change, prior)
+                continue
+            joint = filter_.joint_prior(change, prior, moment.clock)
+            joint = filter_.joint_posterior(change, joint)
+            early[k], x[k] = change.t - joint.t, joint.x
+            state = filter_.posterior(change, joint)
+        deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
+        return Path(start, early, x, doubt, state.constants, deviations)
+
+    def nodes(self, path: Path) -> list[Node]:
+        """The steps of the chain: moments, rests and samples after them."""
+        groups, found = self._groups(path), list[Node]()
+        for k in range(-1, len(self.moments)):
+            found += [Node(k)] if k >= 0 else []
+            found += [Node(k, is_rest=True)] if self.rests(k) else []
+            found += [Node(k, group=j + 1) for j in range(len(groups.get(k, ())))]
+        return found
+
+    def step(self, path: Path, node: Node) -> Step:
+        """The step of the chain that leads to ``node``."""
+        if node.group:
+            return self.sampling(path, node.moment, node.group - 1)
+        return (self.resting if node.is_rest else self.arrival)(path, node.moment)
+
+    def gated(self, path: Path) -> "Arc":
+        """The arc in which samples are rejected that are too far from a smoothed path."""
+        rejected = {
+            i
+            for k, some in self._flights(*self._places(path), everything=True).items()
+            for i in some
+            if self._is_far(path, k, self.samples.readings[i])
+        }
+        samples = self.samples._replace(rejected=frozenset(rejected))
+        return Arc(self.filter, self._t, self._state, self.moments, samples)
+
+    def left_out(self, path: Path) -> float:
+        """Logarithm of the density of the samples that are not used."""
+        used = sum(len(g.readings) for some in self._groups(path).values() for g in some)
+        return self.samples.left_out(used)
+
+    def sampled(
+        self, path: Path, times: Mapping[int, Sequence[float]]
+    ) -> tuple["Arc", Path, list[int]]:
+        """The arc and path with moments at ``times`` at which nothing happens; where these are.
+
+        ``times`` (s since the epoch) are ascending, by the moment that they follow.
+        """
+        moments, early, states, wanted = list[Moment](), list[float](), list[Vector](), list[int]()
+        for k in range(-1, len(self.moments)):
+            if k >= 0:
+                moments.append(self.moments[k])
+                early.append(float(path.early[k]))
+                states.append(path.x[k])
+            closed, t = self.closed_after(k), self.instant(path, k)
+            for at in times.get(k, ()):
+                wanted.append(len(moments))
+                moments.append(
+                    Moment(ContactChange(at, closed, (), closed), 0.0, self.moments[k + 1].error)
+                )
+                early.append(0.0)
+                moving = self.member(path).moving
+                states.append(moving.flow_map(t, self._after(path, k), at - t, closed).value)
+        arc = Arc(self.filter, self._t, self._state, moments, self.samples)
+        doubt = np.zeros(len(moments))
+        doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
+        return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
+
+    def arrival(self, path: Path, k: int) -> Step:
+        """From where the moment before has left the chain to the ``k``-th, and its measurement."""
+        t = self.instant(path, k)
+        groups = self._groups(path).get(k - 1)
+        if groups:
+            flown = self.flight(path, k - 1, t, groups[-1].since)
+        else:
+            flown = self.flight(path, k - 1, t).after(self.left(path, k - 1))
+        return self._stamped(path, k).after(flown)
+
+    def sampling(self, path: Path, k: int, j: int) -> Step:
+        """To the ``j``-th group of samples after the ``k``-th moment, which it measures."""
+        groups = self._groups(path)[k]
+        since = groups[j].since
+        if j:
+            assert since is not None, "groups have instants of their own"
+            moved = self.flight(path, k, since, groups[j - 1].since)
+        else:
+            moved = self.left(path, k)
+            if since is not None:
+                moved = self.flight(path, k, since).after(moved)
+        rows, values, deviations = list[Vector](), list[float](), list[float]()
+        for each in groups[j].readings:
+            flown = self.flight(path, k, each.t, since, noisy=False)
+            about = np.append(self._state_at(path, k, since), path.constants)
+            x = (flown.A @ about + flown.b)[: self._size]
+            row, noise = self._row(path, k, each, x)
+            h = np.concatenate([row.h, row.of_theta, np.zeros(flown.A.shape[0])])[: len(flown.b)]
+            rows.append(h @ flown.A)
+            deviations.append(noise)
+            values.append(each.value - row.value(x) + float(rows[-1] @ about))
+        step = measured(np.array(rows), np.array(values), np.array(deviations))
+        return step.after(moved)
+
+    def _groups(self, path: Path) -> dict[int, list[_Group]]:
+        """The samples of each flight of a path, by the moment before it."""
+        if self._measured[0] is not path:
+            found = dict[int, list[_Group]]()
+            for k, some in self._flights(*self._places(path)).items():
+                readings = [self.samples.readings[i] for i in some]
+                found[k] = [_Group(None, readings)]
+                if self.noise_after(k) is not None:
+                    found[k] = [_Group(each.t, [each]) for each in readings]
+            self._measured = path, found
+        return self._measured[1]
+
+    def _places(self, path: Path) -> tuple[Vector, Vector]:
+        """The instants of all moments of a path, and how near samples may come to them, s."""
+        instants, margins = list[float](), list[float]()
+        for k, moment in enumerate(self.moments):
+            instants.append(self.instant(path, k))
+            margins.append(_MARGIN * moment.clock)
+            if moment.is_inserted and moment.change.hit:
+                n, w = self._size // 2, self.filter.system.W[:, moment.change.hit[0]]
+                margins[k] = _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), STILL)
+        return np.array(instants), np.array(margins)
+
+    def _flights(
+        self, instants: Vector, margins: Vector, *, everything: bool = False
+    ) -> dict[int, list[int]]:
+        """The samples of each flight: those that are used, or rejected ones as well."""
+        if not self.samples.readings:
+            return {}
+        some = self.samples._replace(rejected=frozenset()) if everything else self.samples
+        return some.flights(instants, [bool(each.change.hit) for each in self.moments], margins)
+
+    def _row(self, path: Path, k: int, reading: Reading, x: Vector) -> tuple[Row, float]:
+        """What a sample after the ``k``-th moment measures near ``x``, and its deviation."""
+        at = Place(reading.t, reading.instant, x, self.closed_after(k))
+        sensor, theta = reading.sensor, path.constants[: self._p]
+        moving = self._members.given.moving
+        row = sensor.row_of(self._members, theta, at) if self._p else sensor.row(moving, at)
+        return row, math.hypot(math.sqrt(reading.known.variance), row.rounding(self._sizes(x)))
+
+    def _is_far(self, path: Path, k: int, reading: Reading) -> bool:
+        """Whether the gate of a sample after the ``k``-th moment rejects it."""
+        row, deviation = self._row(path, k, reading, x := self._state_at(path, k, reading.t))
+        return abs(reading.value - row.value(x)) > reading.sensor.measurement.gate * deviation
+
+    def _corrected(
+        self, t: float, state: GaussianState, reading: Reading, moment: Moment
+    ) -> GaussianState:
+        """The filter's state after a sample, from that at ``t``, s since the epoch."""
+        level = level_of(moment, ErrorKind.ACCELERATION)
+        prior = self.filter.predict(t, state, level).prior(reading.t - t)
+        return self._sample_filter.after(reading, prior, reading.known).state
