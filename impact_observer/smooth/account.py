@@ -137,11 +137,23 @@ class TracedLaw(MinimumVariance):
         self, reading: Reading, prior: Belief
     ) -> tuple[Belief, SampleOutcome, SensorState]:
         """As the law does."""
-        posterior, outcome, known = super().measure(reading, prior)
+        found = super().measure(reading, prior)
+        self._note(reading, *found[1:])
+        return found
+
+    def followed(
+        self, reading: Reading, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        """As the law does."""
+        found = super().followed(reading, posterior, since, s)
+        if found is not None:
+            self._note(reading, *found[1:])
+        return found
+
+    def _note(self, reading: Reading, outcome: SampleOutcome, known: SensorState) -> None:
         self.variances[reading.sensor.index] = known.variance
         if not outcome.accepted:
             self.rejected.add((reading.sensor.index, reading.instant))
-        return posterior, outcome, known
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """As the law does."""
