@@ -47,6 +47,7 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
         plant_run.IMPACTS,
         topic.BENCHMARK,
         live_inputs.BENCHMARK,
+        live_inputs.SENSOR,
         *observe_bag.benchmarks(seconds),
         bulk_bag.BENCHMARK,
         compare_bag.benchmark(seconds),

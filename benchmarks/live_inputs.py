@@ -12,27 +12,41 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a thousand live inputs a second cost an observer node, against a bare node.
+"""What a thousand inputs, or samples of a sensor, a second cost an observer node.
 
 The processor time of the node's process while they arrive, less that of the same process without
 them, over the samples. The bare node, which this module is when it is run, subscribes to the same
-topic and does nothing with them. The observer publishes estimates at its usual rate meanwhile.
+topic and does nothing with them. The observer publishes estimates at its usual rate meanwhile. An
+encoder's samples go to the law ``minimum-variance`` as well, with a declared error of the clock.
 """
 
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
-from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal, Metrics, SkippedError
+import numpy as np
+
+from benchmarks.harness import (
+    Benchmark,
+    Contest,
+    DisagreementError,
+    Goal,
+    Metrics,
+    SkippedError,
+)
 from benchmarks.topic import running, take_domain
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.io.interfaces import EVENTS, FORCING
-from impact_observer.stamps import NS_PER_S
+from impact_observer.io.interfaces import EVENTS, FORCING, JOINT_STATE, Interface, Quality
+from impact_observer.model import read_model
+from impact_observer.plant import Plant, Run, simulate
+from impact_observer.stamps import NS_PER_S, grid
 
 RATE = 1000.0
 IDLE, BUSY = 4.0, 10.0
@@ -49,34 +63,70 @@ springs:
 forces: [{body: x2, input: motor}]
 stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
 """
-_BARE = ("benchmarks.live_inputs",)
+_BARE = "benchmarks.live_inputs"
+ENCODER = Interface("encoder", JOINT_STATE, Quality(reliable=False, depth=2000))
+GEOMETRIC = "the same with geometric"
 
 
 def prepare(folder: Path) -> Contest:
     """Check that ROS is installed, and write the model."""
-    for package in ("rclpy", "impact_observer_msgs"):
-        if find_spec(package) is None:
-            raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
+    _require_ros()
     model = folder / "driven.yaml"
     model.write_text(MODEL, encoding="utf-8")
-    observer = ("impact_observer.ros.entry", "observer", "--ros-args", "-p", f"model:={model}")
-
-    def measured(_: Path, command: tuple[str, ...]) -> Metrics:
-        with take_domain(), running(command) as process, _publishing() as publish:
-            return {"sample": _cost(process, publish)}
-
     return Contest(
         f"an input at {RATE:g} Hz, {BUSY:g} s, law geometric; each round in a new process",
-        partial(measured, command=observer),
-        {BARE: partial(measured, command=_BARE)},
+        partial(_measured, topic=FORCING, command=(*_OBSERVER, f"model:={model}")),
+        {BARE: partial(_measured, topic=FORCING, command=(_BARE, FORCING.name))},
         units={"sample": "s"},
     )
 
 
-class _Publisher:
-    """Publishes an event, and samples of the input."""
+def prepare_sensor(_: Path) -> Contest:
+    """The same for samples of an encoder."""
+    _require_ros()
+    observer = (*_OBSERVER, "model:=two_mass", "-p", "measurements:=encoder")
+    law = ("-p", "law:=minimum-variance", "-p", "clock_error:=0.001")
+    return Contest(
+        f"an encoder at {RATE:g} Hz, {BUSY:g} s, law minimum-variance; a new process each round",
+        partial(_measured, topic=ENCODER, command=(*observer, *law)),
+        {
+            BARE: partial(_measured, topic=ENCODER, command=(_BARE, ENCODER.name)),
+            GEOMETRIC: partial(_measured, topic=ENCODER, command=observer),
+        },
+        units={"sample": "s"},
+    )
 
-    def __init__(self) -> None:
+
+_START = NS_PER_S
+"""Epoch of the plant's run, ns."""
+
+
+@cache
+def _plant_run() -> Run:
+    """The plant of an encoder, for as long as any round takes."""
+    model, last = read_model("two_mass"), _START + round((PATIENCE + 2 * BUSY) * NS_PER_S)
+    plant = Plant(model.system, *model.initial_state(), epoch=_START)
+    return simulate(plant, grid(_START, last, RATE))
+
+
+_OBSERVER = ("impact_observer.ros.entry", "observer", "--ros-args", "-p")
+
+
+def _require_ros() -> None:
+    for package in ("rclpy", "impact_observer_msgs"):
+        if find_spec(package) is None:
+            raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
+
+
+def _measured(_: Path, topic: Interface, command: tuple[str, ...]) -> Metrics:
+    with take_domain(), running(command) as process, _publishing(topic) as publish:
+        return {"sample": _cost(process, publish)}
+
+
+class _Publisher:
+    """Publishes an event, and samples of an input or a sensor."""
+
+    def __init__(self, topic: Interface) -> None:
         from impact_observer_msgs.msg import ImpactEvent as Message  # noqa: PLC0415 (ROS only)
         from rclpy.context import Context  # noqa: PLC0415
         from rclpy.node import Node  # noqa: PLC0415
@@ -89,10 +139,18 @@ class _Publisher:
         self._context.init(args=[])
         self._node = Node("driver", context=self._context)
         self._events = self._node.create_publisher(Message, "impacts", qos_profile(EVENTS))
-        quality = qos_profile(FORCING.quality)
-        self._inputs = self._node.create_publisher(JointState, FORCING.name, quality)
+        quality = qos_profile(topic.quality)
+        self._inputs = self._node.create_publisher(JointState, topic.name, quality)
         self._sample = JointState(name=["motor"], effort=[0.0])
         self._make = ros_messages()
+        self._epoch, self._tick, self._truth = 0, 0, list[float]()
+        self._due = list[ImpactEvent]()
+        if topic is ENCODER:
+            self._sample = JointState(name=["x1"], position=[0.0])
+            run = _plant_run()
+            noise = np.random.default_rng(1).normal(size=run.stamps.size)
+            self._truth = (run.states[:, 0] + 1e-3 * noise).tolist()
+            self._due = [*run.events][::-1]
 
     def meet(self) -> None:
         """Wait for the node, and say where time begins."""
@@ -101,20 +159,37 @@ class _Publisher:
             if time.monotonic() > end:
                 raise DisagreementError(f"no subscription within {PATIENCE:g} s")
             time.sleep(0.05)
-        now = time.time_ns()
-        event = ImpactEvent(now, (Switch("stop"),), 1, epoch=now - NS_PER_S)
-        self._events.publish(self._make.event(event))
+        self._epoch = time.time_ns() - NS_PER_S // 2
+        if not self._truth:
+            event = ImpactEvent(self._epoch, (Switch("stop"),), 1, epoch=self._epoch)
+            self._events.publish(self._make.event(event))
 
     def samples(self, seconds: float) -> int:
         """Publish samples at their rate; how many."""
         begin, count = time.monotonic(), round(seconds * RATE)
         for k in range(count):
             time.sleep(max(begin + k / RATE - time.monotonic(), 0.0))
+            now = time.time_ns()
+            if self._truth:
+                tick = int((now - self._epoch) * RATE / NS_PER_S)
+                self._tick = tick = max(tick, self._tick + 1)
+                now = self._epoch + round(tick * NS_PER_S / RATE)
+                self._sample.position[0] = self._truth[tick]
+                self._publish_due(now)
+            else:
+                self._sample.effort[0] = k % 7 - 3.0
             stamp = self._sample.header.stamp
-            stamp.sec, stamp.nanosec = divmod(time.time_ns(), NS_PER_S)
-            self._sample.effort[0] = k % 7 - 3.0
+            stamp.sec, stamp.nanosec = divmod(now, NS_PER_S)
             self._inputs.publish(self._sample)
         return count
+
+    def _publish_due(self, now: int) -> None:
+        """Publish the impacts of the plant up to ``now``, ns."""
+        while self._due and self._due[-1].stamp - _START + self._epoch <= now:
+            event = self._due.pop()
+            stamp = event.stamp - _START + self._epoch
+            moved = replace(event, stamp=stamp, epoch=self._epoch)
+            self._events.publish(self._make.event(moved))
 
     def close(self) -> None:
         """Leave the domain."""
@@ -123,8 +198,8 @@ class _Publisher:
 
 
 @contextmanager
-def _publishing() -> Iterator[_Publisher]:
-    publisher = _Publisher()
+def _publishing(topic: Interface) -> Iterator[_Publisher]:
+    publisher = _Publisher(topic)
     try:
         publisher.meet()
         yield publisher
@@ -153,7 +228,8 @@ def _used(pid: int) -> float:
 
 
 def main() -> None:
-    """The bare node."""
+    """The bare node of a topic."""
+    topic = ENCODER if sys.argv[1:] == [ENCODER.name] else FORCING
     import rclpy  # noqa: PLC0415 (ROS only)
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     from sensor_msgs.msg import JointState  # noqa: PLC0415
@@ -162,9 +238,7 @@ def main() -> None:
 
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a signal ends it
     node = rclpy.create_node("bare")
-    node.create_subscription(
-        JointState, FORCING.name, lambda _: None, qos_profile(FORCING.quality)
-    )
+    node.create_subscription(JointState, topic.name, lambda _: None, qos_profile(topic.quality))
     rclpy.spin(node)
 
 
@@ -172,6 +246,14 @@ BENCHMARK = Benchmark(
     "live",
     "what do a thousand live inputs a second cost a node?",
     prepare,
+    (Goal(1.3, BARE, "sample"),),
+    rounds=5,
+)
+
+SENSOR = Benchmark(
+    "sensor",
+    "what do a thousand samples of an encoder a second cost a node?",
+    prepare_sensor,
     (Goal(1.3, BARE, "sample"),),
     rounds=5,
 )

@@ -58,7 +58,7 @@ from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.serialized import EstimateSerializer
 from impact_observer.ros.subscribing import SLICE, waiting_messages
-from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
 _SIMULATED_BACKLOG = 20
@@ -139,7 +139,7 @@ class ObserverNode(Node):
         self.create_service(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._rate, self._on_timer)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        if system.live is not None:
+        if system.live is not None or self._sensors.topics:
             self.create_timer(_POLL_PERIOD, self._apply_events, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         backwards = JumpThreshold(
@@ -229,10 +229,15 @@ class ObserverNode(Node):
 
     def _apply_events(self) -> None:
         """Apply events for some milliseconds, and go on after others had their turn."""
-        more = self._inputs.take_waiting()
+        more = self._take_samples()
         self._apply(self._intake.slice())
         if more or self._intake.is_busy:
             self._go_on.trigger()
+
+    def _take_samples(self) -> bool:
+        """Take the samples of inputs and sensors that have arrived; whether more may wait."""
+        more = self._inputs.take_waiting()
+        return self._sensors.take_waiting() or more
 
     def _apply(self, received: Iterable[tuple[ImpactEvent, tuple[Verdict, ...]]]) -> None:
         """Publish the estimate that events correct, then their verdicts."""
@@ -252,6 +257,14 @@ class ObserverNode(Node):
             self._counts["corrected"] += 1
         for event, verdicts, late in pending:
             self._publish_verdicts(event, self._with_lag_reason(verdicts) if late else verdicts)
+        if self._observer.samples.sensors:
+            self._use_waiting_samples()
+
+    def _use_waiting_samples(self) -> None:
+        """Use samples that came while events were inserted, and publish what became of them."""
+        waiting = self._observer.samples.waiting
+        since = min((each.stamp for each in waiting), default=MAX_STAMP)
+        self._on_samples(since, self._observer.measure(()))
 
     def _correct_by_samples(self, stamp: int) -> None:
         """Publish the last estimate again where a sample at ``stamp`` (ns) came after it."""
@@ -303,7 +316,7 @@ class ObserverNode(Node):
 
     def _on_timer(self) -> None:
         """Publish the estimates that are due, and take events that have arrived meanwhile."""
-        self._inputs.take_waiting()
+        self._take_samples()
         self._publish_due()
         self._take_waiting()  # sooner than by the executor, which waits again first
 
@@ -362,7 +375,7 @@ class ObserverNode(Node):
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
         self._intake.clear()
-        self._inputs.take_waiting()
+        self._take_samples()
         if self._observer.live is not None:
             self._observer.live.clear()
         self._observer.restart("the clock jumped back")
@@ -390,7 +403,7 @@ class ObserverNode(Node):
 
         Later events act on it; with a lag these may include events received already.
         """
-        self._inputs.take_waiting()
+        self._take_samples()
         self._apply(self._intake.finish())
         try:
             given = covariance if len(covariance) else None

@@ -14,8 +14,8 @@
 
 """Subscriptions of an observer node to what sensors measure beside the impacts."""
 
+import time
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -32,7 +32,7 @@ from impact_observer.options import AUTO, NONE
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import with_waiting
+from impact_observer.ros.subscribing import SLICE, Polled, slice_of_waiting
 from impact_observer.stamps import NS_PER_S
 
 _DEPTH = 2000
@@ -44,7 +44,8 @@ _COUNTED = 20
 class SensorIntake:
     """Gives the samples that a node receives to its observer.
 
-    A topic is subscribed to once a publisher has given it a type.
+    A topic is subscribed to once a publisher has given it a type. Messages wait for
+    ``take_waiting``, which costs a fraction of taking each when it arrives.
 
     Attributes:
         problems: of each sensor, the last one; empty for none.
@@ -82,6 +83,7 @@ class SensorIntake:
         self.problems = [""] * len(self._sensors)
         self._waiting = {node.resolve_topic_name(s.measurement.topic) for s in self._sensors}
         self._readers: dict[str, list[SensorReader]] = {}
+        self._group = Polled()
         self._subscriptions: dict[str, Subscription] = {}
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
@@ -117,20 +119,24 @@ class SensorIntake:
             self._subscriptions[topic] = self._node.create_subscription(
                 message_class(type_name),
                 topic,
-                partial(self._take, topic),
+                _ignore,
                 qos_profile(self._quality),
+                callback_group=self._group,
             )
         except ImpactObserverError as error:
             for each in readers:
                 self._refuse(each.index, str(error))
 
-    def _take(self, topic: str, message: AnyMessage) -> None:
-        """Take a message, and those that wait behind it: the executor is slow."""
-        messages = with_waiting(message, self._subscriptions[topic], _DEPTH)
-        samples = [sample for each in messages for sample in self._read(topic, each)]
+    def take_waiting(self) -> bool:
+        """Take the messages that have arrived; whether more may wait."""
+        end, samples = time.monotonic_ns() + SLICE, list[SensorSample]()
+        for topic, subscription in self._subscriptions.items():
+            for message in slice_of_waiting(subscription, _DEPTH):
+                samples += self._read(topic, message)
         if samples:
             revised = self._observer.measure(samples)
             self._on_samples(min(each.stamp for each in samples), revised)
+        return time.monotonic_ns() >= end
 
     def _read(self, topic: str, message: AnyMessage) -> list[SensorSample]:
         """The samples in a message; a sensor without its field is given up."""
@@ -225,3 +231,7 @@ class SensorIntake:
             values["learned deviation"] = f"{learned:.4g}"
         name = f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}"
         return diagnostic_status(name, level, message, values, hardware=sensor.name)
+
+
+def _ignore(_: AnyMessage) -> None:
+    """Nothing is called: messages are taken."""

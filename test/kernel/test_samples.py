@@ -42,10 +42,10 @@ def flown(model: System, t: float, x: Array, s: float) -> tuple[Array, Array]:
 
     def rate(at: float, x: Array) -> Array:
         force = model.forcing.derivatives(np.array([at]), 0)[0, 0]
-        return A @ x + np.concatenate([np.zeros(n), inverse @ force])
+        return np.asarray(A @ x + np.concatenate([np.zeros(n), inverse @ force]))
 
     found = integrate.solve_ivp(rate, (t, t + s), x, method="DOP853", rtol=1e-13, atol=1e-13)
-    return np.asarray(found.y[:, -1]), np.asarray(linalg.expm(A * s))
+    return found.y[:, -1], linalg.expm(A * s)
 
 
 def noise_of(model: System, s: float) -> Array:
