@@ -224,6 +224,18 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str, lasts: float) ->
     np.testing.assert_allclose(found, truth, atol=1e-7)
 
 
+def test_motion_of_stops_changes_no_row() -> None:
+    """Differences of two motions do not contain it: impacts say as much as at a stop at rest.
+
+    The ball's rows are those above a still floor: (1, t1) and (1, t1 - eps (t2 - t1)).
+    """
+    model = sample("ball_on_table").system
+    found = observability(model, run(model, [0.02], [0.0], seconds=1.0).events)
+    one, two = found.seconds[:2]
+    assert found.singular[1].prod() == pytest.approx(0.5 * (two - one), rel=1e-12)
+    np.testing.assert_array_equal(found.rank[:3], [1, 2, 2])
+
+
 def test_state_of_a_decoupled_oscillator_without_a_stop_is_undetermined() -> None:
     """Its position and its velocity; the state of the other oscillator is determined."""
     hits = [(0.3 + 0.1 * k, 0) for k in range(12)]
