@@ -113,7 +113,7 @@ class Arc(Linearised):
                 root=_SURE * about.root,
             )
         start = state.x
-        margins = np.array([_MARGIN * each.clock for each in self.moments])
+        margins = np.array([self._margin(each) for each in self.moments])
         flights = self._flights(np.array([each.change.t for each in self.moments]), margins)
         for k, moment in enumerate(self.moments):
             change = moment.change
@@ -236,15 +236,19 @@ class Arc(Linearised):
             self._measured = path, found
         return self._measured[1]
 
+    def _margin(self, moment: Moment) -> float:
+        """How near a moment a sample may come before it or after it, s."""
+        return _MARGIN * moment.clock + 2 * moment.change.delay(self.filter.system)
+
     def _places(self, path: Path) -> tuple[Vector, Vector]:
         """The instants of all moments of a path, and how near samples may come to them, s."""
         instants, margins = list[float](), list[float]()
         for k, moment in enumerate(self.moments):
             instants.append(self.instant(path, k))
-            margins.append(_MARGIN * moment.clock)
+            margins.append(self._margin(moment))
             if moment.is_inserted and moment.change.hit:
                 n, w = self._size // 2, self.filter.system.W[:, moment.change.hit[0]]
-                margins[k] = _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), STILL)
+                margins[k] += _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), STILL)
         return np.array(instants), np.array(margins)
 
     def _flights(

@@ -42,7 +42,7 @@ from impact_observer.estimation.resting import (
     rest_measurement,
     rest_projection,
 )
-from impact_observer.estimation.saltation import STATE_ROUNDING, Expansion
+from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
@@ -50,7 +50,6 @@ from impact_observer.states import Matrix, Vector
 
 IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
-_NOTHING = np.zeros((0, 0))
 _ROUNDED = 1e-13
 """Rounding of a state of the path, relative to its size."""
 
@@ -76,6 +75,26 @@ class Path(NamedTuple):
     spread: Vector
 
 
+class _Jump(NamedTuple):
+    """The jump at a moment as a linear function of ``(e, x)``.
+
+    One that lasts is after the moment; the motion after it is followed back to the moment.
+
+    Attributes:
+        value: the state after it, at the instant of the moment, shape (2n,).
+        H: its derivatives, shape (2n, 1 + 2n).
+        pressed: contacts that take an impulse.
+        x: the state that jumps, shape (2n,).
+        back: derivative of ``value`` by the state just after the jump, shape (2n, 2n).
+    """
+
+    value: Vector
+    H: Matrix
+    pressed: Contacts
+    x: Vector
+    back: Matrix
+
+
 class Linearised:
     """The flights and jumps of a recording as linear functions near a path.
 
@@ -97,8 +116,7 @@ class Linearised:
         self._sizes = filter_.phases.scales.sizes
         self._diffusion = filter_.members.given.moving.diffusion
         self._errors = ErrorAccounts(filter_, (0.0,))
-        self._latest: tuple[Path | None, int, tuple[Expansion, Contacts]]
-        self._latest = None, -1, (Expansion(*[_NOTHING] * 4), ())
+        self._latest: tuple[Path | None, int, _Jump | None] = (None, -1, None)
         self._moved: tuple[Path | None, int, float | None, Motion | None] = (None, -1, None, None)
 
     def instant(self, path: Path, k: int) -> float:
@@ -248,20 +266,23 @@ class Linearised:
 
     def _jump(self, path: Path, k: int) -> Step:
         """From (e, x, constants) at the ``k``-th moment to (x, constants) just after it."""
-        moment, x = self.moments[k], path.x[k]
+        moment, x, jump = self.moments[k], path.x[k], self._jump_of(path, k)
         change, size, d = moment.change, self._size, self._size + self._count
-        expansion, pressed = self._jump_of(path, k)
         A, b = np.zeros((d, 1 + d)), np.zeros(d)
         A[:, 1:] = np.eye(d)
-        A[:size, : 1 + size] = expansion.H
-        if self._p and pressed:
+        A[:size, : 1 + size] = jump.H
+        if self._p and jump.pressed:
             theta = path.constants[: self._p]
             steps = self._members.steps(theta, np.diag(path.spread))
+            soft = bool(change.delay(self.filter.system))
             sensitivity = Sensitivity.of(
-                lambda values: self._members.impact(values, x, pressed), theta, steps
+                lambda values: self._members.impact(values, jump.x, jump.pressed, soft=soft),
+                theta,
+                steps,
             )
-            A[:size, 1 + size : 1 + size + self._p] = sensitivity.first.T
-        b[:size] = expansion.value - A[:size, 1:] @ np.append(x, path.constants)
+            of_theta = jump.back @ sensitivity.first.T
+            A[:size, 1 + size : 1 + size + self._p] = of_theta
+        b[:size] = jump.value - A[:size, 1:] @ np.append(x, path.constants)
         columns = [np.diag(STATE_ROUNDING * self._sizes(x, change.flown))]
         level = level_of(moment, ErrorKind.RESTITUTION)
         if level and change.hit and not change.closed:
@@ -270,22 +291,30 @@ class Linearised:
         noise[:size] = np.hstack(columns)
         return Step.unmeasured(A, b, noise)
 
-    def _jump_of(self, path: Path, k: int) -> tuple[Expansion, Contacts]:
-        """The jump at the ``k``-th moment, and the contacts that take an impulse."""
+    def _jump_of(self, path: Path, k: int) -> _Jump:
+        """The jump at the ``k``-th moment."""
         about, which, known = self._latest
-        if about is path and which == k:
+        if about is path and which == k and known is not None:
             return known
         change, x, member = self.moments[k].change, path.x[k], self.member(path)
+        t, late = self.instant(path, k), change.delay(self.filter.system)
+        onward = member.moving.flow_map(t, x, late, change.before) if late else None
+        if onward is not None:
+            x, t = onward.value, t + late
         pressed = self.filter.pressed(member, change, x)
-        t = self.instant(path, k)
-        jet = member.jump_about(t, x, pressed, change.before, change.closed)
-        found = jet.expanded(x, member.moving.forces(t)), pressed
+        jet = member.jump_about(t, x, pressed, change.before, change.closed, soft=bool(late))
+        value, H, *_ = jet.expanded(x, member.moving.forces(t))
+        back = np.eye(len(x))
+        if onward is not None:
+            value, back = member.moving.flow_map(t, value, -late, change.closed)
+            H = back @ np.column_stack([H[:, 0], H[:, 1:] @ onward.linear])
+        found = _Jump(value, H, pressed, x, back)
         self._latest = path, k, found
         return found
 
     def _jumped(self, path: Path, k: int) -> Vector:
         """The path's state just after the jump at the ``k``-th moment, (2n,)."""
-        return self._jump_of(path, k)[0].value
+        return self._jump_of(path, k).value
 
     def _after(self, path: Path, k: int) -> Vector:
         """The path's state just after the ``k``-th moment, contacts at rest; -1 for the start."""

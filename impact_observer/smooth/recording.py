@@ -27,7 +27,6 @@ from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.measurement import Measurement
-from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer import Observer, Options, initial_state, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
@@ -90,7 +89,6 @@ def smoothed_runs(
         UsageError: an option cannot be used.
         BagError: no event could be applied.
     """
-    refuse_contact_time(system, "smooth")
     runs: dict[int, list[ImpactEvent]] = {}
     for each in placed(events, options.epoch):
         if each.period >= 0:
@@ -196,8 +194,8 @@ class _Run:
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
         """The likeliest account whose first moments are found backward, from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
-        if law.system.guides:
-            return best  # a guide that sticks has forgotten how it came to rest
+        if law.system.guides or np.any(law.system.contact_time):
+            return best  # a guide that sticks forgets how it came to rest; hits begin before
         count, given = len(known.moments), best.smoothed.known
         if known.decisions == known.as_reported().decisions:
             return best

@@ -30,7 +30,7 @@ from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
 from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
 from impact_observer.smooth.smoother import Smoothed, at_samples
-from impact_observer.stamps import Elapsed
+from impact_observer.stamps import Elapsed, from_seconds
 from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
 
 LAW = "smoother"
@@ -58,6 +58,8 @@ class SmoothedMotion:
         self._law, self._epoch = law, epoch
         self._names = law.system.contact_names
         self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
+        delays = [from_seconds(each.change.delay(law.system)) for each in account.moments]
+        self._jumps = self._instants + np.array(delays, dtype=np.int64)
 
     def impacts(self) -> Iterator[SmoothedImpact]:
         """All impacts and releases, in the order of the moments."""
@@ -83,7 +85,7 @@ class SmoothedMotion:
         At an impact it is the state just after it.
         """
         stamps = stamps[np.searchsorted(stamps, self.start) :]
-        order = np.maximum.accumulate(self._instants) if self._instants.size else self._instants
+        order = np.maximum.accumulate(self._jumps) if self._jumps.size else self._jumps
         flights = np.searchsorted(order, stamps, side="right") - 1
         last = len(self.account.moments) - 1
         flown = {k: stamps[flights == k] for k in np.unique(flights).tolist()}

@@ -24,9 +24,7 @@ from systems import EPOCH, forcing, run, sample, softened, started, system
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import Kind
 from impact_observer.model import parse_model
-from impact_observer.observer import Options
 from impact_observer.plant import make_plant
-from impact_observer.smooth.recording import smoothed_runs
 from impact_observer.stamps import NS_PER_S
 
 BODY = "name: a\nbodies: [{name: x, mass: 1}]\nstops:\n  - {name: s, body: x, limit: 1, %s}\n"
@@ -104,12 +102,10 @@ def test_contact_time_is_a_key_of_stops_and_contacts() -> None:
 
 
 def test_what_cannot_take_it_says_so() -> None:
-    """The integrator moreau, and smooth."""
+    """The integrator moreau."""
     model = softened(sample("two_mass").system, 0.002)
     q, u = np.zeros(2), np.zeros(2)
     line = "two_mass: a hit of 'stop' lasts 0.002 s, which {} cannot take"
     with pytest.raises(UsageError, match=line.format("the integrator moreau")):
         make_plant(model, q, u, epoch=EPOCH, integrator="moreau")
-    with pytest.raises(UsageError, match=line.format("smooth")):
-        smoothed_runs(model, [], Options())
     assert started(model, q, u).epoch == EPOCH

@@ -23,7 +23,7 @@ from scipy import optimize
 from systems import EPOCH, sample
 
 from impact_observer.events import ImpactEvent, Ruling, Switch
-from impact_observer.model import System, parse_model
+from impact_observer.model import Model, System, parse_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import make_observer, replay
 from impact_observer.observer.samples import SensorSample
@@ -57,6 +57,17 @@ forces: [{body: x2, constant: 4}, {body: x1, amplitude: 6, frequency: 3.1}]
 stops: [{name: stop, body: x2, limit: 0.1, side: above, restitution: 0.4}]
 initial_state: {position: [0.05, -0.2], velocity: [0.4, 0]}
 """
+
+
+def rig(name: str) -> Model:
+    """A model of the samples, or one with another stop."""
+    if name == "without rebound":
+        return parse_model(PRESSED.replace("0.4}", "0}"), name)
+    if name == "hits of 4 ms":
+        text = sample("two_mass").text()
+        slower = "contact_time: 0.004\n  restitution: "
+        return parse_model(text.replace("restitution: ", slower), name)
+    return sample(name)
 
 
 def recording(
@@ -121,6 +132,7 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
         ("rubbing_guide", 0, {}),
         ("rubbing_guide", 1, {}),
         ("without rebound", 20, {}),
+        ("hits of 4 ms", 10, {}),
         (
             "two_mass",
             10,
@@ -139,10 +151,9 @@ def test_states_are_those_of_conditioning_on_all_events(
 
     An encoder with some samples a second may be beside them.
     """
-    soft = parse_model(PRESSED.replace("0.4}", "0}"), "pressed")
-    model = soft if name == "without rebound" else sample(name)
+    model = rig(name)
     x = np.concatenate(model.initial_state())
-    seconds = 4.0 if model is soft else 12.0
+    seconds = 4.0 if name == "without rebound" else 12.0
     events = recording(model.system, x, seconds, SensorModel(jitter=JITTER))
     samples = encoded(model.system, x, seconds, rate) if rate else []
     arc, path, *_ = smoothed(model.system, events, about(x, 0.1, **learned), samples).smoothed
@@ -162,7 +173,14 @@ def test_states_are_those_of_conditioning_on_all_events(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate"),
-    [("two_mass", 0), ("rubbing_guide", 0), ("two_mass", 10), ("rubbing_guide", 2)],
+    [
+        ("two_mass", 0),
+        ("rubbing_guide", 0),
+        ("hits of 4 ms", 0),
+        ("two_mass", 10),
+        ("rubbing_guide", 2),
+        ("hits of 4 ms", 10),
+    ],
 )
 def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) -> None:
     """The likeliest start: instants of the event-driven plant, fitted by SciPy.
@@ -171,7 +189,7 @@ def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) ->
 
     Its covariance follows from the derivatives of the instants, by differences.
     """
-    model = sample(name)
+    model = rig(name)
     system, x = model.system, np.concatenate(model.initial_state())
     events = recording(system, x, 12.0, SensorModel(jitter=JITTER))
     reported = np.array([each.stamp for each in events])
@@ -356,13 +374,23 @@ def test_ball_from_its_bounce_times_alone() -> None:
 
 
 @pytest.mark.slow
-def test_states_are_exact_on_a_table_that_moves() -> None:
-    """Estimates are coordinates of the model, whatever frame the computation has."""
-    model = sample("ball_on_table")
+@pytest.mark.parametrize(
+    ("name", "until", "seconds"),
+    [("ball_on_table", 1.0, [0.0, 0.21, 0.55, 0.93]), ("hits of 4 ms", 12.0, [0.0, 2.0, 7.1])],
+)
+def test_states_are_exact_on_a_table_that_moves_and_while_hits_last(
+    name: str, until: float, seconds: list[float]
+) -> None:
+    """Estimates are coordinates of the model, whatever frame the computation has.
+
+    Of a hit that lasts they are looked at before its jump and after it, too.
+    """
+    model = rig(name)
     x = np.concatenate(model.initial_state())
-    events = recording(model.system, x, 1.0, SensorModel())
+    events = recording(model.system, x, until, SensorModel())
     motion = smoothed(model.system, events, Options(law="minimum-variance"))
-    seconds = [0.0, 0.21, 0.55, 0.93]
+    hit = (events[3].stamp - EPOCH) * 1e-9
+    seconds = sorted([*seconds, hit + 0.0015, hit + 0.0025])
     stamps = np.array([EPOCH + round(each * NS_PER_S) for each in seconds])
     truth = simulate(Plant(model.system, *np.split(x, 2), epoch=EPOCH), stamps).states
     for each, true in zip(states(motion, seconds), truth, strict=True):
