@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.options import AUTO, OBSERVER_OPTIONS, VERDICTS, Option, Options, Value
-from impact_observer.sensor_faults import SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 
 if TYPE_CHECKING:
     from rcl_interfaces.msg import ParameterDescriptor
@@ -51,6 +51,11 @@ _FUTURE = Option(
 _LARGEST = 2**63 - 1
 """The largest int that a ROS parameter can hold."""
 
+_MEASUREMENTS = Option(
+    "measurements",
+    "",
+    "a file of what sensors measure beside the impacts, or a sample; empty: nothing",
+)
 PLANT = (
     _MODEL,
     Option("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
@@ -83,6 +88,8 @@ PLANT = (
     _INPUT_TIMEOUT,
     replace(_FUTURE, meaning="how far ahead of the clock a sample may be stamped"),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
+    _MEASUREMENTS,
+    *MEASUREMENT_FAULTS,
 )
 OBSERVER = (
     _MODEL,
@@ -110,11 +117,7 @@ OBSERVER = (
         choices=("volatile", "transient_local"),
     ),
     _INPUT_TIMEOUT,
-    Option(
-        "measurements",
-        "",
-        "a file of what sensors measure beside the impacts, or a sample; empty: nothing",
-    ),
+    _MEASUREMENTS,
     Option(
         "measurements_reliability",
         "best_effort",

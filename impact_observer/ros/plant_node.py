@@ -26,21 +26,26 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import DynamicsError, UsageError
+from impact_observer.events import Contacts
 from impact_observer.integrators import described
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
+from impact_observer.io.simulated_samples import SampleFaults
 from impact_observer.model import read_model
 from impact_observer.model.live_signals import connected
+from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plain_text import printable
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.plant_sensors import PlantSensors
 from impact_observer.ros.qos import qos_profile
-from impact_observer.sensor_faults import SENSOR_FAULTS
+from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+from impact_observer.states import Vector
 
 _LOOK_AHEAD = NS_PER_S
 """How far ahead the next switching is searched, ns."""
@@ -86,6 +91,8 @@ class PlantNode(Node):
         faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
         self._sensor.check(self._model.system)
+        declared = read_measurements(values.text("measurements"))
+        of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
         self._system, self._live = connected(self._model.system, causal=True)
         self._timeout = values.number("input_timeout")
         clock = (self._clock_now, values.number("future"))
@@ -103,6 +110,10 @@ class PlantNode(Node):
         self._clock_topic = (
             self._publisher(interfaces.SIMULATED_CLOCK, "/clock") if self._owns_clock else None
         )
+        self._sensors = PlantSensors(
+            self, declared, self._system, SampleFaults.of(of_samples), self._seed
+        )
+        self._closed: Contacts = ()
         self._model_topic.publish(self._make.model(model_text))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
@@ -210,7 +221,8 @@ class PlantNode(Node):
             seed=self._seed,
             episode=self._episode,
         )
-        self._epoch = epoch
+        self._epoch, self._closed = epoch, ()
+        self._sensors.start(epoch)
         self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
@@ -258,6 +270,7 @@ class PlantNode(Node):
             self._publish_present(switching.instant.stamp - 1)
             self._sensing.detect(switching)
             self._plant.cross(switching)
+            self._closed = switching.closed
         self._publish_present(now)
         shown = last if self._sensing.next_stamp is None else now
         if self._clock_topic is not None and shown >= self._next_clock:
@@ -277,11 +290,17 @@ class PlantNode(Node):
         assert self._plant is not None
         n, names = self._model.system.n, self._model.system.coordinates
         last = min(last, self._end)
+        self._sensors.publish(last, self._state, self._closed)
         while (stamp := self._sample_stamp(self._next_sample)) <= last:
-            x = self._plant.states(np.array([stamp]))[0]
+            x = self._state(stamp)
             state = JointState(stamp, names, x[:n], x[n:])
             self._states.publish(self._make.joint_state(state))
             self._next_sample += 1
+
+    def _state(self, stamp: int) -> Vector:
+        """The true state (q, u) in the present phase, shape (2n,)."""
+        assert self._plant is not None
+        return np.asarray(self._plant.states(np.array([stamp]))[0])
 
     def _set_timer(self, now: int) -> None:
         """Set the timer to what is due next."""
@@ -300,6 +319,8 @@ class PlantNode(Node):
             yield self._next_clock
         if now < self._end:
             yield self._sample_stamp(self._next_sample)
+            if (due := self._sensors.next_stamp) is not None:
+                yield due
             switching = self._plant.next_switching(now + _LOOK_AHEAD)
             if switching is not None:
                 yield switching.instant.stamp

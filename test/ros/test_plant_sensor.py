@@ -22,10 +22,17 @@ pytest.importorskip("impact_observer_msgs")
 from impact_observer_msgs.msg import ImpactEvent
 from processes import ros_arguments, running_node, spinning
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from impact_observer.io import interfaces
+from impact_observer.io.simulated_samples import (
+    SampleFaults,
+    SampleSimulation,
+    samples_of_run,
+)
 from impact_observer.model import parse_model, read_model
+from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -96,6 +103,52 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     assert max(truth) == last
     assert max(shown) >= last
     assert parse_model(models[0].data, "model").provenance["sensor"] == FAULTS
+
+
+def test_plant_node_publishes_what_simulated_sensors_measure(
+    ros_environment: dict[str, str],
+) -> None:
+    """The samples of ``simulate`` with the same seed and faults, best effort."""
+    parameters = {
+        "model": "two_mass",
+        "publish_clock": True,
+        "epoch": EPOCH,
+        "duration": 2.0,
+        "wait_for_subscribers": 1,
+        "seed": 3,
+        "measurements": "encoder",
+        "measurement_rate": 20.0,
+        "measurement_dropouts": 0.2,
+        "measurement_transport": 0.01,
+    }
+    found: dict[int, float] = {}
+    with spinning() as spinner:
+        for interface in (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES):
+            spinner.probe.create_subscription(
+                message_class(interface.type),
+                interface.name,
+                lambda _: None,
+                qos_profile(interface.quality),
+            )
+        spinner.probe.create_subscription(
+            JointState,
+            "/encoder",
+            lambda m: found.update({stamp_of(m.header.stamp): m.position[0]}),
+            qos_profile(interfaces.SENSORS),
+        )
+        with running_node("plant", ros_arguments(parameters), ros_environment) as process:
+            spinner.until(lambda: process.poll() is not None)
+            assert process.returncode == 0, process.communicate()
+        spinner.settle()
+    model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
+    faults = SampleFaults(rate=20.0, dropouts=0.2, transport=0.01)
+    simulation = SampleSimulation(read_measurements("encoder"), model.system, faults, 3)
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    run = simulate(plant, simulation.stamps(EPOCH, last))
+    wanted = {each.stamp: each.value for each in samples_of_run(simulation, run)}
+    assert found.keys() <= wanted.keys()
+    assert len(found) >= 0.8 * len(wanted)
+    assert {stamp: wanted[stamp] for stamp in found} == pytest.approx(found, abs=1e-12)
 
 
 def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[str, str]) -> None:
