@@ -73,7 +73,7 @@ def print_blindness(labelled: Mapping[str, Comparison]) -> None:
 def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
     """A row a law with the metrics of the table ``DISTANCE`` or ``IMPACTS``."""
     names, settled = system_names(labelled), next(iter(labelled.values())).settled
-    shown = [metric for metric in METRICS if metric.table == title]
+    shown = [m for m in METRICS if m.table == title and m.is_shown(labelled.values())]
     title = title.format(names=names, settled=settled)
     table = ruled_table(title, "law", *(metric.heading for metric in shown))
     for label, each in labelled.items():

@@ -19,7 +19,7 @@ with a column also in that printed table and in the report. ``docs/comparing.md`
 lists all metrics with unit and meaning; a test holds its keys and headings against ``METRICS``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from impact_observer.compare.comparison import Comparison
@@ -41,6 +41,7 @@ class Metric(NamedTuple):
         table: title of the table in which it is printed; empty for none.
         heading: of its column.
         cell: makes the text of one number.
+        optional: whether its column is left out where no comparison has a value.
     """
 
     key: str
@@ -48,6 +49,11 @@ class Metric(NamedTuple):
     table: str = ""
     heading: str = ""
     cell: Callable[[Any], str] = "{}".format
+    optional: bool = False
+
+    def is_shown(self, comparisons: Iterable[Comparison]) -> bool:
+        """Whether the printed table of some ``comparisons`` has its column."""
+        return not self.optional or any(self.value(each) is not None for each in comparisons)
 
 
 def _rate(value: float | None, without: str = "") -> str:
@@ -77,6 +83,22 @@ METRICS = (
     ),
     Metric(
         "impacts_inserted", lambda c: _switches(c, Ruling.INSERTED), IMPACTS, "inserted", _count
+    ),
+    Metric(
+        "measurements_used",
+        lambda c: c.outcomes.measured and c.outcomes.measured[0],
+        IMPACTS,
+        "measured",
+        _count,
+        optional=True,
+    ),
+    Metric(
+        "measurements_not_used",
+        lambda c: c.outcomes.measured and c.outcomes.measured[1],
+        IMPACTS,
+        "not used",
+        _count,
+        optional=True,
     ),
     Metric("late_samples", lambda c: c.late, IMPACTS, "late"),
     Metric("stale_samples", lambda c: c.stale),

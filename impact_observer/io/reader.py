@@ -35,7 +35,7 @@ from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
 
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
-from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import (
     TopicInfo,
@@ -47,7 +47,13 @@ from impact_observer.io.bag_topics import (
 from impact_observer.io.chunks import Message, index_of, messages
 from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.messages import AnyMessage, MessageError, read_event, read_verdict
+from impact_observer.io.messages import (
+    AnyMessage,
+    MessageError,
+    read_event,
+    read_measurement_verdict,
+    read_verdict,
+)
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 
 _Value = TypeVar("_Value")
@@ -238,6 +244,14 @@ class BagReader:
         return (
             verdict for verdict, _ in self._values(topic, interfaces.EVENT_VERDICT, read_verdict)
         )
+
+    def sample_verdicts(self, topic: str) -> Iterator[MeasurementVerdict]:
+        """The verdicts on samples of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message has no valid verdict.
+        """
+        return self._values(topic, interfaces.MEASUREMENT_VERDICT, read_measurement_verdict)
 
     def blocks(
         self,

@@ -16,8 +16,10 @@
 
 import heapq
 import shutil
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -228,8 +230,13 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     Raises:
         BagError: a verdict is not valid.
     """
-    verdicts = f"{topic.rpartition('/')[0]}/verdicts"
-    return outcomes_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None)
+    prefix = topic.rpartition("/")[0]
+    verdicts = f"{prefix}/verdicts"
+    found = outcomes_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None)
+    if f"{prefix}/measurements" not in reader.topics:
+        return found
+    used = Counter(each.accepted for each in reader.sample_verdicts(f"{prefix}/measurements"))
+    return replace(found, measured=(used[True], used[False]))
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:

@@ -39,12 +39,15 @@ class EventOutcomes:
         rulings: how many switches were finally applied, rejected and inserted, without
             insertions that were withdrawn; None where there are no verdicts. All events then
             count as applied.
+        measured: how many samples of sensors were used, and how many were not, by the verdicts on
+            them; None where there are none.
     """
 
     instants: Stamps
     reported: Stamps
     impacts: tuple[tuple[int, str], ...]
     rulings: Counter[Ruling] | None
+    measured: tuple[int, int] | None = None
 
     def until(self, stamp: int) -> int:
         """How many impacts had been used at ``stamp`` (ns)."""

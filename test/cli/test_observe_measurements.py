@@ -299,6 +299,28 @@ def test_samples_are_dots_of_the_quantity_that_they_measure(bag: Path) -> None:
     assert line.get_text() == "samples: encoder, laser, probe"
 
 
+def test_compare_shows_how_many_samples_were_used(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the observer says; other tables have no such columns."""
+    output, plain = str(tmp_path / "estimate"), str(tmp_path / "plain")
+    given = ["--measurements", str(bag.parent / "rig.yaml"), "--measurement-verdicts", "all"]
+    assert main(["observe", str(bag), *given, "-o", output]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    samples = [int(line.split(" samples")[0].split()[-1]) for line in lines if " samples:" in line]
+    used = [int(line.split(" accepted")[0].split()[-1]) for line in lines if " accepted" in line]
+    assert main(["compare", output, "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out).values()
+    assert found["measurements_used"] == sum(used) > 0
+    assert found["measurements_used"] + found["measurements_not_used"] == sum(samples)
+    assert main(["compare", output]) == 0
+    assert "measured" in capsys.readouterr().out
+    assert main(["observe", str(bag), "-o", plain]) == 0
+    capsys.readouterr()
+    assert main(["compare", plain]) == 0
+    assert "measured" not in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
     """With an encoder the estimate of least variance is better; cases differ by their noise."""
