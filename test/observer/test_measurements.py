@@ -391,6 +391,29 @@ def test_a_bank_does_not_depend_on_the_order_of_arrival() -> None:
         assert first.covariance.tobytes() == second.covariance.tobytes()
 
 
+@pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
+def test_a_late_impact_repeats_the_samples_after_it_only(
+    law: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seven have come meanwhile; those before it are not used again."""
+    model, whole = truth("two_mass", 3.0)
+    samples = measured(whole, np.eye(4)[:1], 1e-3)
+    first = whole.events[0]
+    before = [each for each in samples if each.stamp < first.stamp]
+    upto = samples[: len(before) + 7]
+    observer = watcher(model, law, whole.states[0], [encoder()])
+    fed(observer, [], upto)
+    used: list[object] = []
+    apply = observer._run.update._measured
+    monkeypatch.setattr(observer._run.update, "_measured", _counted(apply, used))
+    observer.receive(first)
+    assert len(used) == 7
+    same = watcher(model, law, whole.states[0], [encoder()])
+    fed(same, [first], upto)
+    stamp = upto[-1].stamp
+    np.testing.assert_array_equal(x_of(observer, stamp), x_of(same, stamp))
+
+
 def test_an_event_is_the_last_one_whatever_is_measured_after_it() -> None:
     """``last_event`` and ``last_sequence`` are those of events, late counts only events."""
     observer, events, samples = rig("geometric")

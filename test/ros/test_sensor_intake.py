@@ -117,13 +117,15 @@ def rig_with(folder: Path, sensors: str = SENSORS, **parameters: object) -> Iter
         node, probe, many = ObserverNode(), spinner.probe, qos_profile(Quality(depth=2000))
         spinner.add(node)
         laser = JointState if "x3" in sensors else Range
+        is_reliable = given["measurements_reliability"] == "reliable"
+        offered = qos_profile(Quality(depth=2000, reliable=is_reliable))
         rig = Rig(
             spinner,
             node,
             probe.create_publisher(Clock, "/clock", qos_profile(STATES)),
             probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS)),
-            probe.create_publisher(JointState, "encoder", many),
-            probe.create_publisher(laser, "laser", many),
+            probe.create_publisher(JointState, "encoder", offered),
+            probe.create_publisher(laser, "laser", offered),
         )
         probe.create_subscription(
             MeasurementVerdict, "observer/measurements", rig.verdicts.append, many
@@ -210,6 +212,26 @@ def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
         rig.spinner.until(lambda: rig.counts(0)["accepted"] == 2)
         values = {each.key: each.value for each in rig.status("encoder").values}
         assert (values["samples"], values["accepted"], values["invalid"]) == ("3", "2", "2")
+
+
+def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """By default: sixty samples at 100 Hz without, thirty at 10 Hz with; few are lost."""
+    assert ros_environment
+    with rig_with(tmp_path, measurements_reliability="best_effort", history=10.0) as rig:
+        rig.spinner.until(rig.laser.get_subscription_count)
+        rig.tick(EPOCH + 4 * NS_PER_S)
+        for k in range(1, 61):
+            rig.send_encoder(EPOCH + k * NS_PER_S // 100, 0.1)
+        for k in range(1, 31):
+            rig.send_laser(EPOCH + k * NS_PER_S // 10, 2.0)
+        rig.spinner.until(lambda: rig.counts(0)["accepted"] >= 30)
+        rig.spinner.until(lambda: rig.counts(1)["accepted"] >= 22)
+        rig.send_laser(EPOCH + 31 * NS_PER_S // 10, 2.0)
+        rig.spinner.until(lambda: rig.verdicts)
+        rig.spinner.settle()
+        assert {each.name for each in rig.verdicts} == {"laser"}
 
 
 def test_a_topic_of_another_type_is_one_diagnostic_and_the_other_sensor_goes_on(
