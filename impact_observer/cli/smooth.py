@@ -85,6 +85,6 @@ def run(args: argparse.Namespace) -> int:
                     "warning: the last linearisation still changed the motion by"
                     f" {each.smoothed.change:.2g} standard deviations"
                 )
-            if each.misfit:
-                progress.line(f"warning: {each.misfit}")
+            for line in filter(None, (each.misfit, each.early_doubt[0])):
+                progress.line(f"warning: {line}")
     return 0

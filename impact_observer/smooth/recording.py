@@ -14,6 +14,7 @@
 
 """The events of a recording, smoothed: what each was, and the motion that explains them all."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -33,7 +34,7 @@ from impact_observer.observer.sender_runs import placed
 from impact_observer.smooth.account import EventAccount, TracedLaw, account_of, start_of
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.backward import Retracing
-from impact_observer.smooth.smoothed_motion import SmoothedMotion
+from impact_observer.smooth.smoothed_motion import NO_DOUBT, Doubt, SmoothedMotion
 from impact_observer.smooth.smoother import Smoothed, smooth
 from impact_observer.stamps import MAX_STAMP, Elapsed
 
@@ -46,6 +47,10 @@ _SEARCHED = 80
 """Events at the beginning of which other accounts are tried."""
 _RETRACED = 4
 """Moments from which the motion is followed back."""
+_UNLIKELY = 0.003
+"""Odds of another account below which it is not told."""
+_OTHER = 3.0
+"""Deviations by which its first state must differ."""
 _SURE, _WIDER = 3.0, (0.0, 0.1, 0.3)
 """Standard deviations with which filters of other accounts begin, relative to those of the
 smoothed start and to those that are declared.
@@ -141,6 +146,34 @@ def _evidence(trial: _Trial) -> float:
     )
 
 
+def _doubt(best: _Trial, trials: Sequence[_Trial]) -> Doubt:
+    """The likeliest other account of the events whose first state is another."""
+    z, size = best.smoothed.first, 2 * best.law.system.n
+    found = NO_DOUBT
+    for each in trials:
+        odds = math.exp(min(_evidence(each) - _evidence(best), 0.0))
+        if each is best or not each.smoothed.is_settled or odds <= max(found.odds, _UNLIKELY):
+            continue
+        other = each.smoothed.first
+        moved = np.abs(other.mean - z.mean) / np.hypot(other.deviations, z.deviations)
+        far = float(np.max(moved[:size]))
+        if far > _OTHER:
+            found = Doubt(odds, far, _same_from(best.account, each.account))
+    return found
+
+
+def _same_from(account: EventAccount, other: EventAccount) -> int:
+    """The stamp of the first moment from which on two accounts are the same, ns."""
+    stamp = max(each.change.stamp for each in account.moments)
+    pairs = zip(reversed(account.moments), reversed(other.moments), strict=False)
+    decided = zip(reversed(account.decisions), reversed(other.decisions), strict=False)
+    for (mine, _), (a, b) in zip(pairs, decided, strict=False):
+        if a != b:
+            break
+        stamp = mine.change.stamp
+    return stamp
+
+
 class _Run:
     """The events of one run of the sender, and what is declared of them."""
 
@@ -157,6 +190,7 @@ class _Run:
         self._events, self._samples = events, samples
         self._options, self._progress = options, progress
         self._make, self._give = make, give
+        self._trials = list[_Trial]()
 
     def motion(self) -> SmoothedMotion:
         """The motion by the account that all events together make likeliest.
@@ -166,14 +200,20 @@ class _Run:
         of filters that begin about the smoothed start, until none is likelier.
         """
         few = self._events[:_SEARCHED]
-        best = self._tried(few)
+        best, doubt = self._tried(few), NO_DOUBT
         if not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)
+            doubt = _doubt(best, self._trials)
         if len(self._events) > len(few):
             best = self._tried(self._events, best.smoothed)
         start = start_of(self._events, best.epoch)
         return SmoothedMotion(
-            best.smoothed, best.account, best.law, start=start, epoch=best.epoch or start
+            best.smoothed,
+            best.account,
+            best.law,
+            start=start,
+            epoch=best.epoch or start,
+            doubt=doubt,
         )
 
     def _searched(self, best: "_Trial", events: Sequence[ImpactEvent]) -> "_Trial":
@@ -238,7 +278,8 @@ class _Run:
         prior, begin = self._prior(whole, epoch), self._begin(epoch)
         arc = Arc(whole.filter, begin, prior, account.moments, account.samples)
         smoothed = smooth(arc, lambda done, total: self._progress("smoother", done, total))
-        return _Trial(law, account, smoothed, epoch)
+        self._trials.append(_Trial(law, account, smoothed, epoch))
+        return self._trials[-1]
 
     def _prior(self, law: TracedLaw, epoch: int) -> GaussianState:
         """What is declared of the start."""

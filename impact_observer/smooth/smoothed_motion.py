@@ -17,8 +17,10 @@
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg, special
 
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
@@ -31,14 +33,45 @@ from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
 from impact_observer.smooth.smoother import Smoothed, at_samples
 from impact_observer.stamps import Elapsed, from_seconds
+from impact_observer.stamps import text as stamp_text
 from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
 
 LAW = "smoother"
 """What estimates of the smoother name where others name their law."""
 
 
+_ONE_START_IN = 1e-6
+"""Share of true starts that are farther from the declared one than what is not told."""
 _FAR = 5.0
 """Deviations of a stamp beyond which the motion does not explain it."""
+
+
+class Doubt(NamedTuple):
+    """Another account of the first events, which is nearly as likely.
+
+    Attributes:
+        odds: of that one to the account that is taken; 0 for none.
+        far: by how much its first state differs, in standard deviations.
+        until: stamp from which on both are the same, ns.
+    """
+
+    odds: float = 0.0
+    far: float = 0.0
+    until: int = 0
+
+    @property
+    def text(self) -> str:
+        """The warning; empty where there is none."""
+        if not self.odds:
+            return ""
+        return (
+            f"another account of the events before {stamp_text(self.until)} s is {self.odds:.2g}"
+            f" times as likely, and begins {self.far:.2g} deviations from here; see"
+            " docs/smoothing.md"
+        )
+
+
+NO_DOUBT = Doubt()
 
 
 class SmoothedMotion:
@@ -48,13 +81,22 @@ class SmoothedMotion:
         start: stamp of the first state, ns.
         smoothed: its states at the moments.
         account: what each event was.
+        doubt: another account of the first events.
     """
 
     def __init__(
-        self, smoothed: Smoothed, account: EventAccount, law: TracedLaw, *, start: int, epoch: int
+        self,
+        smoothed: Smoothed,
+        account: EventAccount,
+        law: TracedLaw,
+        *,
+        start: int,
+        epoch: int,
+        doubt: Doubt = NO_DOUBT,
     ) -> None:
         """A motion by ``law``; stamps (ns) of the first state, and of ``t = 0``."""
         self.smoothed, self.account, self.start = smoothed, account, start
+        self.doubt = doubt
         self._law, self._epoch = law, epoch
         self._names = law.system.contact_names
         self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
@@ -166,6 +208,8 @@ class SmoothedMotion:
         system = self.smoothed.arc.filter.system
         (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
+        warning, until = self.early_doubt
+        misfit = self.misfit or (warning if stamp < until else "")
         estimate = Estimate(
             stamp=stamp,
             law=LAW,
@@ -173,8 +217,8 @@ class SmoothedMotion:
             u=x[n:],
             covariance=frozen(self._widened**2 * (root @ root.T)),
             closed=tuple(self._names[i] for i in held),
-            synchronized=self.smoothed.is_settled and not self.misfit,
-            misfit=self.misfit,
+            synchronized=self.smoothed.is_settled and not misfit,
+            misfit=misfit,
             clock_offset=self._constants.offset,
             parameters=self.parameters,
             last_sequence=event.sequence if event else 0,
@@ -197,6 +241,30 @@ class SmoothedMotion:
         if len(deviations) > len(names):
             found.append(("clock_offset", self._constants.offset, deviations[-1]))
         return tuple(found)
+
+    @cached_property
+    def early_doubt(self) -> tuple[str, int]:
+        """Why the first states are in doubt, and until which stamp (ns); empty if they are not.
+
+        Another account is nearly as likely; or the smoothed start is as far from the declared one
+        as one true start in a million is, which is how most wrong accounts end.
+        """
+        if self.doubt.odds:
+            return self.doubt.text, self.doubt.until
+        prior, size = self.smoothed.arc.first, 2 * self._law.system.n
+        moved, root = self.smoothed.first.mean[:size] - prior.mean[:size], prior.root[:size]
+        declared = root.any(axis=1)
+        distance = float(np.linalg.norm(linalg.lstsq(root[declared], moved[declared])[0]))
+        if distance**2 <= special.chdtri(int(declared.sum()), _ONE_START_IN) or not len(
+            self.account.moments
+        ):
+            return "", 0
+        until = self.account.moments[: size + 1][-1].change.stamp
+        text = (
+            f"the smoothed start is {distance:.2g} standard deviations from the declared one: the"
+            " account of the first events or the declared start is wrong; see docs/smoothing.md"
+        )
+        return text, until
 
     @cached_property
     def unexplained(self) -> int:

@@ -359,6 +359,42 @@ def test_impacts_that_no_motion_explains_are_warned_of() -> None:
 
 
 @pytest.mark.slow
+def test_another_account_that_is_nearly_as_likely_is_warned_of() -> None:
+    """The sensor missed the first impact, and the account that is taken does not say so."""
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 30.0, SensorModel(jitter=JITTER, missed=0.2, spurious=0.13), 9)
+    wrong = ",".join(f"{each:.17g}" for each in x + np.random.default_rng(9).normal(size=x.size))
+    options = Options(law="minimum-variance", initial_state=wrong, clock_error=JITTER)
+    motion = smoothed(system, events, options)
+    text, until = motion.early_doubt
+    assert 0.003 < motion.doubt.odds <= 1.0
+    assert text.startswith("another account of the events before ")
+    first, last = states(motion, [0.5, 25.0])
+    assert first.stamp < until < last.stamp
+    assert first.misfit == text
+    assert not first.synchronized
+    assert last.synchronized
+    true = simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), np.array([first.stamp])).states
+    error = np.append(first.q, first.u) - true[0]
+    assert np.any(np.abs(error) > 5 * np.sqrt(np.diag(first.covariance)))  # it is wrong
+
+
+@pytest.mark.slow
+def test_start_far_from_the_declared_one_is_warned_of() -> None:
+    """By 20 declared deviations; what is later is not in doubt."""
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 12.0, SensorModel(jitter=JITTER))
+    motion = smoothed(system, events, about(x + np.array([0.2, 0, 0, 0]), 0.01))
+    assert "from the declared one" in motion.early_doubt[0]
+    first, last = states(motion, [0.1, 11.5])
+    assert not first.synchronized
+    assert last.synchronized
+    assert not smoothed(system, events, about(x, 0.01)).early_doubt[0]
+
+
+@pytest.mark.slow
 def test_ball_from_its_bounce_times_alone() -> None:
     """No epoch: the first stamp is the start, and the speed there that of a fall from 1 m."""
     system = sample("bouncing_ball").system
