@@ -16,6 +16,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -34,11 +35,13 @@ from impact_observer.estimation.hypotheses import (
     normalised,
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.events import Kind
+from impact_observer.kernel._kernel import Gaps
 from impact_observer.states import Matrix, Vector
 
 DOUBTFUL = 3
@@ -291,38 +294,52 @@ class SampleUpdate:
         known = self._sure(reading, hypotheses, s)
         if known is None:
             return None
-        filter_, sensor = self.bank.filter, reading.sensor
+        sensor, (moving, gaps, declared) = reading.sensor, self._free
         at = Place(reading.t, reading.instant, hypotheses[0].state.x, ())
-        row = sensor.row(filter_.members.given.moving, at)
-        made = filter_.members.given.free_gaps.followed(
+        row, gate = sensor.row(moving, at), sensor.measurement.gate
+        made = gaps.followed(
             since,
             s,
             [h.state for h in hypotheses],
             _levels(hypotheses),
-            0.0 if filter_.noise is None else filter_.noise.model_error,
+            declared,
             row.h,
             row.rest,
             reading.value,
             known.variance,
-            sensor.measurement.gate,
+            gate,
             not self.bank.trusts_events,
         )
-        if made is None or not math.isfinite(sum(each[6] for each in made)):
+        if made is None or not math.isfinite(sum([each[6] for each in made])):  # noqa: C419 (slow)
             return None
+        alone, first = len(made) == 1, 0
         found = [
-            h._replace(state=GaussianState(*m[:4]), weight=h.weight + m[6], since=h.since + s)
+            h._replace(
+                state=GaussianState(*m[:4]),
+                weight=0.0 if alone else h.weight + m[6],
+                since=h.since + s,
+            )
             for h, m in zip(hypotheses, made, strict=True)
         ]
-        first = max(range(len(found)), key=lambda i: found[i].weight) if len(found) > 1 else 0
-        innovation, normalized, _, residual = made[first][4:]
-        outcome = SampleOutcome(innovation, normalized)
-        if normalized > (gate := sensor.measurement.gate):
-            if len(found) == 1:
-                return None  # the state before it goes on
+        if not alone:
+            first = max(range(len(found)), key=lambda i: found[i].weight)
+        _, _, _, _, innovation, normalized, _, residual = made[first]
+        if normalized <= gate:
+            outcome = SampleOutcome(innovation, normalized)
+        elif alone:
+            return None  # the state before it goes on
+        else:
             outcome = _gated(innovation, normalized, gate)
         learns = sensor.measurement.deviation is None
         known = known.after(accepted=outcome.accepted, residual=residual if learns else -1.0)
-        return self._kept(found, new=False), outcome, known
+        return (tuple(found) if alone else self._kept(found, new=False)), outcome, known
+
+    @cached_property
+    def _free(self) -> tuple[MovingSystem, Gaps, float]:
+        """The motion between impacts, its gaps, and the declared white accelerations, m/s^1.5."""
+        filter_, given = self.bank.filter, self.bank.filter.members.given
+        declared = 0.0 if filter_.noise is None else filter_.noise.model_error
+        return given.moving, given.free_gaps, declared
 
     def _sure(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float

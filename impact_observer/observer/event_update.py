@@ -112,13 +112,13 @@ class EventUpdate:
         stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
         epoch, impact = self.epoch or stamp, previous.impact
         reading = Reading(
-            self.sensors[event.sensor],
+            self.sensors[index := event.sensor],
             value,
             Elapsed(stamp - epoch),
             stamp - epoch,
             seconds_between(impact, stamp) if impact else math.inf,
             previous.closed,
-            previous.known.get(event.sensor, SensorState()),
+            previous.known.get(index) or SensorState(),
         )
         if reason := _silenced(reading, previous):
             outcome = SampleOutcome(0.0, -1.0, False, reason)
@@ -131,7 +131,7 @@ class EventUpdate:
         posterior, outcome, known = found
         now = previous.known
         if known != reading.known:
-            now = {**now, event.sensor: known}
+            now = {**now, index: known}
         if posterior is prior:
             return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
         if not isfinite(posterior.x.dot(posterior.x)):
