@@ -160,15 +160,18 @@ class SenderRuns:
     def _change_to(self, run: SenderRun, event: ImpactEvent) -> Weighed:
         assert self.in_use is not None, "there was an event"
         previous, held = self.in_use, self._held.pop(run)
-        released = tuple(each for each in held.events if each != event)
-        self._newest = max(each.stamp for each in held.events)
+        events = [
+            each for each in held.events if any(_are_near(each, near) for near in held.confirming)
+        ]
+        released = tuple(each for each in events if each != event)
+        self._newest = max(each.stamp for each in events)
         if previous == run:
             was_confirmed, self._is_confirmed = self._is_confirmed, True
             return Weighed(released=released, replaces=not was_confirmed)
         if not self._is_confirmed and self._first is not None:
             self._held[previous] = _Held([self._first])
-        self.in_use, self._first = run, held.events[0]
-        self._is_confirmed = len(held.events) > 1
+        self.in_use, self._first = run, events[0]
+        self._is_confirmed = len(events) > 1
         return Weighed(previous=previous, released=released)
 
     def _reason(self, run: SenderRun, wanted: int, *, is_later: bool) -> tuple[str, Remark]:
@@ -193,6 +196,11 @@ def _agree(one: ImpactEvent, other: ImpactEvent) -> bool:
         return False
     if one.sequence and not 0 < abs(one.sequence - other.sequence) <= NEAR_NUMBERS:
         return False
+    return _are_near(one, other)
+
+
+def _are_near(one: ImpactEvent, other: ImpactEvent) -> bool:
+    """Whether two events are stamped within an hour."""
     return abs(one.stamp - other.stamp) <= _MOST_STEP
 
 

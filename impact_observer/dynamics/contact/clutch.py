@@ -33,7 +33,7 @@ from impact_observer.dynamics.contact.persistent_contact import persistent_conta
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
-from impact_observer.dynamics.guards.location import Crossing, Search
+from impact_observer.dynamics.guards.location import Crossing, Hunt, Search
 from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.kernel import PhaseMotion
 from impact_observer.model import System
@@ -115,6 +115,7 @@ class Piecewise(Motion):
         self._clutches = clutches
         self._closed = closed
         self._searched, self._windows = 0.0, 0
+        self._hunt: Hunt | None = None
         self._short_phases = 0
         self._carried: list[Matrix] = [np.eye(x.size)]  # differences, to the start of each part
         system = clutches.system
@@ -182,15 +183,17 @@ class Piecewise(Motion):
         window = self._clutches.window
         while self._parts[-1].start + self._searched <= until and self._windows < _SEARCHED:
             part, least = self._parts[-1], self._least()
+            if self._hunt is None:
+                self._hunt = self._search(part).along(part.motion, least)
             self._windows += 1
-            begin, self._searched = max(self._searched, least), self._searched + window
-            crossing = self._search(part).first(part.motion, self._searched, begin)
-            if crossing is not None:
+            self._searched += window
+            crossing = self._hunt.first(self._searched)
+            if crossing is not None and crossing.s <= self._searched:
                 crossing = crossing._replace(s=max(crossing.s, least))
                 is_short = crossing.s <= max(self._clutches.instant, least)
                 self._short_phases = self._short_phases + 1 if is_short else 0
                 self._parts.append(self._next(part, crossing))
-                self._searched = 0.0
+                self._searched, self._hunt = 0.0, None
 
     def _least(self) -> float:
         """Least length of the present phase, s.
