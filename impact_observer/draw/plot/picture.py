@@ -42,6 +42,16 @@ BAND = 2.0
 _MARGIN = 0.06
 """Space above and below the curves, over their range."""
 _TRUTH: Style = {"color": "0.75", "linewidth": 3.2}
+_SPARSE: Style = {
+    "color": "0.6",
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 4.5,
+    "markevery": 1,
+}
+"""How the truth is drawn where its samples are too few for a line."""
+_DENSE = 3
+"""Samples of an estimate for one of the truth, from which on these are too few for a line."""
 _IMPACT: Style = {"marker": "|", "color": "0.2", "markersize": 7}
 MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
     None: ("impact", _IMPACT),
@@ -70,6 +80,15 @@ def styles_of(series: Sequence[Series]) -> list[Style]:
     drawn = [next(lines) if each.law else dict(_TRUTH) for each in series]
     alone = {"marker": None} if len(laws) < 2 else {}  # markers distinguish curves
     return [each | alone for each in drawn]
+
+
+def _with_dots(series: Sequence[Series]) -> list[Style]:
+    """``styles_of`` series, but dots for a truth with few samples beside an estimate."""
+    most = max((len(each.values) for each in series), default=0)
+    return [
+        style if each.law or len(each.values) * _DENSE > most else _SPARSE
+        for each, style in zip(series, styles_of(series), strict=True)
+    ]
 
 
 def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector]]:
@@ -101,7 +120,7 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
     rows = mark_rows_of(recording)
     strip = _ROW * (len(rows) + 0.6) if rows else 0.0
     heights = [*([strip] if rows else []), *[_PANEL] * height]
-    drawn = styles_of(recording.series)
+    drawn = _with_dots(recording.series)
     with mpl.rc_context({"font.size": 9.0}):
         figure = Figure(figsize=(width, _REST + sum(heights)), layout="constrained")
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
@@ -139,7 +158,8 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
     for k, (each, style) in enumerate(zip(recording.series, drawn, strict=True)):
         t, y, deviation = (a[:, column] for a in (each.seconds, each.values, each.deviations))
         step = max(y.size // 9, 1)
-        axes.plot(t, y, zorder=2 + k, markevery=(step * k // count, step), **style)
+        every: Style = {"markevery": (step * k // count, step)}
+        axes.plot(t, y, zorder=2 + k, **every | style)
         if np.isfinite(deviation).any():
             axes.fill_between(
                 t,

@@ -17,6 +17,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,23 @@ def test_legend_has_what_is_drawn_and_nothing_else() -> None:
     ]
     plain = recording(deviation=np.nan, marks={Mark("stop"): np.array([1.0])})
     assert labels(recording_picture(plain)) == ["truth", "minimum-variance", "impact"]
+
+
+def test_truth_with_few_samples_is_dots_as_lines_between_them_would_be_wrong() -> None:
+    """As in a bag with true states at 2 Hz and estimates at 50 Hz."""
+    dense = recording()
+    line, *_ = recording_picture(dense).axes[0].get_lines()
+    assert line.get_linestyle() == "-"
+    truth, estimate = dense.series
+    few = replace(
+        truth,
+        seconds=truth.seconds[::4],
+        values=truth.values[::4],
+        deviations=truth.deviations[::4],
+    )
+    drawn = recording_picture(replace(dense, series=(few, estimate))).axes[0].get_lines()
+    assert (drawn[0].get_linestyle(), drawn[0].get_marker()) == ("None", "o")
+    assert drawn[1].get_linestyle() != "None"
 
 
 def test_many_rows_of_marks_become_one_an_estimate() -> None:
