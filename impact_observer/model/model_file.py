@@ -83,7 +83,9 @@ class Model:
         """
         if self.position is None or self.velocity is None:
             key = f"{self.source}: initial_state" if self.source else "initial_state"
-            raise ModelError(key, "is missing; a plant needs one")
+            zeros = ", ".join(["0"] * self.system.n)
+            form = f"initial_state: {{position: [{zeros}], velocity: [{zeros}]}}"
+            raise ModelError(key, f"is missing; a plant needs one, such as {form}")
         return self.position, self.velocity
 
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:

@@ -350,12 +350,15 @@ def test_asymmetry_of_printed_digits_is_accepted_and_removed() -> None:
 
 
 def test_missing_initial_state_is_an_error_for_the_plant_only() -> None:
-    """An observer reads such a file; a plant gets a line that names the key."""
+    """An observer reads such a file; a plant gets a line with the key and the form that fits."""
     lines = [line for line in MATRICES.splitlines() if not line.startswith("initial_state")]
     model = parse_model("\n".join(lines), "m")
     assert model.position is None
-    with pytest.raises(ModelError, match="initial_state: is missing; a plant needs one"):
+    with pytest.raises(ModelError, match="initial_state: is missing; a plant needs one") as said:
         model.initial_state()
+    form = str(said.value).partition("such as ")[2]
+    assert form == "initial_state: {position: [0, 0], velocity: [0, 0]}"
+    assert parse_model("\n".join([*lines, form]), "m").initial_state()[0].tolist() == [0, 0]
 
 
 def write_npy(path: Path, matrix: np.ndarray) -> None:
