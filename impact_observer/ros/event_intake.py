@@ -18,6 +18,7 @@ import heapq
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from itertools import chain
 from typing import NamedTuple
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
@@ -80,6 +81,7 @@ class EventIntake:
         self._limits = limits
         self.counts = counts
         self._waiting: deque[Waiting] = deque()
+        self._taken: list[Waiting] = []
         self._batch, self._begun = _FEW, 0
         self._ahead: list[tuple[int, int, ImpactEvent]] = []
         self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
@@ -96,6 +98,15 @@ class EventIntake:
     def is_busy(self) -> bool:
         """Whether there is work for another slice."""
         return bool(self._work is not None or self._waiting or self._refused)
+
+    def backlog(self) -> tuple[int, float]:
+        """How many events wait or are being applied, and how long the oldest has waited, s."""
+        taken = self._taken if self._work is not None else []
+        oldest = next(chain(taken, self._waiting), None)
+        if oldest is None:
+            return 0, 0.0
+        since = (time.monotonic_ns() - oldest.since) / NS_PER_S
+        return len(taken) + len(self._waiting), since
 
     def add(self, data: bytes) -> str:
         """Take a serialized event; in words why it cannot be used, empty where it can."""
@@ -156,9 +167,9 @@ class EventIntake:
         """Give the observer some of what waits."""
         self._begun = time.monotonic_ns()
         count = min(self._batch, len(self._waiting))
-        taken = [self._waiting.popleft() for _ in range(count)]
-        self._again.update(each.event for each in taken if each.was_refused)
-        return self._observer.receiving([each.event for each in taken])
+        self._taken = [self._waiting.popleft() for _ in range(count)]
+        self._again.update(each.event for each in self._taken if each.was_refused)
+        return self._observer.receiving([each.event for each in self._taken])
 
     def _refuse_what_waited(self) -> None:
         """Refuse the events that have waited for too long."""

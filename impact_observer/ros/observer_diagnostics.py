@@ -34,6 +34,10 @@ _STALE = 60 * NS_PER_S
 _REFUSALS = (Ruling.REJECTED, Ruling.TOO_LATE, Ruling.UNKNOWN_CONTACT)
 _REFUSAL_HOLDS = 10.0
 """How long after the last refusal the status is not OK, whatever is applied, s."""
+_BEHIND = 1.0
+"""How long an event may wait before the observer counts as behind, s."""
+_CAUGHT_UP = 0.5
+"""How long the oldest event waits at most once it has caught up, s."""
 
 
 class ObserverDiagnostics:
@@ -43,6 +47,7 @@ class ObserverDiagnostics:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
+        behind: how far the observer is behind, and the remedy; empty where it keeps up.
         inputs: the node's samples of live forces and grounds, if there are any.
         input_timeout: how old they may be, s.
     """
@@ -51,13 +56,13 @@ class ObserverDiagnostics:
         """Report on the ``observer`` of a node, called by its full name."""
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
-        self.mismatch = ""
+        self.mismatch = self.behind = ""
         self.inputs: LiveIntake | None = None
         self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
         self._applied = False
-        self._row = self._refused = 0
+        self._row = self._refused = self._waiting = 0
         self._why = ""
         self._refused_at = -math.inf
 
@@ -80,6 +85,25 @@ class ObserverDiagnostics:
         self._refused += 1
         self._why, self._refused_at = why, time.monotonic()
 
+    def note_backlog(self, count: int, waited: float) -> str:
+        """Events wait, ``count`` of them, the oldest for ``waited`` (s).
+
+        Returns:
+            What is to be logged: a warning when the observer is behind, a line when it has caught
+            up, else nothing.
+        """
+        was_behind, self._waiting = bool(self.behind), count
+        law, self.behind = self._observer.law, ""
+        if waited > (_CAUGHT_UP if was_behind else _BEHIND):
+            remedies = ["declare clock_error"] if law.uncertainty.clock_error is None else []
+            remedies += ["take geometric"]
+            remedy = f"; {', or '.join(remedies)}" if law.has_covariance else ""
+            found = f"{count} events wait, the oldest for {waited:.1f} s"
+            self.behind = f"{found}: the observer cannot keep up{remedy}"
+        if was_behind:
+            return "" if self.behind else "the observer has caught up with the events"
+        return self.behind
+
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
         """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
         level, message = self._health(now, last)
@@ -93,6 +117,7 @@ class ObserverDiagnostics:
             "from the future": self.counts["future"],
             "invalid messages": self.counts["invalid"],
             "without room": self.counts["overflow"],
+            "waiting": self._waiting,
             "waited too long": self.counts["waited"],
             "missing sequence numbers": observer.missing,
             "estimates corrected": self.counts["corrected"],
@@ -134,9 +159,8 @@ class ObserverDiagnostics:
             return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
         new = self._new_faults()
         silent = self.inputs.silent(now, self.input_timeout) if self.inputs else ""
-        fault = (
-            self._clock_fault(now) or silent or _doubt(last) or ", ".join(new) or self._refusals()
-        )
+        faults = (self.behind, self._clock_fault(now), silent, _doubt(last), ", ".join(new))
+        fault = next(filter(None, faults), "") or self._refusals()
         if fault:
             return DiagnosticStatus.WARN, fault
         return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"

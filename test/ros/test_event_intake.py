@@ -23,13 +23,17 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io.messages import MessageLimits
+from impact_observer.model import read_model
+from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
 from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
 from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.stamps import NS_PER_S
 
 Item = tuple[ImpactEvent, tuple[Verdict, ...]]
@@ -110,3 +114,39 @@ def test_a_quick_observer_is_given_ever_more_events_together(
     assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
     assert sum(quick.batches) == MOST_WAITING
     assert len(quick.batches) < 10
+
+
+def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the age of the oldest event; events that are being applied count until all are."""
+    slow = SlowObserver(seconds=0.5)
+    intake = intake_of(slow, monkeypatch)
+    assert intake.backlog() == (0, 0.0)
+    for number in range(1, 21):
+        intake.add(event_bytes(number))
+    next(intake.slice())
+    assert intake.backlog() == (20, 0.5)
+    taken(intake)
+    assert intake.backlog() == (0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [
+        (Options(law="minimum-variance"), "; declare clock_error, or take geometric"),
+        (Options(law="minimum-variance", clock_error=1e-4), "; take geometric"),
+        (Options(law="geometric"), ""),
+    ],
+)
+def test_an_observer_that_cannot_keep_up_warns_once(options: Options, remedy: str) -> None:
+    """While events wait longer than a second, with a remedy, and until they no longer do."""
+    observer = make_observer(read_model("two_mass").system, options)
+    diagnostics = ObserverDiagnostics("observer", observer)
+    behind = f"7 events wait, the oldest for 24.1 s: the observer cannot keep up{remedy}"
+    assert not diagnostics.note_backlog(2, 0.9)
+    assert diagnostics.note_backlog(7, 24.1) == behind
+    status = diagnostics.status(NS_PER_S, None)
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, behind)
+    assert not diagnostics.note_backlog(3, 0.9)
+    assert diagnostics.behind
+    assert diagnostics.note_backlog(1, 0.1) == "the observer has caught up with the events"
+    assert diagnostics.status(NS_PER_S, None).message == "no impact has come yet"

@@ -686,6 +686,20 @@ def refused(parameters: Mapping[str, object]) -> str:
     return str(error.value)
 
 
+def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long before they are refused."""
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.node._intake, "backlog", lambda: (7, 24.1))
+        behind = "7 events wait, the oldest for 24.1 s: the observer cannot keep up"
+        rig.spinner.until(lambda: rig.diagnostics and rig.diagnostics[-1].message == behind)
+        assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
+        assert rig.values()["waiting"] == "7"
+    rig.spinner.until(lambda: rig.diagnostics[-1].message != behind)
+    assert rig.values()["waiting"] == "0"
+
+
 def test_a_node_that_falls_behind_skips_estimates_but_not_the_first(rig: Rig) -> None:
     """Estimates older than the backlog are skipped and counted."""
     rig.tick(EPOCH + 3_000_000_000)
