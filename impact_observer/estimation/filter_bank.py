@@ -62,6 +62,8 @@ SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
+_SHORTLY = 50_000_000
+"""Time since another event of the contact up to which a rejection names it, ns."""
 
 
 Restarts: TypeAlias = Callable[[], Sequence[Hypothesis]]
@@ -354,7 +356,7 @@ class FilterBank:
     def _rejected(change: ContactChange, branch: _Branch) -> Hypothesis:
         """The event was nothing."""
         h = branch.before
-        reason = branch.reason or _excuse(branch.likelihood)
+        reason = branch.reason or _excuse(change, h.notes, branch.likelihood)
         notes = _noted(h, change, (Ruling.REJECTED, reason), {})
         return h._replace(
             weight=branch.weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
@@ -398,11 +400,17 @@ def _likely(ordered: Sequence[Hypothesis | _Branch]) -> int:
     return len(shares)
 
 
-def _excuse(likelihood: Likelihood) -> str:
-    """Why an event of this likelihood as a true one is spurious."""
+def _excuse(change: ContactChange, notes: Sequence[Note], likelihood: Likelihood) -> str:
+    """Why an event of this likelihood as a true one is spurious, after those of the ``notes``."""
     depth = max(likelihood.innovations.values(), default=-1.0)
-    likely = "" if depth > SURPRISE else "more likely than an impact with an "
-    return f"spurious: {likely}innovation of {depth:.3g} standard deviations"
+    numbers = f"innovation {depth:.3g} standard deviations"
+    others = (each for each in reversed(notes) if each.contact in change.contacts)
+    before = next((each.stamp for each in others if each.ruling is Ruling.APPLIED), None)
+    if before is not None and (after := change.stamp - before) <= _SHORTLY:
+        numbers += f", {after / 1e6:.3g} ms after another"
+    if depth > SURPRISE:
+        return f"spurious: {numbers}"
+    return f"spurious: more likely than a true impact ({numbers})"
 
 
 def _restarted(

@@ -185,10 +185,10 @@ def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
     assert max(left(name, 60.0, sensor, declared, seed) for seed in range(2)) < bound
 
 
-def locked(count: int, *spurious: float) -> Observer:
+def locked(count: int, *spurious: float, **uncertainty: float) -> Observer:
     """An observer of two_mass after ``count`` impacts and some spurious events."""
     model, start, whole = truth("two_mass", 30.0)
-    watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT)
+    watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT | uncertainty)
     for each in whole.events[:count]:
         watcher.receive(each)
     for seconds in spurious:
@@ -439,3 +439,24 @@ def test_chattering_is_followed_however_late_after_the_epoch() -> None:
         (verdict,) = watcher.receive(replace(each, epoch=EPOCH, sequence=1 + each.sequence))
         assert (verdict.ruling, verdict.reason) == (Ruling.APPLIED, "")
     np.testing.assert_allclose(estimates(watcher, whole.stamps), whole.states, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("clock_error", "wait", "beginning", "end"),
+    [
+        (0.0, 0.007, "spurious: innovation 2", " standard deviations, 7 ms after another"),
+        (0.002, 0.004, "spurious: more likely than a true impact (inn", ", 4 ms after another)"),
+        (0.0, 0.06, "spurious: innovation 2", " standard deviations"),
+    ],
+)
+def test_a_rejection_names_the_event_shortly_before(
+    clock_error: float, wait: float, beginning: str, end: str
+) -> None:
+    """As of a switch that bounces: an event of the contact up to 50 ms before."""
+    _, _, whole = truth("two_mass", 30.0)
+    last = (whole.events[12].stamp - EPOCH) / NS_PER_S
+    watcher = locked(13, clock_error=clock_error)
+    (verdict,) = watcher.receive(event(last + wait, "stop", sequence=14))
+    assert verdict.ruling is Ruling.REJECTED
+    assert verdict.reason.startswith(beginning)
+    assert verdict.reason.endswith(end)
