@@ -41,6 +41,8 @@ _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for new topics, s."""
 _DEPTH = 5000
 """Messages of a topic that may wait; more than any publisher of this package keeps."""
+_CLOCK_PATIENCE = 5.0
+"""How long messages wait for simulated time to begin before a warning, s."""
 _DRAIN = 0.05
 """Time without messages before a stopped recording is closed, s."""
 _LONGEST_DRAIN = 1.0
@@ -106,6 +108,7 @@ class Recorder:
         self._subscriptions: dict[str, Subscription] = {}
         self._last = 0
         self._waiting: list[tuple[str, bytes]] = []
+        self._since = 0.0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=steady)
 
@@ -132,6 +135,7 @@ class Recorder:
 
     def discover(self) -> None:
         """Subscribe to the topics that have appeared since the last call."""
+        self._warn_of_no_clock()
         for topic, _ in self._node.get_topic_names_and_types():
             if self._is_wanted(topic) and (publishers := self._publishers(topic)):
                 offer = common_offer(topic, publishers)
@@ -197,13 +201,11 @@ class Recorder:
 
     def _write(self, topic: str, data: bytes) -> None:
         """Write a message; before simulated time runs, messages wait for its first instant."""
+        if not self._waiting:
+            self._since = time.monotonic()
         self._waiting.append((topic, data))
         now = self._node.get_clock().now().nanoseconds
         if now == 0:
-            self._node.get_logger().warning(
-                "use_sim_time is set, but no /clock has come: what comes waits in memory for it",
-                throttle_duration_sec=30.0,
-            )
             return
         self._last = max(self._last, now)
         waiting, self._waiting = self._waiting, []
@@ -213,6 +215,14 @@ class Recorder:
             self.counts[message.topic] += 1
             if self._on_message:
                 self._on_message(message)
+
+    def _warn_of_no_clock(self) -> None:
+        """Warn of messages that wait for simulated time to begin."""
+        if self._waiting and time.monotonic() - self._since >= _CLOCK_PATIENCE:
+            self._node.get_logger().warning(
+                "use_sim_time is set, but no /clock has come: what comes waits in memory for it",
+                throttle_duration_sec=30.0,
+            )
 
 
 def record(

@@ -14,6 +14,7 @@
 
 """Recording topics of the ROS graph, over real DDS."""
 
+import math
 import signal
 import subprocess
 import sys
@@ -299,6 +300,31 @@ def test_log_times_follow_the_simulated_clock_and_never_go_back(
             7_000_000_000,
             7_000_000_001,
         ]
+
+
+def test_messages_that_wait_for_a_clock_are_a_warning_after_a_while(
+    tmp_path: Path,
+    ros_environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Not at once: a clock begins later than what is latched."""
+    assert ros_environment
+    monkeypatch.setattr(recorder_module, "_CLOCK_PATIENCE", math.inf)
+    with (
+        ros_node("plant") as (plant, _),
+        recording(tmp_path / "bag", ["/impacts"], use_sim_time=True) as (recorder, executor),
+    ):
+        impacts = advertise(plant, "/impacts")
+        spin_until(executor, lambda: recorder.is_connected("/impacts"))
+        impacts.publish(event(1))
+        spin_until(executor, lambda: bool(recorder._waiting))
+        recorder.discover()
+        assert "no /clock has come" not in capfd.readouterr().err
+        monkeypatch.setattr(recorder_module, "_CLOCK_PATIENCE", 0.0)
+        recorder.discover()
+        recorder.discover()
+    assert capfd.readouterr().err.count("no /clock has come") == 1
 
 
 def test_foreign_type_is_recorded_with_its_installed_definition(
