@@ -26,6 +26,7 @@ from impact_observer.cli.arguments import (
     add_namespace,
     number,
     positive,
+    stamp,
 )
 from impact_observer.errors import BagError, UsageError
 from impact_observer.plain_text import say
@@ -54,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number,
         default=-1.0,
         help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
+    )
+    parser.add_argument(
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        default=0,
+        help="stamp of t = 0 of the forcing (default: as in the bag)",
     )
     parser.add_argument(
         "--horizon",
@@ -104,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
         tuple(name.strip() for name in args.free.split(",") if name.strip()),
         model=args.model,
         clock_error=None if args.clock_error < 0 else args.clock_error,
+        epoch=args.epoch,
         horizon=args.horizon,
         trust_events=args.trust_events,
         held_back=args.held_back,
@@ -123,6 +132,7 @@ def identify(
     *,
     model: str | None = None,
     clock_error: float | None = None,
+    epoch: int = 0,
     horizon: float | None = None,
     trust_events: bool = False,
     held_back: float = 0.2,
@@ -139,8 +149,8 @@ def identify(
     The arguments are the options.
 
     Returns:
-        0; 1 where a parameter is not determined, the fit does not converge or the model does not
-        fit.
+        0; 1 where a parameter is not determined or ends at its bound, the fit does not converge
+        or the model does not fit.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
@@ -170,7 +180,8 @@ def identify(
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed = parse_model(*given)
-        events = events_from(reader, 0)
+        said = events_from(reader, epoch)
+        events = [replace(each, epoch=each.epoch or epoch) for each in said]
         system = with_recorded(reader, parsed.system, epoch_of(events))
         declared = read_measurements(measurements)
         recorded = samples_in(reader, declared)
@@ -194,7 +205,11 @@ def identify(
         except BagError as error:
             raise BagError(f"{bag}: {error}") from None
     checked = check_fit(found)
-    good = found.converged and not found.undetermined and (checked.fits or not check)
+    good = (
+        found.converged
+        and not (found.undetermined or found.bounded)
+        and (checked.fits or not check)
+    )
     if json:
         say(json_module.dumps(fit_report.for_json(found, checked), indent=2, allow_nan=False))
     elif check:

@@ -254,7 +254,10 @@ def _about_parameters(found: Identification) -> Iterator[str]:
     for each in found.undetermined:
         yield f"Not determined by these impacts: {combination(each)}. Hold one of them fixed."
     for name in found.bounded:
-        yield f"{name} ended at its bound."
+        yield (
+            f"{name} ended at its bound: the model may be wrong, or its epoch. If the bound is its"
+            " value, write that into the model and leave it out of --free."
+        )
     names, correlation = found.family.names, found.correlation
     for i in range(len(names)):
         for j in range(i):

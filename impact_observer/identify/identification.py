@@ -43,7 +43,7 @@ from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.observer.episode import last_episode
+from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
@@ -179,8 +179,9 @@ def identify(
         samples: of them; those up to the last impact count.
 
     Raises:
-        UsageError: something arrives live, the clock's offset is free under a sampled forcing, or
-            a sensor or a parameter does not go with the other.
+        UsageError: something arrives live, the clock's offset is free under a sampled forcing,
+            the forcing depends on time and no event says its epoch, or a sensor or a parameter
+            does not go with the other.
         BagError: the events contain no impact of the system's contacts.
         IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
@@ -192,6 +193,7 @@ def identify(
             " expected other parameters, or a constant and harmonics"
         )
     episode = last_episode(family.system, events)
+    require_epoch(family.system, max(each.epoch for each in events))
     if horizon is not None:
         start, keys = episode.start, episode.keys
         keys = [key for key in keys if seconds_between(start, key.stamp) <= horizon]

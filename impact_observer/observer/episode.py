@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
@@ -63,6 +63,15 @@ def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
     for key, (closed, meaning) in zip(keys, interpretations(keys), strict=True):
         t = seconds_between(start, key.stamp)
         yield ContactChange.of(t, closed, meaning.switches, stamp=key.stamp, sequence=key.sequence)
+
+
+def require_epoch(system: System, epoch: int) -> None:
+    """Raise UsageError where the forcing depends on time and its ``epoch`` (ns) is unknown, 0."""
+    if not epoch and system.depends_on_time:
+        raise UsageError(
+            f"epoch: the forcing of {system.name} depends on time and the events do not"
+            " say when it began; give the epoch"
+        )
 
 
 def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:

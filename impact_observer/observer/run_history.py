@@ -24,6 +24,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.estimation.readings import SampleOutcome
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.sequence_numbers import SequenceNumbers
@@ -118,11 +119,7 @@ class RunHistory:
 
     def require_epoch(self) -> None:
         """Raise UsageError where the forcing depends on time and its epoch is unknown."""
-        if not self.update.epoch and self._system.depends_on_time:
-            raise UsageError(
-                f"epoch: the forcing of {self._system.name} depends on time and the events do not"
-                " say when it began; give the epoch"
-            )
+        require_epoch(self._system, self.update.epoch)
 
     def register(self, event: ImpactEvent) -> tuple[Remark, str] | None:
         """Remember the number of an event; what is wrong with it, or missing beside it, if any."""

@@ -22,8 +22,11 @@ import numpy as np
 import pytest
 
 from impact_observer.cli.main import main
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in
 from impact_observer.model import read_model
 from impact_observer.resources import shared
+from impact_observer.stamps import NS_PER_S
 
 BAG, ROUGH = "two_mass", "jitter"
 
@@ -162,6 +165,42 @@ def test_samples_of_sensors_make_standard_errors_smaller(
     error = capsys.readouterr().err
     assert "no topic /none" in error
     assert len(error.splitlines()) == 1
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without it wrong use, in the words of observe."""
+    with BagReader(Path(bag(BAG))) as reader:
+        events = events_in(reader)
+    rows = [f"{each.stamp / NS_PER_S:.9f},stop" for each in events]
+    Path("times.csv").write_text("\n".join(rows), encoding="utf-8")
+    assert main(["import", "times.csv", "--start", "0", "-o", "times"]) == 0
+    words = ["times", "--model", "two_mass"]
+    said = set[str]()
+    ask = ["observe", "--rate", "10", "-o", "out"]
+    for command in (["identify", "--free", "restitution"], ask):
+        capsys.readouterr()
+        assert main([*command, *words]) == 2
+        said.add(capsys.readouterr().err)
+    assert len(said) == 1
+    epoch = f"{events[0].epoch / NS_PER_S:g}"
+    assert main(["identify", *words, "--free", "restitution", "--epoch", epoch]) == 0
+    assert "0.7" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]) -> None:
+    """Bounces of a ball that rise higher each time: nothing is written."""
+    flights = 0.5 * 1.02 ** np.arange(12)
+    times = 1 + np.append(0.0, np.cumsum(flights))
+    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
+    assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    words = ["--free", "restitution", "--trust-events", "-o", "ball.yaml"]
+    assert main(["identify", "bag", *words]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "restitution.floor ended at its bound" in said
+    assert not Path("ball.yaml").exists()
 
 
 @pytest.mark.slow

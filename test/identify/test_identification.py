@@ -22,7 +22,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, event, forcing, run, sample, system
 
-from impact_observer.errors import IdentificationError
+from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.constrained import constrained_least_squares
 from impact_observer.identify.fit_check import check_fit
@@ -405,6 +405,14 @@ def test_weakly_determined_parameters_are_named_after_the_fit() -> None:
     assert name == "damping-scale"
     precise = identify(family, sensed("two_mass")[:12], clock=1e-4, trust_events=True)
     assert precise.undetermined == ()
+
+
+def test_a_forcing_that_depends_on_time_needs_an_epoch() -> None:
+    """Without one the fit would have it begin at the first impact."""
+    events = [replace(each, epoch=0) for each in sensed("two_mass")]
+    family = parametric_family(sample("two_mass").system, ["restitution"])
+    with pytest.raises(UsageError, match="epoch: the forcing of two_mass depends on time and"):
+        identify(family, events)
 
 
 @pytest.mark.slow
