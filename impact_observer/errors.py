@@ -38,6 +38,19 @@ class UsageError(ImpactObserverError, ValueError):
     exit_code = 2
 
 
+class UnsetError(UsageError):
+    """A required option is not set.
+
+    Attributes:
+        option: its name.
+    """
+
+    def __init__(self, option: str, message: str) -> None:
+        """Say in ``message`` what is expected."""
+        super().__init__(message)
+        self.option = option
+
+
 class KernelError(ImpactObserverError, ImportError):
     """The compiled part of the package is missing or out of date."""
 

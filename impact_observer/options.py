@@ -22,7 +22,7 @@ import math
 from dataclasses import dataclass, field, fields, replace
 from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import UnsetError, UsageError
 
 AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
 """Of which sensors verdicts on samples are published: of slow ones, of all, of none."""
@@ -124,7 +124,8 @@ class Option:
             UsageError: naming the option, the value and what is expected.
         """
         if self.required and value == "":
-            raise UsageError(f"{kind} {self.name}: is not set; expected {self.meaning}")
+            line = f"{kind} {self.name}: is not set; expected {self.meaning}"
+            raise UnsetError(self.name, line)
         if not self._allows(value):
             raise UsageError(f"{kind} {self.name}: {value} found; expected {self.expected}")
 

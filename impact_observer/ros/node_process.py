@@ -20,12 +20,13 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import UnsetError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, end_with_parent, run
@@ -132,6 +133,8 @@ def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # of a node that cannot be made
             node = make()
+    except UnsetError as error:
+        raise UsageError(f"{error}: {_how_to_set(error.option, args)}") from None
     except ParameterException as error:
         raise UsageError(f"parameters: {' '.join(str(error).split())}") from None
     except RuntimeError as error:
@@ -147,6 +150,15 @@ def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
         raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
     _warn_of_unknown_parameters(node, args)
     return node
+
+
+def _how_to_set(name: str, args: Sequence[str]) -> str:
+    """How to give a required parameter; names one of the arguments that may be misspelt."""
+    assigned = [value for option, value in pairwise(args) if option in {"-p", "--param"}]
+    given = [each.partition(":=")[0].rpartition(":")[2] for each in assigned]
+    similar = get_close_matches(name, [each for each in given if each != name], 1)
+    found = f", not {similar[0]}" if similar else ""
+    return f"give --ros-args -p {name}:=FILE{found}"
 
 
 def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
