@@ -32,6 +32,8 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 _UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of time."""
 _TIME = re.compile(r"time(?:[ _]?[\[(]?(?:s|ms|us|ns)[\])]?)?", re.IGNORECASE)
+_LIKE_TIME = {"t", "stamp", "timestamp", "seconds", "sec", "t [s]", "t_s", "t(s)"}
+"""Names of columns that may be times."""
 _UNIT = re.compile(r"(?:[ _]?[\[(]|[ _])(s|ms|us|ns)[\])]?|time(s|ms|us|ns)", re.IGNORECASE)
 
 
@@ -202,6 +204,8 @@ class CsvFile:
             name = self._form.time_column or "time"
             remedy = ", or a time" if self._bare and self._form.time_column is None else ""
             found = repr(cells[0]) if self._form.time_column is None else ", ".join(cells)
+            if named := next((cell for cell in cells if cell.lower() in _LIKE_TIME), ""):
+                remedy = f"; --time-column {named} names it, if that is the time"
             self.wrong(
                 self._line, f"{found} found; expected a header with a column {name}{remedy}"
             )

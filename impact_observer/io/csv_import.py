@@ -18,7 +18,8 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, count, groupby
+from itertools import chain, count, groupby, islice, pairwise
+from math import gcd
 from operator import itemgetter
 from pathlib import Path
 
@@ -37,6 +38,8 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 _SINCE_1970 = 100_000_000 * NS_PER_S
 """Times from here on are taken to count from 1970, smaller ones from the start of the
 experiment."""
+_SAMPLES = 101
+"""First rows that look like samples of a signal if they are equally spaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +114,8 @@ def import_csv(
     if start is None:
         start = 0 if first.time >= _SINCE_1970 else NS_PER_S
     zero, last, make = start if epoch is None else epoch, 0, bag_messages()
-    streams = [_events(path, chain([first], rows), start, zero)]
+    rows = _impacts(path, table, chain([first], rows))
+    streams = [_events(path, rows, start, zero)]
     if truth is not None:
         streams.append(_states(truth, form, model, start, read))
     counts = Counter[str]()
@@ -138,6 +142,27 @@ def import_csv(
         last=last,
         ignored=table.ignored,
     )
+
+
+def _impacts(path: Path, table: ImpactTable, rows: Iterable[ImpactRow]) -> Iterator[ImpactRow]:
+    """The rows, unless the first ones look like samples of a signal.
+
+    Raises:
+        UsageError: equal spacing up to rounding, a column of numbers and none of contacts.
+    """
+    rows = iter(rows)
+    first = [*islice(rows, _SAMPLES)]
+    if len(first) == _SAMPLES and (signal := table.signal):
+        steps = [b.time - a.time for a, b in pairwise(first)]
+        unequal, rounded = max(steps) - min(steps), gcd(*(row.time for row in first))
+        if unequal <= rounded and unequal < max(steps):
+            raise UsageError(
+                f"{path}: looks like a signal, not like impact times: its rows are equally spaced,"
+                f" and column {signal} is left out; detect finds the impacts in a bag of the"
+                f" signal (docs/detector.md). If these are impacts, remove the column {signal}"
+            )
+    yield from first
+    yield from rows
 
 
 def _events(

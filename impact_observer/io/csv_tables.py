@@ -14,7 +14,7 @@
 
 """Impact times and true states in CSV files, row by row."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,11 +70,22 @@ class ImpactTable:
         """Read ``path``; ``contacts`` are those of the model, None without a model."""
         self._file = CsvFile(path, form, _COLUMNS, what="impact", expected=FORM, bare=True)
         self._contacts = contacts
+        self._first: Mapping[str, str] = {}
 
     @property
     def ignored(self) -> tuple[str, ...]:
         """Names of the columns that are not read; complete after the first row."""
         return tuple(name for name in self._file.columns if name not in _COLUMNS)
+
+    @property
+    def signal(self) -> str:
+        """Name of a column of numbers that is not read, where none is of contacts; else empty."""
+        if "contact" in self._file.columns:
+            return ""
+        numbers = (
+            n for n in self.ignored if self._file.number(self._first.get(n, "")) is not None
+        )
+        return next(numbers, "")
 
     def rows(self, read: Callable[[], object] = lambda: None) -> Iterator[ImpactRow]:
         """The rows, one by one; ``read`` is called whenever one was read.
@@ -83,6 +94,7 @@ class ImpactTable:
             UsageError: names the file, the line, what was found and what is expected.
         """
         for line, time, cells in self._file.in_order(read):
+            self._first = self._first or cells
             contact = self._contact(line, cells.get("contact", ""))
             yield ImpactRow(line, time, Switch(contact, self._kind(line, cells.get("kind", ""))))
 

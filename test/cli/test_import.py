@@ -305,6 +305,30 @@ def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, st
     assert [event.stamp - EPOCH for event in events] == [stamp]
 
 
+@pytest.mark.parametrize("rate", [16000, 1000, 3])
+def test_a_signal_is_not_taken_for_impacts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: int
+) -> None:
+    """Equally spaced rows, up to rounding, with a column of numbers; uneven ones are impacts."""
+    rows = [f"{k / rate:.6f},{k % 7 - 9.81}" for k in range(200)]
+    model = ("--model", "bouncing_ball")
+    said = refused(tmp_path, "\n".join(["time,az", *rows]), capsys, *model)
+    assert "looks like a signal, not like impact times" in said
+    assert "docs/detector.md" in said
+    rows[50] = f"{50 / rate + 1e-5:.6f},1"
+    text = "\n".join(["time,az", *rows])
+    assert len(imported(tmp_path, text, *model)) == 200
+
+
+def test_a_column_that_may_be_the_time_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the option that reads it."""
+    said = refused(tmp_path, "az,t\n1,2\n", capsys)
+    assert "'az' found; expected a header with a column time" in said
+    assert "--time-column t" in said
+
+
 def test_a_column_of_time_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
