@@ -209,10 +209,20 @@ class Fit(NamedTuple):
     @property
     def is_established(self) -> bool:
         """Whether the model fits, and errors of the clock would be the errors of a clock."""
-        if self.is_misfit or self.is_in_error or self.statistic > _DOUBTED_STATISTIC:
-            return False
-        tested = len(self.innovations) >= _FEWEST and self.statistic <= DOUBTFUL_STATISTIC
-        return tested or not self.by_clock
+        return not (self.doubt or self.untested)
+
+    @property
+    def doubt(self) -> str:
+        """That the model is doubted, in words; empty while it is not."""
+        most = DOUBTFUL_STATISTIC if self.by_clock else _DOUBTED_STATISTIC
+        is_doubted = self.is_misfit or self.is_in_error or self.statistic > most
+        return "the model is doubted" if is_doubted else ""
+
+    @property
+    def untested(self) -> str:
+        """That there are too few innovations to test a model, in words; else empty."""
+        n = len(self.innovations)
+        return f"{n} of {_FEWEST} innovations" if self.by_clock and n < _FEWEST else ""
 
     def message(self, account: str = "") -> str:
         """The warning of a misfit; empty while the model fits.

@@ -178,6 +178,9 @@ VIEWER_MARKERS = Interface("viewer/markers", MARKERS)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
+NOT_SYNCHRONIZED = "not synchronized"
+"""Key of the value in an observer's diagnostics that says why it is not."""
+
 INTERFACES = (
     IMPACTS,
     FORCING,

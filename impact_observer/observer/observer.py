@@ -453,6 +453,15 @@ class Observer:
         self._follow()
         return self._run.estimate(stamp)
 
+    def obstacle(self, stamp: int) -> str:
+        """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
+        self._follow()
+        return self._run.obstacle(stamp)
+
     def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
 

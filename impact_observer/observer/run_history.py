@@ -239,15 +239,7 @@ class RunHistory:
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""
-        timeline = self.timeline
-        if timeline is None or stamp < timeline.start.stamp:
-            past = "no event has come"
-            if timeline is not None:
-                past = f"the history starts at {text(timeline.start.stamp)} s"
-            raise UsageError(f"estimate at {text(stamp)} s: {past}")
-        self.require_epoch()
-        law, test = self.update.law, self.update.test
-        entry = timeline.at(stamp)
+        law, test, entry = self.update.law, self.update.test, self._entry(stamp)
         belief, prediction = entry.belief, self.update.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
@@ -276,6 +268,32 @@ class RunHistory:
             last_sequence=entry.last[1],
             last_event=entry.last[0],
         )
+
+    def _entry(self, stamp: int) -> Entry:
+        """The last entry up to ``stamp`` (ns).
+
+        Raises:
+            UsageError: as ``Observer.estimate``.
+        """
+        timeline = self.timeline
+        if timeline is None or stamp < timeline.start.stamp:
+            past = "no event has come"
+            if timeline is not None:
+                past = f"the history starts at {text(timeline.start.stamp)} s"
+            raise UsageError(f"estimate at {text(stamp)} s: {past}")
+        self.require_epoch()
+        return timeline.at(stamp)
+
+    def obstacle(self, stamp: int) -> str:
+        """See ``Observer.obstacle``."""
+        entry, law = self._entry(stamp), self.update.law
+        fit, root = entry.belief.fit, entry.belief.root
+        if not law.uses_events:
+            return f"{law.name} uses no events"
+        if law.has_covariance:
+            after = max(seconds_between(entry.since, stamp), 0.0)
+            root = self.update.prediction(entry).root(after)
+        return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
 
     def _before_jump(self, entry: Entry, s: float, x: Vector) -> Vector:
         """The state ``s`` seconds after an entry: ``x``, or that before its velocities jump."""

@@ -110,6 +110,19 @@ class SynchronizationTest:
             return False
         return root is None or self._expected(root) <= self.threshold * result.energy
 
+    def obstacle(self, result: Synchronization, root: Matrix | None) -> str:
+        """Why they are not synchronized, in a few words; empty where they are."""
+        limit = self.threshold * result.energy
+        if result.convergence < 0:
+            return "one replica"
+        if not _MARGIN * result.convergence <= limit:
+            return f"replicas differ by over {limit / _MARGIN:.1e} J"
+        if root is not None and not (expected := self._expected(root)) <= limit:
+            return f"covariance too wide: V of {expected:.1e} J"
+        if result.agreed < REQUIRED_EVENTS:
+            return f"agreement at {result.agreed} of {REQUIRED_EVENTS} impacts in a row"
+        return ""
+
     def _distance_and_energy(self, ensemble: Ensemble) -> tuple[float, float]:
         """The largest V distance of two replicas, of very many an upper bound, and energy, J."""
         x = ensemble.x

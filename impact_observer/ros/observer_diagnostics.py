@@ -20,7 +20,9 @@ from collections import Counter
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from impact_observer.errors import UsageError
 from impact_observer.events import Remark, Ruling, Verdict
+from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
 from impact_observer.ros.live_intake import LiveIntake
@@ -128,6 +130,7 @@ class ObserverDiagnostics:
             "large innovations": self.counts["large innovations"],
             **self._input_values(now),
             **({} if last is None else _estimate_values(last)),
+            **self._obstacle(last),
         }
         name, hardware = f"{self._node}: impacts", observer.system.name
         return diagnostic_status(name, level, message, values, hardware=hardware)
@@ -144,6 +147,16 @@ class ObserverDiagnostics:
             "samples too late": 0 if live is None else live.late,
             "periods of the drive not used": self._odd_periods,
         }
+
+    def _obstacle(self, last: Estimate | None) -> dict[str, object]:
+        """Why the last estimate is not synchronized."""
+        if last is None or last.synchronized:
+            return {}
+        try:
+            why = self._observer.obstacle(last.stamp)
+        except UsageError:  # the history begins later by now
+            return {}
+        return {interfaces.NOT_SYNCHRONIZED: why} if why else {}
 
     @property
     def _odd_periods(self) -> int:

@@ -177,6 +177,31 @@ def test_replicas_must_agree_for_several_events_before_synchronization() -> None
         assert watcher.estimate(each.stamp).synchronized is (count >= REQUIRED_EVENTS)
 
 
+@pytest.mark.parametrize(
+    ("law", "deviation", "first", "last"),
+    [
+        ("geometric", 1e-6, "agreement at 1 of 3 impacts in a row", ""),
+        ("geometric", 1.0, "replicas differ by over ", "replicas differ by over "),
+        ("minimum-variance", 1.0, "replicas differ by over ", ""),
+        ("open-loop", 1e-9, "open-loop uses no events", "open-loop uses no events"),
+    ],
+)
+def test_an_estimate_that_is_not_synchronized_has_a_reason(
+    law: str, deviation: float, first: str, last: str
+) -> None:
+    """And one that is has none, at each event and between."""
+    watcher = started(THREE_MASS.system, law, TRUTH.states[0], deviation)
+    found = []
+    for each in TRUTH.events[:20]:
+        watcher.receive(each)
+        for stamp in (each.stamp, each.stamp + 1_000_000):
+            found.append(watcher.obstacle(stamp))
+            assert watcher.estimate(stamp).synchronized is (not found[-1])
+    assert found[0].startswith(first)
+    assert found[-1].startswith(last)
+    assert bool(found[-1]) is bool(last)
+
+
 def test_law_without_events_is_never_synchronized() -> None:
     """Damping brings open-loop replicas to each other, but not to the plant."""
     watcher = started(THREE_MASS.system, "open-loop", TRUTH.states[0], deviation=1e-9)

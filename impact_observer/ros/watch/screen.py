@@ -284,15 +284,18 @@ def _own_error(seen: ObserverSnapshot, width: int, levels: str) -> list[str]:
     rows = []
     convergence = seen.convergence
     if convergence.now is not None:
-        agreed = "synchronized" if seen.synchronized else "not synchronized"
+        agreed = ", synchronized" if seen.synchronized else ", not synchronized"
+        agreed = "" if seen.obstacle else agreed
         words = (
-            f"convergence  {convergence.now:.2e} J, {agreed}"
+            f"convergence  {convergence.now:.2e} J{agreed}"
             if convergence.now >= 0
             else "one replica"
         )
         values = from_first(convergence.values)
         room = min(width - len(words) - 2, 24) if values and convergence.now >= 0 else 0
         rows.append(f"{words}  {bars(values, room, levels=levels)[0]}" if room > 7 else words)
+    if seen.obstacle:
+        rows.append(f"not synchronized  {seen.obstacle}")
     if seen.bound is not None:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
         rows.append(f"bound  {words}")

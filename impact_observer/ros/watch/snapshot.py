@@ -101,6 +101,7 @@ class ObserverSnapshot:
         source: who computes V: ``monitor``, or ``here``; empty where V is not available.
         convergence: largest V distance between replicas, J; -1 for a single replica.
         synchronized: whether the replicas have converged; None before the first state.
+        obstacle: why they have not, as by the last diagnostics; empty where that is unknown.
         bound: certified bound of V, J; -1 where none is certified, None before a message.
         closed: contacts that the replica holds closed.
         learned: estimated parameters: name, value, standard deviation, SI units.
@@ -120,6 +121,7 @@ class ObserverSnapshot:
     source: str = ""
     convergence: EstimateHistory = EstimateHistory()
     synchronized: bool | None = None
+    obstacle: str = ""
     bound: float | None = None
     closed: tuple[str, ...] = ()
     learned: tuple[tuple[str, float, float], ...] = ()

@@ -77,6 +77,7 @@ class _ObserverRecord:
     )
     counts: Counter[str] = field(default_factory=Counter)
     health: tuple[int, str] | None = None
+    obstacle: str = ""
     sensors: dict[str, SensorLine] = field(default_factory=dict)
 
     def clear(self, seconds: float) -> None:
@@ -272,6 +273,8 @@ class TopicListener:
             for each in self._observers.values():
                 if status.name == f"{each.observed.prefix}: impacts":
                     each.health = (int(status.level), str(status.message))
+                    values = {value.key: str(value.value) for value in status.values}
+                    each.obstacle = values.get(interfaces.NOT_SYNCHRONIZED, "")
                 elif (sensor := _sensor_of(str(status.name), each.observed.prefix)) is not None:
                     line = SensorLine(sensor, int(status.level), str(status.message))
                     each.sensors[sensor] = line
@@ -327,6 +330,7 @@ class TopicListener:
             if estimate.convergence >= 0
             else replace(convergence, now=-1.0),
             synchronized=estimate.synchronized if estimate.law else None,
+            obstacle="" if estimate.synchronized else record.obstacle,
             closed=estimate.closed,
             learned=estimate.parameters,
         )

@@ -262,6 +262,7 @@ def test_a_screen_without_observers_says_so() -> None:
         (FILTER, {"trouble": "/impacts: no CDR header"}, "not understood: /impacts: no CDR"),
         (FILTER, {"model": ""}, "no model"),
         (FILTER, {"simulated": False}, "(system clock)"),
+        (replace(GEOMETRIC, obstacle="one replica"), {}, "not synchronized  one replica"),
         (replace(FILTER, health=(2, "bad")), {}, "health  error: bad"),
         (replace(FILTER, health=(7, "odd")), {}, "health  stale: odd"),
     ],
@@ -287,7 +288,7 @@ def test_a_frozen_screen_says_so() -> None:
 def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) -> None:
     """Lines that have no room are counted; V and the health are always there."""
     lines = tuple(StateLine(f"q{i}", "m", 0.5, 0.25, 0.1) for i in range(coordinates))
-    shown = replace(both(), observers=(replace(GEOMETRIC, lines=lines),))
+    shown = replace(both(), observers=(replace(GEOMETRIC, lines=lines, obstacle="one replica"),))
     found = printed(shown, ScreenStyle(width, height, keys=True)).splitlines()
     assert len(found) <= height
     assert max(map(cell_len, found)) <= width

@@ -173,6 +173,19 @@ def test_diagnostics_go_to_their_observer() -> None:
     ]
 
 
+def test_an_estimate_that_is_not_synchronized_is_shown_with_its_reason(bag: Path) -> None:
+    """It comes with the diagnostics; a state that is synchronized has none."""
+    listener = TopicListener(["observer"])
+    received(bag, listener)
+    message = diagnostics("/observer", "two_mass")
+    (value, *_) = message.status[0].values  # type: ignore[attr-defined]
+    value.key, value.value = "not synchronized", "one replica"
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    listener.receive("/diagnostics", serialized(message, kind), 0.0, EPOCH)
+    (seen,) = listener.snapshot(0.0, EPOCH).observers
+    assert (seen.synchronized, seen.obstacle) == (False, "one replica")
+
+
 def test_sensors_of_an_observer_are_shown_with_what_is_wrong_with_them() -> None:
     """By the name of their status; its health stays that of the impacts."""
     listener = TopicListener(["observer"])
