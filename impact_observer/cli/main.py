@@ -18,6 +18,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from keyword import iskeyword
 from types import ModuleType
@@ -104,8 +105,19 @@ def _run(argv: Sequence[str]) -> int:
             subparser.description = module.__doc__
             subparser.formatter_class = argparse.RawDescriptionHelpFormatter
             module.add_arguments(subparser)
-    args = parser.parse_args(_joined(argv))
+    args, unknown = parser.parse_known_args(_joined(argv))
+    if unknown:
+        _refuse(subparsers.choices[args.command], unknown)
     return int(_module(args.command).run(args))
+
+
+def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> NoReturn:
+    """End with the ``unknown`` words, and with the options of ``parser`` that are like them."""
+    options = _OPTION.findall(parser.format_usage())
+    words = [word.partition("=")[0] for word in unknown if word.startswith("--")]
+    near = [name for word in words for name in get_close_matches(word, options, 1)]
+    hint = f" (did you mean {', '.join(near)}?)" if near else ""
+    parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
 def _module(command: str) -> ModuleType:
