@@ -134,4 +134,7 @@ def run(args: argparse.Namespace) -> int:
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
+        if not done.switchings and model.system.m:
+            gap, contact = done.nearest(model.system)
+            progress.line(f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}")
     return 0

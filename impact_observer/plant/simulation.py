@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_observer.events import ImpactEvent
+from impact_observer.model import System
 from impact_observer.plant.master import Master
 from impact_observer.plant.switching import Switching
 from impact_observer.states import Stamps, Vector
@@ -47,6 +48,14 @@ class Run:
         """The run with only the states at ``stamps``, which are some of its own."""
         which = np.searchsorted(self.stamps, stamps)
         return replace(self, stamps=stamps, states=self.states[which])
+
+    def nearest(self, system: System) -> tuple[float, str]:
+        """The smallest gap of the states, m, and the name of its contact; of at least one."""
+        q, t = self.states[:, : system.n], self.stamps - self.epoch
+        gaps = q @ system.W + system.q_r + system.gap_motion(t)
+        least = np.min(gaps, axis=0)
+        contact = int(np.argmin(least))
+        return float(least[contact]), system.contact_names[contact]
 
     @property
     def impacts(self) -> tuple[Switching, ...]:

@@ -55,6 +55,22 @@ def observed(bag: Path, name: str, *arguments: str) -> Path:
     return output
 
 
+@pytest.mark.parametrize(
+    ("model", "seconds", "gap"),
+    [
+        ("bouncing_ball", 0.3, 1 - 9.81 * 0.3**2 / 2),
+        ("ball_on_table", 0.05, 0.02 - 9.81 * 0.05**2 / 2 - 0.003 * np.cos(20 * np.pi * 0.05)),
+    ],
+)
+def test_a_plant_that_hits_nothing_says_how_near_it_came(
+    model: str, seconds: float, gap: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To the nearest stop, which may move; a ball falls in closed form."""
+    words = ["simulate", model, "--duration", str(seconds), "--rate", "20"]
+    assert main([*words, "-o", str(tmp_path / "bag")]) == 0
+    assert f"no contact closed: smallest gap {gap:.3g} m, at " in capsys.readouterr().out
+
+
 def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
     """The model in the bag is the simulated one; provenance has version and seed."""
     with BagReader(run_bag) as reader:
