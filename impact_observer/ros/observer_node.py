@@ -360,8 +360,11 @@ class ObserverNode(Node):
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
         if news := self._misfit_news.of(estimate):
-            log = self.get_logger()
-            (log.warning if estimate.misfit else log.info)(printable(news))
+            # Two places: rclpy refuses another severity from the same one.
+            if estimate.misfit:
+                self.get_logger().warning(printable(news))
+            else:
+                self.get_logger().info(printable(news))
         self._warn_of_held_forces(stamp)
         self._last = estimate
 

@@ -679,6 +679,19 @@ def test_misfit_is_logged_once_though_its_accounts_take_turns() -> None:
     assert news.of(misfit) == "wrong"
 
 
+def test_the_end_of_a_misfit_is_logged_too(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A warning, then a line of another severity, which rclpy takes from another place only."""
+    fits = make_observer(SYSTEM, Options(epoch=EPOCH)).estimate(EPOCH)
+    for each in (replace(fits, misfit="wrong"), fits):
+        monkeypatch.setattr(rig.node._observer, "estimate", lambda _, each=each: each)
+        rig.node._publish(EPOCH)
+    logged = "".join(capfd.readouterr())
+    assert "[WARN]" in logged
+    assert "the model explains the impacts again" in logged
+
+
 def refused(parameters: Mapping[str, object]) -> str:
     """The error of a node that cannot start."""
     with spinning(ros_arguments({**parameters})), pytest.raises(UsageError) as error:
