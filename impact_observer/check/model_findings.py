@@ -17,6 +17,8 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from impact_observer.check.findings import listed, times
 from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.model import System
@@ -43,6 +45,7 @@ def findings(checked: ModelCheck) -> list[ModelFinding]:
     return [
         *_impact_law(checked),
         *_friction(checked.system),
+        *_grounds(checked.system),
         *_closing(checked),
         *_modes(checked),
         *_unseen(checked),
@@ -110,6 +113,19 @@ def _friction(system: System) -> Iterator[ModelFinding]:
         f"Friction in {names} never raises V, but does not attract: two replicas that stick at"
         f" different places keep 1/2 dq' K dq{most}. Only impacts, or slip, reduce it.",
     )
+
+
+def _grounds(system: System) -> Iterator[ModelFinding]:
+    """Grounds that move nothing."""
+    if system.frame is None:
+        return
+    grounds = system.frame.grounds
+    effects = np.vstack([grounds.stiffness, grounds.damping, grounds.factors])
+    for k in np.flatnonzero(~effects.any(axis=0)):
+        text = (
+            f"Ground {grounds.names[k]} moves nothing: no spring, damper, stop or guide is on it."
+        )
+        yield ModelFinding("warning", text)
 
 
 def _closing(checked: ModelCheck) -> Iterator[ModelFinding]:

@@ -16,14 +16,16 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import tau
+from typing import NamedTuple
 
+import numpy as np
 from rich.table import Table
 
 from impact_observer.check.findings import times
 from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_findings import findings
 from impact_observer.draw.text_tables import console, facts_table, plain_table
-from impact_observer.model import Forcing
+from impact_observer.model import Forcing, System
 from impact_observer.model.grounds import MovingFrame
 
 _ENDS = 4
@@ -58,6 +60,7 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             {"decay": abs(value.real), "frequency": value.imag, "shape": shape.tolist()}
             for value, shape in checked.unseen
         ],
+        "excitations": [each._asdict() for each in _excitations(system)],
         "contacts": [
             {
                 "name": c.name,
@@ -113,8 +116,39 @@ def _grounds(frame: MovingFrame) -> Iterator[str]:
         yield f"{name} ({times(harmonics, 'harmonic') if harmonics else 'a table'})"
 
 
+class _Excitation(NamedTuple):
+    """A constant force, or a harmonic of a force or of a ground; ``frequency`` is in rad/s."""
+
+    name: str
+    amplitude: float
+    frequency: float
+
+
+def _excitations(system: System) -> Iterator[_Excitation]:
+    """All of them: constants, harmonics of forces, then of grounds."""
+    frame = system.frame
+    forcing = system.forcing if frame is None else frame.forcing
+    for name, value in zip(system.coordinates, forcing.constant.tolist(), strict=True):
+        if value:
+            yield _Excitation(f"force on {name}", value, 0.0)
+    moving = [(forcing, [f"force on {name}" for name in system.coordinates])]
+    if frame is not None:
+        grounds = frame.grounds
+        moving.append((grounds.motion, [f"ground {name}" for name in grounds.names]))
+    for motion, names in moving:
+        amplitudes = np.hypot(motion.cosine, motion.sine)
+        for k, i in np.argwhere(amplitudes).tolist():
+            yield _Excitation(names[i], float(amplitudes[k, i]), float(motion.frequency[k]))
+
+
 def _tables(checked: ModelCheck) -> Iterator[Table]:
-    """Frequencies without damping, modes with damping, contacts."""
+    """Forces and grounds, frequencies without damping, modes with damping, contacts."""
+    excitations = [
+        (name, f"{amplitude:.6g}", *(f"{x:.6g}" if x else "" for x in (omega, omega / tau)))
+        for name, amplitude, omega in _excitations(checked.system)
+    ]
+    if excitations:
+        yield _table(("excitation", "amplitude", "rad/s", "Hz"), excitations)
     undamped = [
         (str(i), f"{omega:.6g}", f"{omega / tau:.6g}", "" if omega else "rigid body")
         for i, omega in enumerate(checked.undamped, start=1)

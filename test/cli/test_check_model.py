@@ -26,6 +26,7 @@ from impact_observer.check.model_check import check_model as check
 from impact_observer.check.model_findings import findings
 from impact_observer.cli import check_model
 from impact_observer.errors import ModelError, UsageError
+from impact_observer.resources import shared
 
 CORNER = """
 name: corner
@@ -86,6 +87,7 @@ def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[s
     assert len(lines) <= 24
     assert lines[0] == "two_mass: 2 coordinates, 1 contact, forcing: 1 harmonic"
     words = [line.split() for line in lines]
+    assert ["force", "on", "x2", "4", "2.5", "0.397887"] in words
     assert ["1", "1.9544", "0.311052"] in words
     assert ["2", "5.115", "0.814077", "0.02558", "7.639"] in words
     assert ["stop", "0.5", "0.7", "1"] in words
@@ -98,6 +100,20 @@ def test_no_sample_has_a_warning(name: str, capsys: pytest.CaptureFixture[str]) 
     output = printed(capsys, name)
     assert "ok No impact raises V" in output
     assert "warning" not in output
+
+
+def test_grounds_have_their_frequency_and_a_use(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Amplitude, rad/s and Hz, so that a wrong unit is seen; one that moves nothing is named."""
+    output = printed(capsys, "ball_on_table")
+    assert "ground table 0.003 62.8319 10" in output
+    assert "force on height -9.81" in output
+    assert "moves nothing" not in output
+    text = Path(shared("config") / "ball_on_table.yaml").read_text(encoding="utf-8")
+    still = text.replace("between: [table, height], gap: 0", "body: height, limit: 0, side: below")
+    assert still != text
+    assert "Ground table moves nothing" in printed(capsys, written(tmp_path, still))
 
 
 def test_the_ball_is_a_rigid_body(capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,6 +160,7 @@ def test_json_has_all_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "real_eigenvalues": [],
         "rigid_modes": [],
         "resonances": [{"harmonic": 0, "frequency": 1.0}],
+        "excitations": [{"name": "force on x", "amplitude": 1.0, "frequency": 1.0}],
         "unseen": [],
         "redundant": [],
         "redundant_decided": True,
