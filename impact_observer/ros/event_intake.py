@@ -100,7 +100,7 @@ class EventIntake:
         return bool(self._work is not None or self._waiting or self._refused)
 
     def backlog(self) -> tuple[int, float]:
-        """How many events wait or are being applied, and how long the oldest has waited, s."""
+        """How many events are not applied yet, and how long the oldest has waited, s."""
         taken = self._taken if self._work is not None else []
         oldest = next(chain(taken, self._waiting), None)
         if oldest is None:
@@ -156,6 +156,7 @@ class EventIntake:
                 self._work = self._begin()
             for item in self._work:
                 if item is not None:
+                    self._strike(item[0])
                     yield self._revised(*item)
                 if time.monotonic_ns() >= end:
                     return
@@ -170,6 +171,12 @@ class EventIntake:
         self._taken = [self._waiting.popleft() for _ in range(count)]
         self._again.update(each.event for each in self._taken if each.was_refused)
         return self._observer.receiving([each.event for each in self._taken])
+
+    def _strike(self, event: ImpactEvent) -> None:
+        """Strike an event that is applied off those that are not."""
+        places = (i for i, each in enumerate(self._taken) if each.event is event)
+        if (place := next(places, None)) is not None:
+            del self._taken[place]
 
     def _refuse_what_waited(self) -> None:
         """Refuse the events that have waited for too long."""
