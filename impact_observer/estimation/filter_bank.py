@@ -43,7 +43,9 @@ SPURIOUS_RATE = 0.1
 RESTART = math.log(2.5e-3)
 """Logarithm of the prior probability that the covariance is wrong, or the whole estimate."""
 CLOCK_CHANGE = math.log(0.01)
-"""Logarithm of the probability that the clock's accuracy changes to the next one."""
+"""Logarithm of the probability that the clock's accuracy changes to another one."""
+_CHANGES = (-4, -1, 1, 4)
+"""Places in the list of accuracies to which it may change: a wrong one is left in few events."""
 SURPRISE = 3.0
 """Innovation, in standard deviations, from which on a wider covariance is tried too."""
 WIDENING = (3.0, 100.0)
@@ -135,7 +137,7 @@ class FilterBank:
         """
         self.filter = filter_
         self._next_clocks = {
-            clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
+            clock: tuple(clocks[i + k] for k in _CHANGES if 0 <= i + k < len(clocks))
             for i, clock in enumerate(clocks)
         }
         self.trusts_events = uncertainty.trusts_events

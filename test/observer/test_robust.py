@@ -328,6 +328,30 @@ def test_clock_error_is_estimated_in_any_run(name: str) -> None:
             assert 1 / 3.5 < found / error < 3.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("error", [3e-5, 3e-4, 5e-4])
+def test_jitter_is_not_taken_for_an_error_of_the_model(error: float) -> None:
+    """Of a drill that hits twelve times a second, whatever the jitter is between powers of ten.
+
+    Stamps are described by a standard deviation near theirs; no acceleration is missing.
+    """
+    drill = system(
+        np.diag([3.0, 0.8]),
+        [[34.0, -4.0], [-4.0, 4.0]],
+        [[12000.0, -4000.0], [-4000.0, 4000.0]],
+        contacts=[([0, -1], 0.004, 0.6)],
+        force=forcing(2, 0.0, [Harmonic(75.398, [60.0, 0.0], [0.0, 0.0])]),
+    )
+    whole = run(drill, np.zeros(2), np.zeros(2), seconds=8.0, rate=20.0)
+    last, watcher = int(whole.stamps[-1]), watching(drill, np.zeros(4), UNDECLARED)
+    sensor = SensorModel(jitter=error)
+    for each in simulate_sensor(sensor, drill, whole.switchings, epoch=EPOCH, last=last, seed=5):
+        watcher.receive(each.event)
+    learned = {name: found for name, found, _ in watcher.estimate(last).parameters}
+    assert 1 / 1.5 < learned["clock_error"] / error < 1.5
+    assert learned["model error"] < 20 * error  # m/s^1.5
+
+
 @pytest.mark.parametrize(
     ("delay", "jitter", "seed"),
     [
