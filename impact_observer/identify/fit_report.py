@@ -31,9 +31,9 @@ from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import REJECTED
 from impact_observer.identify.sensor_fit import SensorFit
-from impact_observer.model import parse_model
+from impact_observer.model import System, parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
-from impact_observer.stamps import seconds_between
+from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Vector
 
 _CORRELATED = 0.9
@@ -59,11 +59,15 @@ def _inside(found: Identification) -> str:
     if not names:
         return ""
     episode = found.recording.episode
-    before = seconds_between(episode.start, episode.keys[0].stamp)
+    first, second = (key.stamp for key in episode.keys[:2])
+    remedy = "leave out --initial-state"
+    if not system.depends_on_time:
+        ahead = first - max((second - first) // 10, 1)
+        remedy = f"give import --epoch {text(ahead).rstrip('0').rstrip('.')}, shortly before it"
     return (
-        f"the initial state is inside the stop {names[0]!r}: it holds {before:.3g} s before the"
-        " first impact, where the rig moved otherwise; give import an --epoch shortly before that"
-        " impact"
+        f"the initial state is inside the stop {names[0]!r}: it holds"
+        f" {seconds_between(episode.start, first):.3g} s before the first impact, where the rig"
+        f" moved otherwise; {remedy}"
     )
 
 
@@ -181,18 +185,33 @@ def _about_fit(found: Identification) -> Iterator[str]:
         yield (
             "The model does not fit: no motion of it explains these stamps. Do not use these"
             " values. Begin with other values, or free other parameters (docs/misfit.md)."
+            f"{_about_time(found.family.system)}"
         )
     impacts = len(found.shifts) + len(found.recording.rejected)
     if found.declared and found.doubted >= _MANY * impacts:
         yield (
-            f"WARNING: --clock-error {found.clock:.3g} makes {found.doubted} of {impacts} impacts"
-            f" outliers. The shifts say {min(found.accepted, found.rms):.3g} s: leave it out or"
-            " declare that, unless the model is wrong."
+            f"WARNING: --clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
+            f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"
+            f" {min(found.accepted, found.rms):.3g} s: leave it out or declare that, unless the"
+            " model is wrong."
         )
     if found.recording.rejected:
         yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         yield _listed(found, found.recording.inserted, "inserted as missed")
+
+
+def _about_time(system: System) -> str:
+    """What to ask where forces or grounds are harmonic; empty elsewhere."""
+    frame = system.frame
+    forcing = system.forcing if frame is None else frame.forcing
+    phases = ["forcing-phase"] * bool(forcing.frequency.size)
+    if frame is not None:
+        phases += ["ground-phase"] * bool(frame.grounds.motion.frequency.size)
+    if not phases:
+        return ""
+    free = " or ".join(phases)
+    return f" Is the epoch right (free {free} to see)? Is every frequency in rad/s?"
 
 
 def _about_sensor(each: SensorFit) -> str:
@@ -255,8 +274,8 @@ def _about_parameters(found: Identification) -> Iterator[str]:
         yield f"Not determined by these impacts: {combination(each)}. Hold one of them fixed."
     for name in found.bounded:
         yield (
-            f"{name} ended at its bound: the model may be wrong, or its epoch. If the bound is its"
-            " value, write that into the model and leave it out of --free."
+            f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
+            f" that into the model and leave it out of --free.{_about_time(found.family.system)}"
         )
     names, correlation = found.family.names, found.correlation
     for i in range(len(names)):

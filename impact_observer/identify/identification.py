@@ -14,7 +14,9 @@
 
 """From a recording of impact times to the parameters of its model."""
 
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,6 +154,15 @@ class Identification:
         return tuple(np.array(self.family.names)[at].tolist())
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without warnings of overflow and the like: far from the answer a trial motion may grow."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
+
+
+@_quiet()
 def identify(
     family: ParametricFamily,
     events: list[ImpactEvent],

@@ -14,6 +14,7 @@
 
 """Parameters from impact times alone, undetermined ones, spurious impacts."""
 
+import warnings
 from dataclasses import replace
 from functools import lru_cache
 
@@ -24,6 +25,7 @@ from systems import EPOCH, Harmonic, event, forcing, run, sample, system
 
 from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
+from impact_observer.identify import fit_report
 from impact_observer.identify.constrained import constrained_least_squares
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_picture import fit_picture
@@ -413,6 +415,35 @@ def test_a_forcing_that_depends_on_time_needs_an_epoch() -> None:
     family = parametric_family(sample("two_mass").system, ["restitution"])
     with pytest.raises(UsageError, match="epoch: the forcing of two_mass depends on time and"):
         identify(family, events)
+
+
+@pytest.mark.parametrize(("model", "asks"), [("two_mass", True), ("bouncing_ball", False)])
+def test_a_fit_that_fails_asks_for_what_is_often_wrong(
+    model: str, asks: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Epoch and frequency where something is harmonic; outliers beside how many are recorded."""
+    family = parametric_family(sample(model).system, ["restitution"])
+    found = identify(family, sensed(model)[:12], clock=1e-4, trust_events=True)
+    failed = replace(found, converged=False, doubted=66)
+    fit_report.print_parameters(failed, check_fit(failed))
+    said = " ".join(capsys.readouterr().out.split())
+    question = "Is the epoch right (free forcing-phase to see)? Is every frequency in rad/s?"
+    assert (question in said) == asks
+    assert "up to 66 impacts were rejected or inserted, 12 are recorded" in said
+
+
+def test_a_fit_shows_no_warnings_of_its_trial_motions() -> None:
+    """Whatever overflows while it searches."""
+    family = parametric_family(sample("two_mass").system, ["restitution"])
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        identify(
+            family,
+            sensed("two_mass")[:12],
+            trust_events=True,
+            progress=lambda _: warnings.warn("overflow", RuntimeWarning, stacklevel=1),
+        )
+    assert seen == []
 
 
 @pytest.mark.slow
