@@ -86,7 +86,7 @@ def cases(draw: st.DrawFn) -> Case:
 def assert_near(found: Array, wanted: Array, error: float) -> None:
     """Equal within ``error`` of the largest."""
     most = float(np.max(np.abs(wanted), initial=0.0))
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=error * most + 1e-13)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=error * most + 1e-12)
 
 
 @pytest.mark.slow

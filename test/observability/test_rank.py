@@ -20,7 +20,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 from contact_cases import pulled_mass
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
@@ -40,7 +40,7 @@ from systems import (
 )
 
 from impact_observer.dynamics import Phases
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import BagError, ImpactLawError, UsageError
 from impact_observer.estimation.readings import sensors_of
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Forcing, System
@@ -146,7 +146,10 @@ def test_rank_never_falls(model: System, data: st.DataObject) -> None:
     steps = data.draw(st.lists(st.tuples(numbers(0.0, 2.0), switch), min_size=1, max_size=6))
     instants = np.cumsum([wait for wait, _ in steps])
     events = [event_at(t, one) for t, (_, one) in zip(instants, steps, strict=True)]
-    found = observability(model, [*events, event_at(20.0, ("c1", Kind.IMPACT))])
+    try:
+        found = observability(model, [*events, event_at(20.0, ("c1", Kind.IMPACT))])
+    except ImpactLawError:  # contacts that depend on each other
+        reject()
     fallen = np.diff(found.singular, axis=0).min(initial=0.0)
     assert fallen >= -1e-12 * found.singular.max()
     assert np.all(np.diff(found.rank) >= 0)

