@@ -90,7 +90,7 @@ def print_check(checked: ModelCheck) -> None:
     output, system = console(100), checked.system
     output.print(
         f"{system.name}: {times(system.n, 'coordinate')}, {times(system.m, 'contact')},"
-        f" {_forcing(system.forcing if system.frame is None else system.frame.forcing)}"
+        f" {_forcing(system.own_forcing)}"
     )
     if system.frame is not None:
         output.print(f"moving grounds: {', '.join(_grounds(system.frame))}")
@@ -126,8 +126,7 @@ class _Excitation(NamedTuple):
 
 def _excitations(system: System) -> Iterator[_Excitation]:
     """All of them: constants, harmonics of forces, then of grounds."""
-    frame = system.frame
-    forcing = system.forcing if frame is None else frame.forcing
+    frame, forcing = system.frame, system.own_forcing
     for name, value in zip(system.coordinates, forcing.constant.tolist(), strict=True):
         if value:
             yield _Excitation(f"force on {name}", value, 0.0)

@@ -46,6 +46,10 @@ from impact_observer.states import Matrix, Vector
 
 _MANY = 32
 """Coordinates from which on products of matrices are faster than motions one by one."""
+_SMALL = 16
+"""Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
+_MOST_TURNS = 100.0
+"""Longest time that it takes, in the inverse of the fastest rate."""
 _FAR = 0.5
 """Largest step of a parameter of the motion, relative to its distance from its bound."""
 _STEP = 1e-6
@@ -86,6 +90,10 @@ class MovingSystem:
     def rate(self) -> float:
         """A bound of all rates while no contact is closed, 1/s."""
         return float(max(self._rate(()), *self.system.forcing.frequency, 0.0))
+
+    def is_short(self, s: float) -> bool:
+        """Whether the kernel makes transition matrices of ``s`` seconds by Taylor's series."""
+        return self.system.n <= _SMALL and s * self.rate <= _MOST_TURNS
 
     @cached_property
     def free(self) -> FreeMotion:

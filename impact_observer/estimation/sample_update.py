@@ -48,10 +48,6 @@ DOUBTFUL = 3
 """Samples of one sensor that are rejected in a row, before the covariance is doubted."""
 WIDENING = 3.0
 """Factor of the normalised innovation by which it is widened then."""
-_SMALL = 16
-"""Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
-_MOST_TURNS = 100.0
-"""Longest time that it takes, in the inverse of the fastest rate."""
 _NO_LEVEL = np.zeros(1)
 _LEAST_RESTITUTION = 1e-3
 """By which a speed after an impact is divided to find the one before."""
@@ -351,9 +347,7 @@ class SampleUpdate:
         if known.variance <= 0 or known.rejected >= DOUBTFUL or reading.closed:
             return None
         filter_ = self.bank.filter
-        if self._system.n > _SMALL or s * filter_.members.given.moving.rate > _MOST_TURNS:
-            return None
-        if filter_.gaps((), s) is None:
+        if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
             return None
         for h in hypotheses:
             if h.penetrating or h.missed or h.state.closed:

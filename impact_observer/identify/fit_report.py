@@ -203,9 +203,7 @@ def _about_fit(found: Identification) -> Iterator[str]:
 
 def _about_time(system: System) -> str:
     """What to ask where forces or grounds are harmonic; empty elsewhere."""
-    frame = system.frame
-    forcing = system.forcing if frame is None else frame.forcing
-    phases = ["forcing-phase"] * bool(forcing.frequency.size)
+    frame, phases = system.frame, ["forcing-phase"] * bool(system.own_forcing.frequency.size)
     if frame is not None:
         phases += ["ground-phase"] * bool(frame.grounds.motion.frequency.size)
     if not phases:

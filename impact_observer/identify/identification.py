@@ -214,7 +214,7 @@ def identify(
         episode, state = late_start(family.system, episode, events)
     whole = _with_samples(Recording(episode, state=state), family, clock, measurements, samples)
     progress("all impacts accepted")
-    recording, problem, solution = _gated(whole, *_fit(whole.problem(family)))
+    recording, (problem, solution) = whole, _gated(*_fit(whole.problem(family)))
     first = _identification(recording, problem, solution, clock)
     accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
     least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
@@ -227,9 +227,8 @@ def identify(
         recording = outliers_by_observer(family.system, whole, events, wrong)
         doubted = max(doubted, recording.outliers)
         try:
-            recording, again, refit = _gated(
-                *_without_outliers(recording, family, clock, progress)
-            )
+            recording, again, refit = _without_outliers(recording, family, clock, progress)
+            again, refit = _gated(again, refit)
         except IdentificationError:
             continue  # too few impacts are left
         doubted = max(doubted, recording.outliers)
@@ -262,9 +261,7 @@ def _with_samples(
     )
 
 
-def _gated(
-    recording: Recording, problem: Problem, solution: Solution
-) -> tuple[Recording, Problem, Solution]:
+def _gated(problem: Problem, solution: Solution) -> tuple[Problem, Solution]:
     """Without samples that their gates reject, fitted again."""
     for _ in range(_GATINGS):
         sensors = tuple(
@@ -274,7 +271,7 @@ def _gated(
         if all(a.t.size == b.t.size for a, b in zip(sensors, problem.sensors, strict=True)):
             break
         problem, solution = weighed(problem._replace(sensors=sensors), solution.y)
-    return recording, problem, solution
+    return problem, solution
 
 
 def _held_back(problem: Problem, solution: Solution, share: float) -> HeldBack | None:

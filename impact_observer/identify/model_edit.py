@@ -81,7 +81,7 @@ def _of_matrices(
         yield from _of_restitution(
             ("contacts", i), contact.name, by_speed=by_speed, by_name=by_name
         )
-    own = system.forcing if system.frame is None else system.frame.forcing
+    own = system.own_forcing
     for k in range(own.frequency.size):
         if {f"forcing-amplitude.{k + 1}", f"forcing-phase.{k + 1}"} & by_name.keys():
             for name in ("cosine", "sine"):

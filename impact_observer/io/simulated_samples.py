@@ -157,8 +157,11 @@ class SampleSimulation:
     def stamps(self, epoch: int, last: int) -> Stamps:
         """When samples are taken, from the epoch to ``last``, ns."""
         count = int((last - epoch) / NS_PER_S * self.faults.rate) + 1
-        times = np.arange(count) / self.faults.rate
-        return np.array([epoch + round(t * NS_PER_S) for t in times.tolist()], dtype=np.int64)
+        return np.array([self.stamp(epoch, k) for k in range(count)], dtype=np.int64)
+
+    def stamp(self, epoch: int, k: int) -> int:
+        """When the ``k``-th samples are taken, ns; those at the epoch are the 0th."""
+        return epoch + round(k / self.faults.rate * NS_PER_S)
 
     def at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts

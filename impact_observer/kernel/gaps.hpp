@@ -77,13 +77,7 @@ class Gaps {
         const std::size_t size = motion.size();
         if (size > 2 * LARGE || size > count * states) return found;
         const double h = duration / double(count);
-        found.step = Matrix(size, size), found.pushed = Matrix(count, size);
-        for (std::size_t j = 0; j < size; ++j) {
-            Vector column(size);
-            column[j] = 1.0;
-            column = motion.carried(std::move(column), h);
-            for (std::size_t i = 0; i < size; ++i) found.step(i, j) = column[i];
-        }
+        found.step = motion.transition(h), found.pushed = Matrix(count, size);
         const Matrix parts = motion.pushed(h);
         for (std::size_t k = 0; k < count; ++k) {
             const double at = t + duration * (double(k) / double(count));

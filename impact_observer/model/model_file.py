@@ -174,13 +174,8 @@ def _motion_of(s: System, factors: Sequence[float]) -> Value:
     ]
 
 
-def _own_forcing(s: System) -> Forcing:
-    """``f(t)`` without what grounds do."""
-    return s.forcing if s.frame is None else s.frame.forcing
-
-
 def _sampled_of(system: System) -> dict[str, Value]:
-    samples = _own_forcing(system).sampled
+    samples = system.own_forcing.sampled
     if samples is None:
         return {}
     table = sampled_files.table_of(samples, system.coordinates)
@@ -188,7 +183,7 @@ def _sampled_of(system: System) -> dict[str, Value]:
 
 
 def _forcing_of(system: System) -> Value:
-    forcing = _own_forcing(system)
+    forcing = system.own_forcing
     names = ("frequency", "cosine", "sine")
     harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
     orders = (system.live.orders if system.live else ()) or (0,) * forcing.frequency.size

@@ -181,13 +181,18 @@ class System:
         moves = self.frame is not None and self.frame.grounds.motion.depends_on_time
         return moves or self.live is not None or self.forcing.depends_on_time
 
+    @property
+    def own_forcing(self) -> Forcing:
+        """``f(t)`` without what grounds do."""
+        return self.forcing if self.frame is None else self.frame.forcing
+
     def held_force(self, t: float) -> str:
         """A warning where the last sample of the forces is held at ``t``, s since the epoch."""
-        own = self.forcing if self.frame is None else self.frame.forcing
-        if t <= own.end:
+        end = self.own_forcing.end
+        if t <= end:
             return ""
         return (
-            f"forcing.sampled: the samples end at t = {own.end:.9g} s; from then on their last"
+            f"forcing.sampled: the samples end at t = {end:.9g} s; from then on their last"
             " force is held"
         )
 

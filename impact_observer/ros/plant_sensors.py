@@ -30,7 +30,6 @@ from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
-from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Vector
 
 
@@ -89,7 +88,7 @@ class PlantSensors:
     @property
     def _sample_stamp(self) -> int:
         """Of the next samples, ns."""
-        return self._epoch + round(self._next / self._simulation.faults.rate * NS_PER_S)
+        return self._simulation.stamp(self._epoch, self._next)
 
 
 def _new(type_name: str) -> AnyMessage:

@@ -37,10 +37,6 @@ from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.sample_projection import SampleProjection
 from impact_observer.states import Matrix, Vector
 
-_SMALL = 16
-"""Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
-_MOST_TURNS = 100.0
-"""Longest time that it takes, in the inverse of the fastest rate."""
 _BEYOND = 1e-6
 """Probability of an initial error that exceeds the initial certified bound."""
 
@@ -238,9 +234,9 @@ class ReplicaLaw(Law):
 
     def _is_free(self, s: float) -> bool:
         """Whether all replicas move in one phase that the kernel knows, ``s`` seconds long."""
-        if self.system.n > _SMALL or not self.uses_measurements or self._is_forced:
+        if not self.uses_measurements or self._is_forced:
             return False
-        return s * self.moving.rate <= _MOST_TURNS and self.phase(()) is self._free
+        return self.moving.is_short(s) and self.phase(()) is self._free
 
     @cached_property
     def _is_forced(self) -> bool:
