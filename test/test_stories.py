@@ -98,15 +98,17 @@ def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) ->
 def test_the_rig_of_the_readme_runs_live(
     ros_environment: dict[str, str], beside_bags: Path
 ) -> None:
-    """Four terminals, as typed, only faster: the estimate comes to the truth."""
+    """Four terminals, as typed: the estimate comes to the truth, as near as it says."""
     live = [step for step in steps(OWN_RIG) if isinstance(step, Run) and needs_ros(step)]
     assert live[-1].words == ("play", "bags/switch")
-    last = watched(live, ("--rate", "3"), ros_environment, beside_bags)
+    last = watched(live, (), ros_environment, beside_bags)
     (estimate,) = last["observers"]
     assert last["impacts"] >= 22  # and perhaps a false positive
     assert dict(estimate["counts"])["applied"] >= 15  # a busy machine stamps some wrongly
     assert estimate["law"] == "minimum-variance"
-    assert all(abs(line["estimate"] - line["truth"]) < 0.3 for line in estimate["lines"])
+    for line in estimate["lines"]:
+        error, deviation = abs(line["estimate"] - line["truth"]), line["deviation"]
+        assert error < max(0.3, 5 * deviation)
 
 
 @pytest.mark.ros
