@@ -18,8 +18,12 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
+
+if TYPE_CHECKING:
+    from impact_observer.io.csv_file import CsvForm
 
 CONVERGENCE = ("ensemble", "agreed")
 """Options on whether an estimate has converged; only ``observe`` offers them."""
@@ -172,6 +176,36 @@ def add_estimates(parser: "argparse._ActionsContainer") -> None:
         type=count,
         help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
     )
+
+
+def add_table(parser: "argparse._ActionsContainer") -> None:
+    """How a table of times is to be read; ``table_form`` reads it."""
+    parser.add_argument(
+        "--time-unit",
+        choices=("s", "ms", "us", "ns"),
+        help="of the times (default: that in the header, else s)",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        type=_start,
+        help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
+    )
+    column = "name of the column of time (default: time, or time with its unit)"
+    parser.add_argument("--time-column", metavar="NAME", help=column)
+    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
+
+
+def table_form(args: argparse.Namespace) -> "CsvForm":
+    """The form of a table."""
+    from impact_observer.io.csv_file import CsvForm
+
+    return CsvForm(args.time_unit, args.time_column, args.sort)
+
+
+def _start(text: str) -> int:
+    """A stamp in seconds, or 0."""
+    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
 
 
 def add_bag_output(parser: argparse.ArgumentParser) -> None:

@@ -12,26 +12,34 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Detect the impacts in a bag of sensors: switches, accelerations, forces, or any messages.
+"""Detect the impacts in a bag of sensors, or in a signal: a CSV with a column time, or a WAV.
 
-The sensors are declared in a file, --sources; a single one by --contact and --topic:
+The sensors are declared in a file, --sources; a single one by --contact and --topic. The topic of
+a signal is its column, or its channel (channel1); a single one need not be named.
 
     impact-observer detect BAG --contact stop --topic /switch -o OUT
     impact-observer detect BAG --contact stop --topic /imu --threshold 30 -o OUT
+    impact-observer detect acc.csv --contact stop --topic az --threshold 30 --baseline 1 -o OUT
+    impact-observer detect sound.wav --contact stop --threshold 0.1 -o OUT
 """
 
 import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_bag_output, add_model, stamp
+from impact_observer.cli.arguments import add_bag_output, add_model, add_table, stamp, table_form
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from impact_observer.cli.progress import Progress
     from impact_observer.detector import SensorCounts, Source
+    from impact_observer.detector.bag_detection import BagDetection
+    from impact_observer.model import Model
 
 _TEXTS = {
-    "contact": "name of the contact in the model",
-    "topic": "where its sensor publishes",
+    "contact": "name of the contact in the model (default: the only one of --model)",
+    "topic": "where its sensor publishes; of a signal, its column (default: the only one)",
     "kind": "switch, peak or arrival (default: as the type of the topic says)",
     "field": "path in the message, such as wrench.force.z or data[3]",
     "direction": "of peaks: both (default), up or down",
@@ -50,7 +58,8 @@ _NUMBERS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="a bag of sensors")
+    signal = "or a signal: .csv, .txt, .tsv, .dat, .wav"
+    add("bag", metavar="BAG", type=Path, help=f"a bag of sensors, {signal}")
     add("--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md")
     for name, meaning in _TEXTS.items():
         add(_option(name), metavar=name.upper(), help=meaning)
@@ -58,8 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add(_option(name), metavar="X", type=float, help=meaning)
     add("--inverted", action="store_true", default=None, help="the switch is closed when low")
     add_model(parser, "a model file or a sample, to be put into the bag")
-    add("--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)")
+    epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
+    add("--epoch", metavar="S", type=stamp, help=epoch)
     add_bag_output(parser)
+    add_table(parser.add_argument_group("a signal", "how its table is to be read"))
 
 
 def _option(name: str) -> str:
@@ -67,28 +78,15 @@ def _option(name: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a bag with the impacts detected in another one."""
+    """Write a bag with the impacts detected in another one, or in a signal."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.detector.bag_detection import detect_bag
-    from impact_observer.io.reader import BagReader
+    from impact_observer.io.bag_topics import SIGNAL_FILES
     from impact_observer.model import read_model
 
-    sources, epoch = _sources(args), args.epoch or 0
+    is_signal = args.bag.suffix.lower() in SIGNAL_FILES
     model = None if args.model is None else read_model(args.model)
-    with BagReader(args.bag) as reader, Progress() as progress:
-
-        def show(done: int, total: int) -> None:
-            progress.step("detecting", done, total)
-
-        result = detect_bag(
-            reader,
-            sources,
-            args.output,
-            model=model,
-            epoch=epoch,
-            flush=args.flush,
-            progress=show,
-        )
+    with Progress() as progress:
+        result = (_in_signal if is_signal else _in_bag)(args, model, progress)
         for source, counts in zip(result.sources, result.counts, strict=True):
             found = _found(counts)
             progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
@@ -98,8 +96,68 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
-    """The sensors of a file, or the one that the options declare."""
+def _in_bag(
+    args: argparse.Namespace, model: "Model | None", progress: "Progress"
+) -> "BagDetection":
+    """Detect in a bag."""
+    from impact_observer.detector.bag_detection import detect_bag
+    from impact_observer.errors import UsageError
+    from impact_observer.io.csv_file import CsvForm
+    from impact_observer.io.reader import BagReader
+
+    if table_form(args) != CsvForm() or args.start is not None:
+        raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")
+    sources = _sources(args, model)
+    with BagReader(args.bag) as reader:
+        return detect_bag(
+            reader,
+            sources,
+            args.output,
+            model=model,
+            epoch=args.epoch or 0,
+            flush=args.flush,
+            progress=lambda done, total: progress.step("detecting", done, total),
+        )
+
+
+def _in_signal(
+    args: argparse.Namespace, model: "Model | None", progress: "Progress"
+) -> "BagDetection":
+    """Detect in a signal; print which stamps were given to it."""
+    from impact_observer.detector.signal_detection import detect_signal
+    from impact_observer.io.signal_file import SignalFile
+    from impact_observer.stamps import text
+
+    signal = SignalFile(args.bag, table_form(args), args.start)
+    epoch = signal.start if args.epoch is None else args.epoch
+
+    def show(rows: int) -> None:
+        if rows % 1000 == 0:
+            progress.show(f"{args.bag}: {rows} rows")
+
+    result = detect_signal(
+        signal,
+        _sources(args, model, signal.topics),
+        args.output,
+        model=model,
+        epoch=epoch,
+        flush=args.flush,
+        progress=show,
+    )
+    known = f"epoch {text(epoch)} s" if epoch else "epoch unknown"
+    progress.line(f"{args.bag}: time 0 is stamp {text(signal.start)} s, {known}")
+    return result
+
+
+def _sources(
+    args: argparse.Namespace,
+    model: "Model | None",
+    columns: "Mapping[str, str] | None" = None,
+) -> "tuple[Source, ...]":
+    """The sensors of a file, or the one that the options declare.
+
+    ``columns`` are those of a signal with their topics; None for a bag.
+    """
     from impact_observer.detector import Source, read_sources
     from impact_observer.errors import UsageError
 
@@ -110,9 +168,28 @@ def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
             option = _option(next(iter(given)))
             raise UsageError(f"{option}: given beside --sources; write it into {args.sources}")
         return read_sources(args.sources)
-    if args.contact is None or args.topic is None:
+    contacts = () if model is None else model.system.contact_names
+    if len(contacts) == 1:
+        given.setdefault("contact", contacts[0])
+    if columns is not None:
+        given["topic"] = _topic(args, columns)
+    if "contact" not in given and (contacts or columns is not None):
+        which = f", one of {', '.join(contacts)}" if contacts else ", or --model with one contact"
+        raise UsageError(f"{args.bag}: no contact named; give --contact NAME{which}")
+    if not {"contact", "topic"} <= given.keys():
         raise UsageError("no sensor named; give --sources, or --contact and --topic")
     return (Source(**given),)
+
+
+def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
+    """The topic of a signal's column: the one that is named, or the only one."""
+    from impact_observer.errors import UsageError
+
+    if args.topic is None and len(columns) == 1:
+        return next(iter(columns.values()))
+    if args.topic is None:
+        raise UsageError(f"{args.bag}: columns {', '.join(columns)}; name one with --topic")
+    return columns.get(args.topic, args.topic)
 
 
 def _found(counts: "SensorCounts") -> str:

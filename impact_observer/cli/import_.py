@@ -22,7 +22,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_bag_output, add_model, stamp
+from impact_observer.cli.arguments import add_bag_output, add_model, add_table, stamp, table_form
 
 if TYPE_CHECKING:
     from impact_observer.io.csv_import import Imported
@@ -34,39 +34,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("csv", metavar="CSV", type=Path, help="the file of impact times")
     add_bag_output(parser)
     add_model(parser, "a model file or a sample, to be put into the bag")
-    add(
-        "--time-unit",
-        choices=("s", "ms", "us", "ns"),
-        help="of the times (default: that in the header, else s)",
-    )
-    add(
-        "--start",
-        metavar="S",
-        type=_start,
-        help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
-    )
+    add_table(parser)
     add(
         "--epoch",
         metavar="S",
         type=stamp,
         help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
     )
-    column = "name of the column of time (default: time, or time with its unit)"
-    add("--time-column", metavar="NAME", help=column)
     truth = "a file of true states: time, and q_NAME and u_NAME of each coordinate of --model"
     add("--truth", metavar="CSV", type=Path, help=truth)
-    add("--sort", action="store_true", help="the rows may be in any order")
-
-
-def _start(text: str) -> int:
-    """A stamp in seconds, or 0."""
-    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.io.csv_file import CsvForm
     from impact_observer.io.csv_import import import_csv
     from impact_observer.model import read_model
 
@@ -82,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             model=model,
             truth=args.truth,
-            form=CsvForm(args.time_unit, args.time_column, args.sort),
+            form=table_form(args),
             start=args.start,
             epoch=args.epoch,
             flush=args.flush,

@@ -37,7 +37,7 @@ COMMANDS = {
     "observability": "what the impacts in a bag reveal of the state: rank, condition, unknowns",
     "identify": "estimate a model's parameters from impact times, or check it against them",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
-    "detect": "find the impacts in a bag of switches, accelerations, forces",
+    "detect": "find the impacts in a bag of sensors, or in a signal (CSV, WAV)",
     "import": "make a bag from the impact times in a CSV file",
     "observe": "run an observer on the impacts in a bag",
     "smooth": "the best estimate of a recording at every instant, from all its impacts",

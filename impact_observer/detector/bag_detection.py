@@ -14,7 +14,7 @@
 
 """Runs the detector on a bag of sensor messages, and writes a bag with events."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -49,6 +49,17 @@ class BagDetection:
     events: int = 0
     problems: list[str] = field(default_factory=list)
 
+    def finish(self, path: Path, detector: Detector) -> None:
+        """Count what the ``detector`` has found in ``path``.
+
+        Raises:
+            BagError: no impact.
+        """
+        self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
+        self.problems += [line for k in range(len(self.sources)) if (line := detector.problem(k))]
+        if not any(counts.impacts for counts in self.counts):
+            raise BagError(f"{path}: no impact found; {'; '.join(self.problems)}")
+
 
 def detect_bag(
     reader: BagReader,
@@ -78,44 +89,51 @@ def detect_bag(
         UsageError: a source does not fit the bag or the model, or something is at ``output``.
         BagError: no impact was found, or a bag cannot be read or written. Then no bag is left.
     """
-    found, problems = _present(reader, sources)
-    _check_contacts(reader, model, found)
+    types = {topic: info.type for topic, info in reader.topics.items()}
+    found, problems = present(reader.path, types, sources)
+    if model is not None or reader.model_text() is not None:
+        check_contacts(model or model_of(reader), found)
     detector = Detector(found, epoch=epoch or first_pulse(reader))
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
         _run(reader, writer, detector, copied=copied, progress=progress)
-        result.events = sum(c.impacts + c.closings + c.openings for c in detector.counts)
-        problems += [line for k in range(len(found)) if (line := detector.problem(k))]
-        if not any(counts.impacts for counts in detector.counts):
-            raise BagError(f"{reader.path}: no impact found; {'; '.join(problems)}")
+        result.finish(reader.path, detector)
     return result
 
 
-def _present(reader: BagReader, sources: Sequence[Source]) -> tuple[list[Source], list[str]]:
-    """The sources whose topic is in the bag, complete; and a line for each other one."""
+def present(
+    path: Path, types: Mapping[str, str], sources: Sequence[Source]
+) -> tuple[list[Source], list[str]]:
+    """The sources whose topic is there, complete; and a line for each other one.
+
+    Args:
+        path: of a bag or a signal.
+        types: of what is published, by topic.
+        sources: as declared.
+
+    Raises:
+        UsageError: a source does not fit its topic.
+        BagError: none of the topics is there.
+    """
     found, missing = [], []
     for source in sources:
         topic = f"/{source.topic.lstrip('/')}"
-        info = reader.topics.get(topic)
-        if info is None:
-            missing.append(f"{source.contact}: no topic {topic}")
+        if topic in types:
+            found.append(replace(source, topic=topic).complete(types[topic]))
         else:
-            found.append(replace(source, topic=topic).complete(info.type))
+            missing.append(f"{source.contact}: no topic {topic}")
     if not found:
-        raise BagError(
-            f"{reader.path}: {'; '.join(missing)}; topics in the bag:"
-            f" {', '.join(reader.topics) or 'none'}"
-        )
+        raise BagError(f"{path}: {'; '.join(missing)}; topics in it: {', '.join(types) or 'none'}")
     return found, missing
 
 
-def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[Source]) -> None:
-    """Check the contacts of the sensors against the model that is given, or the bag's, if any."""
-    if model is None:
-        if reader.model_text() is None:
-            return
-        model = model_of(reader)
+def check_contacts(model: Model, sources: Sequence[Source]) -> None:
+    """Check the contacts of the sensors against a model.
+
+    Raises:
+        UsageError: one is none of the model.
+    """
     names = model.system.contact_names
     for source in sources:
         if source.contact not in names:
@@ -124,6 +142,12 @@ def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[So
                 f"{source.contact!r} is none of the model {model.system.name}; expected one of"
                 f" {', '.join(names) or 'none'}",
             )
+
+
+def write_model(writer: BagWriter, model: Model, stamp: int) -> None:
+    """Put a model into a bag, at its first log time (ns)."""
+    text = model.text({"package": "impact_observer", "version": __version__})
+    writer.write(interfaces.PLANT_MODEL.topic, stamp, bag_messages().model(text))
 
 
 def _declared(
@@ -137,9 +161,7 @@ def _declared(
     problems += left_out
     writer.declare(interfaces.IMPACTS.topic)
     if model is not None:
-        text = model.text({"package": "impact_observer", "version": __version__})
-        message = bag_messages().model(text)
-        writer.write(interfaces.PLANT_MODEL.topic, reader.start, message)
+        write_model(writer, model, reader.start)
     return {*copied}
 
 

@@ -178,6 +178,8 @@ class Detector:
             if source.threshold is not None:
                 most = f"{counts.largest_signal:.3g}"
                 reason += f", at most {most} of the threshold {source.threshold:g}"
+                if source.kind == PEAK and counts.largest_signal >= source.threshold:
+                    reason += "; it stays above: declare a baseline, or a higher threshold"
             problems.append(reason)
         return f"{source.contact}: {', '.join(problems)}" if problems else ""
 

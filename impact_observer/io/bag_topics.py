@@ -28,6 +28,8 @@ from impact_observer.io.interfaces import Quality
 
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
+SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".wav")
+"""Suffixes of tables and sounds, of which commands make bags."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,9 @@ def storage_of(path: Path) -> str:
         )
         raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:
-        raise BagError(f"{path}: not a bag; expected {_FORMS}")
+        remedy = "; `import` makes one of a table of impact times, `detect` of a signal"
+        is_signal = path.suffix.lower() in SIGNAL_FILES
+        raise BagError(f"{path}: not a bag; expected {_FORMS}{remedy if is_signal else ''}")
     return _STORAGES[path.suffix]
 
 

@@ -37,6 +37,11 @@ _LIKE_TIME = {"t", "stamp", "timestamp", "seconds", "sec", "t [s]", "t_s", "t(s)
 _UNIT = re.compile(r"(?:[ _]?[\[(]|[ _])(s|ms|us|ns)[\])]?|time(s|ms|us|ns)", re.IGNORECASE)
 
 
+_SINCE_1970 = 100_000_000 * NS_PER_S
+"""Times from here on are taken to count from 1970, smaller ones from the start of the
+experiment."""
+
+
 @dataclass(frozen=True, slots=True)
 class CsvForm:
     """How a file is to be read.
@@ -202,7 +207,9 @@ class CsvFile:
                 self._names = ["time", *self._wanted]
                 return
             name = self._form.time_column or "time"
-            remedy = ", or a time" if self._bare and self._form.time_column is None else ""
+            remedy = ""
+            if self._bare and self._form.time_column is None:
+                remedy = ", or a time; --time-column NAME if it is called otherwise"
             found = repr(cells[0]) if self._form.time_column is None else ", ".join(cells)
             if named := next((cell for cell in cells if cell.lower() in _LIKE_TIME), ""):
                 remedy = f"; --time-column {named} names it, if that is the time"
@@ -249,3 +256,15 @@ class CsvFile:
             problem = f"time {cell} is too large; stamps end at {text(MAX_STAMP)} s"
             self.wrong(self._line, problem)
         return round(time)
+
+
+def start_of(first: int, start: int | None) -> int:
+    """The stamp of a file's time zero, ns.
+
+    Args:
+        first: time in the file, ns.
+        start: that is asked for; None for 0 where ``first`` counts from 1970, else 1 s.
+    """
+    if start is not None:
+        return start
+    return 0 if first >= _SINCE_1970 else NS_PER_S

@@ -27,17 +27,14 @@ from impact_observer import __version__
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import interfaces
-from impact_observer.io.csv_file import CsvForm
+from impact_observer.io.csv_file import CsvForm, start_of
 from impact_observer.io.csv_tables import FORM, ImpactRow, ImpactTable, StateRow, StateTable
 from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
+from impact_observer.stamps import MAX_STAMP, text
 
-_SINCE_1970 = 100_000_000 * NS_PER_S
-"""Times from here on are taken to count from 1970, smaller ones from the start of the
-experiment."""
 _SAMPLES = 101
 """First rows that look like samples of a signal if they are equally spaced."""
 
@@ -111,8 +108,7 @@ def import_csv(
     first = next(rows, None)
     if first is None:
         raise UsageError(f"{path}: holds no impact; expected rows {FORM} below the header")
-    if start is None:
-        start = 0 if first.time >= _SINCE_1970 else NS_PER_S
+    start = start_of(first.time, start)
     zero, last, make = start if epoch is None else epoch, 0, bag_messages()
     rows = _impacts(path, table, chain([first], rows))
     streams = [_events(path, rows, start, zero)]
@@ -158,8 +154,9 @@ def _impacts(path: Path, table: ImpactTable, rows: Iterable[ImpactRow]) -> Itera
         if unequal <= rounded and unequal < max(steps):
             raise UsageError(
                 f"{path}: looks like a signal, not like impact times: its rows are equally spaced,"
-                f" and column {signal} is left out; detect finds the impacts in a bag of the"
-                f" signal (docs/detector.md). If these are impacts, remove the column {signal}"
+                f" and column {signal} is left out; `detect {path} --contact NAME --threshold X`"
+                " finds the impacts of a signal (docs/detector.md). If these are impacts, remove"
+                f" the column {signal}"
             )
     yield from first
     yield from rows

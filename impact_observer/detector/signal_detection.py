@@ -1,0 +1,107 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Runs the detector on a signal in a file, and writes a bag with events."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_observer.detector import Detection, Detector, Source
+from impact_observer.detector.bag_detection import (
+    BagDetection,
+    check_contacts,
+    present,
+    write_model,
+)
+from impact_observer.detector.sensors import MAX_DELAY
+from impact_observer.io import interfaces
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import all_or_nothing
+from impact_observer.io.signal_file import SignalFile
+from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.model import Model
+
+_TYPE = "a column of numbers"
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """A sample in place of a message such as ``std_msgs/Float64``."""
+
+    data: float
+
+
+def detect_signal(
+    signal: SignalFile,
+    sources: Sequence[Source],
+    output: Path,
+    *,
+    model: Model | None = None,
+    epoch: int = 0,
+    flush: float = FLUSH,
+    progress: Callable[[int], None] = lambda _: None,
+) -> BagDetection:
+    """Write a bag with the impacts in a signal, which is not copied.
+
+    Memory is constant for a table.
+
+    Args:
+        signal: the file, of which no row was read yet.
+        sources: the sensors, as declared; the topic of each is that of a column.
+        output: the bag to make.
+        model: to put into it; None for none.
+        epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
+        flush: longest time until a message is on the disk, s.
+        progress: called with the number of rows read.
+
+    Raises:
+        UsageError: the file has a mistake, a source does not fit it or the model, or something
+            is at ``output``.
+        BagError: no impact was found, or the bag cannot be written. Then no bag is left.
+    """
+    found, problems = present(signal.path, dict.fromkeys(signal.topics.values(), _TYPE), sources)
+    if model is not None:
+        check_contacts(model, found)
+    detector = Detector(found, epoch=epoch)
+    result = BagDetection(detector.sources, detector.counts, problems=problems)
+    with all_or_nothing(output, flush) as writer:
+        if model is not None:
+            write_model(writer, model, signal.first)
+        writer.declare(interfaces.IMPACTS.topic)
+        _run(signal, writer, detector, progress)
+        result.finish(signal.path, detector)
+    return result
+
+
+def _run(
+    signal: SignalFile, writer: BagWriter, detector: Detector, progress: Callable[[int], None]
+) -> None:
+    """Feed the detector with every row, as if each were received at its stamp."""
+    make = bag_messages()
+    columns = {topic: column for column, topic in signal.topics.items()}
+
+    def write(detections: list[Detection]) -> None:
+        for decided, event in detections:
+            writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
+
+    stamp = signal.first
+    rows = signal.rows([columns[source.topic] for source in detector.sources])
+    for done, (stamp, values) in enumerate(rows, start=1):
+        for index, value in enumerate(values):
+            if value is not None:
+                write(detector.feed(index, _Number(value), stamp))
+        progress(done)
+    # As in a bag: no message can be missing any more after the longest delay.
+    write(detector.advance(stamp + MAX_DELAY))

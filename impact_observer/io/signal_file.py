@@ -1,0 +1,156 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Signals over time in a file that is no bag: a table (CSV) or a sound (WAV)."""
+
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import wavfile
+
+from impact_observer.errors import UsageError
+from impact_observer.io.csv_file import CsvFile, CsvForm, CsvRecord, start_of
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
+from impact_observer.states import Matrix
+
+_SOUND = ".wav"
+_BARE = "value"
+"""Name of the column of numbers in a table without a header."""
+_FORM = f"time, {_BARE}"
+_AT_ONCE = 2**16
+"""Samples of a sound that are converted together."""
+
+
+class SignalFile:
+    """The numbers in a file, row by row. Each column, or channel, has a name like a topic's.
+
+    Attributes:
+        path: the file.
+        topics: by the name of a column of numbers, the topic that it is taken for.
+        start: stamp of the file's time zero, ns.
+        first: stamp of the first row, ns.
+    """
+
+    def __init__(self, path: Path, form: CsvForm | None = None, start: int | None = None) -> None:
+        """Open ``path``.
+
+        Args:
+            path: the file; a sound if its suffix is ``.wav``, else a table.
+            form: of a table.
+            start: stamp of the file's time zero, ns. None for 0 where the first row lies after
+                1973, as times since 1970 do, and for 1 s elsewhere.
+
+        Raises:
+            UsageError: the file cannot be read, or has no column of numbers.
+        """
+        self.path = path
+        self._is_table = path.suffix.lower() != _SOUND
+        if self._is_table:
+            self._open_table(form or CsvForm(), start)
+        elif form not in (None, CsvForm()):
+            raise UsageError(f"{path}: a sound has its times itself; leave out options of a table")
+        else:
+            self._open_sound(NS_PER_S if start is None else start)
+        if not 0 < self.first <= MAX_STAMP:
+            raise UsageError(
+                f"{path}: its first stamp would be {text(self.first)} s; expected more than 0, at"
+                f" most {text(MAX_STAMP)} s: choose --start, the stamp of time 0"
+            )
+
+    def rows(self, columns: Sequence[str]) -> Iterator[tuple[int, tuple[float | None, ...]]]:
+        """Stamps (ns) and numbers of these columns; None where a cell is empty. Only once.
+
+        Raises:
+            UsageError: names the line, what was found and what is expected.
+        """
+        return self._table_rows(columns) if self._is_table else self._sound_rows(columns)
+
+    def _open_table(self, form: CsvForm, start: int | None) -> None:
+        what = "row of a signal"
+        self._file = CsvFile(self.path, form, (_BARE,), what=what, expected=_FORM, bare=True)
+        self._records = self._file.in_order()
+        if (first := next(self._records, None)) is None:
+            raise UsageError(f"{self.path}: holds no row; expected {_FORM} below the header")
+        numbers = [
+            name
+            for name in self._file.columns or first.cells
+            if not first.cells.get(name) or self._file.number(first.cells[name]) is not None
+        ]
+        if not numbers:
+            self._file.wrong(first.line, f"no number beside the time; expected {_FORM}")
+        self.topics = {name: topic_of(name) for name in numbers}
+        if len({*self.topics.values()}) < len(numbers):
+            problem = f"two columns of one name in {', '.join(numbers)}; rename one"
+            self._file.wrong_header(f"{problem}: only letters and digits count")
+        self.start = start_of(first.time, start)
+        self.first = self.start + first.time
+        self._records = chain([first], self._records)
+
+    def _table_rows(
+        self, columns: Sequence[str]
+    ) -> Iterator[tuple[int, tuple[float | None, ...]]]:
+        for record in self._records:
+            yield self.start + record.time, tuple(self._number(record, name) for name in columns)
+
+    def _number(self, record: CsvRecord, column: str) -> float | None:
+        cell = record.cells.get(column, "")
+        number = self._file.number(cell)
+        if cell and number is None:
+            problem = f"{column} is {cell!r}; expected a finite number, or nothing"
+            self._file.wrong(record.line, problem)
+        return None if number is None else float(number)
+
+    def _open_sound(self, start: int) -> None:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of chunks of others
+                self._rate, samples = wavfile.read(self.path)
+        except OSError as error:
+            raise UsageError(f"{self.path}: cannot be read: {error.strerror}") from None
+        except (ValueError, EOFError) as error:
+            raise UsageError(f"{self.path}: is no WAV file that can be read: {error}") from None
+        self._samples = np.atleast_2d(samples.T)
+        names = [f"channel{k}" for k in range(1, len(self._samples) + 1)]
+        self.topics = {name: topic_of(name) for name in names}
+        self.start = self.first = start
+
+    def _sound_rows(self, columns: Sequence[str]) -> Iterator[tuple[int, tuple[float, ...]]]:
+        chosen = [[*self.topics].index(name) for name in columns]
+        for first in range(0, self._samples.shape[1], _AT_ONCE):
+            some = _of_full_scale(self._samples[chosen, first : first + _AT_ONCE])
+            for k, values in enumerate(some.T.tolist(), first):
+                yield self.start + (k * NS_PER_S + self._rate // 2) // self._rate, tuple(values)
+
+
+def topic_of(column: str) -> str:
+    """The topic that a column is taken for: ``/az`` of ``az``, ``/a_z_m_s_2`` of ``a z (m/s^2)``.
+
+    Letters and digits stay.
+    """
+    name = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
+    return f"/{name}" if name[:1].isalpha() else f"/column_{name}"
+
+
+def _of_full_scale(samples: NDArray[Any]) -> Matrix:
+    """Samples of a sound as parts of the largest that its format has."""
+    if samples.dtype.kind == "f":
+        return samples.astype(float)
+    half = 2.0 ** (8 * samples.itemsize - 1)
+    return (samples - (half if samples.dtype.kind == "u" else 0.0)) / half

@@ -1,0 +1,198 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""detect: from a signal in a table or a sound to a bag with impacts."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from impact_observer.cli.main import main
+from impact_observer.events import Switch
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import events_in, model_of
+from impact_observer.states import Vector
+
+HITS = np.array([0.0513, 0.1271, 0.2345])  # s
+RATE = 4000
+SECOND = 1_000_000_000
+
+
+def signal(rate: int = RATE, gravity: float = 9.81) -> tuple[Vector, Vector]:
+    """Times, s, and accelerations, m/s^2: half-sines of 5 ms and 80 m/s^2 on top of gravity."""
+    t = np.arange(0, 0.3, 1 / rate)
+    since = t[:, None] - HITS
+    hits = np.where(np.abs(since) < 0.0025, 80 * np.cos(since * np.pi / 0.005), 0.0)
+    return t, gravity + hits.sum(axis=1)
+
+
+def table(header: str = "time,az\n", row: Callable[[float, float], str] | None = None) -> str:
+    """A table of the signal."""
+    row = row or (lambda t, a: f"{t:.6f},{a:.5f}")
+    return header + "\n".join(row(t, a) for t, a in zip(*signal(), strict=True))
+
+
+def found(path: Path, *arguments: str) -> Vector:
+    """Stamps of the impacts in a file, s after the default stamp of its time zero."""
+    output = path.with_name("bag")
+    given = ["--threshold", "30", "--baseline", "1", "-o", str(output), *arguments]
+    assert main(["detect", str(path), *given]) == 0
+    with BagReader(output) as reader:
+        events = events_in(reader)
+    assert all(event.switches == (Switch("stop"),) for event in events)
+    assert [event.sequence for event in events] == [1, 2, 3]
+    return np.array([event.stamp - SECOND for event in events]) / SECOND
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "arguments"),
+    [
+        ("acc.csv", table(), ()),
+        ("bare.txt", table(""), ()),
+        (
+            "phone.csv",
+            table(
+                '"Time (s)";"a x (m/s^2)";"a z (m/s^2)"\n',
+                lambda t, a: f"{t:.6f};0.1;{a:.5f}".replace(".", ","),
+            ),
+            ("--topic", "a z (m/s^2)"),
+        ),
+        ("ms.tsv", table("t_ms\taz\n", lambda t, a: f"{1e3 * t:.3f}\t{a:.5f}"), ()),
+        ("odd.csv", table("time,az\n0,\n"), ()),
+    ],
+    ids=["header", "bare", "columns", "unit", "empty_cell"],
+)
+def test_a_table_of_a_signal_gives_its_impacts(
+    tmp_path: Path, name: str, text: str, arguments: tuple[str, ...]
+) -> None:
+    """To a twentieth of a sample, as loggers and phones write it; the model's only contact."""
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    if name == "ms.tsv":
+        arguments = ("--time-column", "t_ms")
+    stamps = found(path, "--model", "two_mass", *arguments)
+    np.testing.assert_allclose(stamps, HITS, atol=0.05 / RATE)
+    with BagReader(tmp_path / "bag") as reader:
+        assert model_of(reader).system.name == "two_mass"
+        assert {event.epoch for event in events_in(reader)} == {SECOND}
+
+
+@pytest.mark.parametrize(
+    ("kind", "error"), [(np.uint8, 5e-5), (np.int16, 5e-6), (np.int32, 1e-6), (np.float32, 1e-6)]
+)
+def test_a_sound_gives_its_impacts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: type, error: float
+) -> None:
+    """Whatever its format, in parts of full scale; here the second of two channels."""
+    rate = 48000
+    _, a = signal(rate, gravity=0.0)
+    part = np.stack([0 * a, a / 100], axis=1)
+    if kind != np.float32:
+        info = np.iinfo(kind)
+        zero = 128 if kind == np.uint8 else 0
+        part = np.rint(zero + part * (info.max - zero))
+    path = tmp_path / "hits.WAV"
+    wavfile.write(path, rate, part.astype(kind))
+    arguments = ["--contact", "stop", "--topic", "channel2", "--epoch", "0.5"]
+    stamps = found(path, *arguments, "--threshold", "0.3", "--baseline", "0")
+    np.testing.assert_allclose(stamps, HITS, atol=error)
+    assert "time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in capsys.readouterr().out
+
+
+def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
+    """Two contacts, each with a column; characters of names that no topic has are one ``_``."""
+    path = tmp_path / "acc.csv"
+    path.write_text(
+        table("time,a [g],b\n", lambda t, a: f"{t:.6f},{a:.5f},{-a if t > 0.2 else 0}"),
+        encoding="utf-8",
+    )
+    sources = tmp_path / "rig.yaml"
+    sources.write_text(
+        "sources:\n- {contact: left, topic: a_g, threshold: 30}\n"
+        "- {contact: right, topic: b, threshold: 30, direction: down}\n",
+        encoding="utf-8",
+    )
+    output = ["-o", str(tmp_path / "bag")]
+    assert main(["detect", str(path), "--sources", str(sources), "--start", "2", *output]) == 0
+    with BagReader(tmp_path / "bag") as reader:
+        events = events_in(reader)
+    contacts = [event.switches[0].contact for event in events]
+    assert sorted(contacts) == ["left", "left", "left", "right"]
+    right = next(event for event in events if event.switches[0].contact == "right")
+    assert abs(right.stamp / SECOND - 2 - HITS[2]) < 0.05 / RATE
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "code", "expected"),
+    [
+        (table(), [], 2, "no contact named; give --contact NAME, or --model with one contact"),
+        (table(), ["--model", "three_mass"], 2, "give --contact NAME, one of right, left"),
+        (table("zeit,az\n"), ["--contact", "stop"], 2, "'zeit' found; expected a header with a"),
+        (table("zeit,az\n"), ["--contact", "stop"], 2, "--time-column NAME if it is called"),
+        ("time,x,y\n0,1,2", ["--contact", "stop"], 2, "columns x, y; name one with --topic"),
+        ("time,x\n0,1\n1,up", ["--contact", "stop"], 2, "line 3: x is 'up'; expected a finite"),
+        ("time,x\n0,on", ["--contact", "stop"], 2, "line 2: no number beside the time"),
+        ("time\n0", ["--contact", "stop"], 2, "line 2: no number beside the time"),
+        ("time,x\n", ["--contact", "stop"], 2, "holds no row; expected time, value"),
+        ("time,x\n-2,1", ["--contact", "stop"], 2, "first stamp would be -1.000000000 s"),
+        ("time,a(1),a[1]\n0,1,2", ["--contact", "stop"], 2, "two columns of one name in a(1)"),
+        (table(), ["--contact", "stop", "--topic", "ay"], 1, "no topic /ay; topics in it: /az"),
+        (
+            table(),
+            ["--contact", "stop", "--hysteresis", "28", "--baseline", "0"],
+            1,
+            "at most 89.8 of the threshold 30; it stays above: declare a baseline, or a higher",
+        ),
+    ],
+)
+def test_a_signal_that_cannot_be_used_is_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    text: str,
+    arguments: list[str],
+    code: int,
+    expected: str,
+) -> None:
+    """What was found and the remedy; no bag is left."""
+    path, output = tmp_path / "acc.csv", tmp_path / "bag"
+    path.write_text(text, encoding="utf-8")
+    given = ["--threshold", "30", *arguments, "-o", str(output)]
+    assert main(["detect", str(path), *given]) == code
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert errors[0].startswith(f"impact-observer: {path}")
+    assert expected in errors[0]
+    assert not output.exists()
+
+
+def test_what_is_no_signal_is_said_to_be_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file that is no sound, options of a table for a bag, and a signal where a bag is due."""
+    sound, output = tmp_path / "hits.wav", str(tmp_path / "bag")
+    sound.write_bytes(b"no sound")
+    given = ["--contact", "stop", "--topic", "az", "-o", output]
+    assert main(["detect", str(sound), *given]) == 2
+    assert "is no WAV file that can be read" in capsys.readouterr().err
+    wavfile.write(sound, RATE, np.zeros(9, np.int16))
+    assert main(["detect", str(sound), "--time-unit", "ms", *given]) == 2
+    assert "leave out options of a table" in capsys.readouterr().err
+    assert main(["detect", str(tmp_path), "--start", "3", *given]) == 2
+    assert "go with a signal, not with a bag" in capsys.readouterr().err
+    assert main(["observe", str(sound), "-o", output]) == 1
+    assert "`import` makes one of a table of impact times, `detect`" in capsys.readouterr().err
