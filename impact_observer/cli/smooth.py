@@ -85,6 +85,10 @@ def run(args: argparse.Namespace) -> int:
                     "warning: the last linearisation still changed the motion by"
                     f" {each.smoothed.change:.2g} standard deviations"
                 )
-            for line in filter(None, (each.misfit, each.early_doubt[0])):
+            for name, value, deviation in each.filtered_parameters:
+                learned = f"{with_unit(name)} {value:.9g} +- {deviation:.2g}"
+                progress.line(f"learned by the filter: {learned}")
+            far = each.misfit if each.unexplained else ""
+            for line in filter(None, (far, each.model_doubt, each.early_doubt[0])):
                 progress.line(f"warning: {line}")
     return 0

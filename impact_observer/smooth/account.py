@@ -122,16 +122,20 @@ class TracedLaw(MinimumVariance):
         last: the belief after the last event.
         rejected: sensor and instant (ns since the epoch) of samples that their gates rejected.
         variances: of the noise of each sensor, by its index.
+        unexplained: events after which the model did not explain the impacts, as ``traces`` has
+            them.
     """
 
     traces: dict[tuple[int, int], _Trace]
     last: Belief | None
     rejected: set[tuple[int, int]]
     variances: dict[int, float]
+    unexplained: set[tuple[int, int]]
 
     def forget(self) -> None:
         """Forget all traces, before a recording begins."""
         self.traces, self.last, self.rejected, self.variances = {}, None, set(), {}
+        self.unexplained = set()
 
     def measure(
         self, reading: Reading, prior: Belief
@@ -159,7 +163,11 @@ class TracedLaw(MinimumVariance):
         """As the law does."""
         posterior = super().correct(change, belief)
         best = posterior.hypotheses[0] if posterior.hypotheses else None
-        self.traces[change.stamp, change.sequence] = (
+        event = change.stamp, change.sequence
+        self.unexplained.discard(event)
+        if posterior.fit.is_misfit:
+            self.unexplained.add(event)
+        self.traces[event] = (
             _Trace(change, (), self.clocks[0], NO_ERROR)
             if best is None
             else _Trace(change, best.notes, best.clock, best.error)

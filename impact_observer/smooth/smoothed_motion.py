@@ -26,8 +26,9 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.linear import LinearPrediction
+from impact_observer.estimation.misfit import MISFIT
 from impact_observer.events import Ruling, SmoothedImpact
-from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.belief import Belief, Parameters, Prediction
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
 from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
@@ -42,6 +43,10 @@ LAW = "smoother"
 
 _ONE_START_IN = 1e-6
 """Share of true starts that are farther from the declared one than what is not told."""
+_DOUBTED = (
+    "the model may not explain the impacts; `identify BAG --check --clock-error S` tests it, see"
+    " docs/misfit.md"
+)
 _FAR = 5.0
 """Deviations of a stamp beyond which the motion does not explain it."""
 
@@ -302,3 +307,18 @@ class SmoothedMotion:
                 " the events or the model is wrong; see docs/smoothing.md"
             )
         return self._law.last.misfit if self._law.last else ""
+
+    @property
+    def model_doubt(self) -> str:
+        """That the filter doubts the model, in words; empty while it does not."""
+        last, count = self._law.last, len(self._law.unexplained)
+        if count:
+            return f"at {count} events {(last and last.misfit) or MISFIT}"
+        return _DOUBTED if last and last.fit.is_doubted else ""
+
+    @property
+    def filtered_parameters(self) -> Parameters:
+        """What only the filter has learned: noise, and parameters in a misfit."""
+        own = {name for name, *_ in self.parameters}
+        found = self._law.last.parameters if self._law.last else ()
+        return tuple(each for each in found if each[0] not in own)

@@ -35,7 +35,9 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
     """Everything is carried along; the error at the start is a thousandth of the motion."""
     output = tmp_path / "smoothed"
     assert main(["smooth", str(shared("bags/jitter")), "-o", str(output)]) == 0
-    assert "22 applied" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "22 applied" in said
+    assert "warning" not in said
     assert main(["compare", str(output), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["smoother"]
     assert found["impacts_used"] == 22
@@ -50,6 +52,27 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
     assert {*(each.ruling for each in impacts), *(v.ruling for v in verdicts)} == {Ruling.APPLIED}
     assert all(abs(each.stamp - each.reported) < 6_000_000 for each in impacts)
     assert all(0 < each.deviation < 1.1e-3 for each in impacts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("restitution", [0.65, 0.6])
+def test_a_wrong_restitution_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], restitution: float
+) -> None:
+    """0.7 is right: 22 impacts prove that 0.6 is wrong, and are enough to doubt 0.65."""
+    model = tmp_path / "wrong.yaml"
+    right = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    assert right.count("restitution: 0.7") == 1
+    model.write_text(right.replace("restitution: 0.7", f"restitution: {restitution}"), "utf-8")
+    given = ["--model", str(model), "--rate", "1", "-o", str(tmp_path / "smoothed")]
+    assert main(["smooth", str(shared("bags/jitter")), *given]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("learned by the filter: model error [m/s^1.5] ") for line in lines)
+    warning = next(line for line in lines if line.startswith("warning: "))
+    if restitution == 0.6:
+        assert "events the model does not explain the impacts" in warning
+    else:
+        assert "may not explain the impacts; `identify BAG --check --clock-error S`" in warning
 
 
 @pytest.mark.slow
