@@ -17,7 +17,7 @@
 import argparse
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from keyword import iskeyword
@@ -56,14 +56,50 @@ COMMANDS = {
     "watch": "a live view of plant and observers in the terminal",
 }
 _OPTION = re.compile(r"--[a-z][a-z-]*")
+_OPERAND = re.compile(r"^  ([A-Z]+)\b", re.MULTILINE)
+"""An argument without an option, in the text of help."""
+_ALIKE = 0.7
+"""Least similarity of a word that may be meant."""
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line."""
+    """An argument parser whose errors are one line, with what unknown words are like."""
+
+    given: Sequence[str] = ()
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As ``ArgumentParser``; the words are kept for :meth:`error`."""
+        self.given = args or ()
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
+        line = "; ".join([message, *self._near(message)])
+        self.exit(2, f"{self.prog}: {printable(line)}; see {self.prog} --help\n")
+
+    def refuse(self, words: Sequence[str]) -> NoReturn:
+        """End with the unknown ``words``."""
+        self.error(f"unrecognized arguments: {' '.join(words)}")
+
+    def _near(self, message: str) -> Iterator[str]:
+        """Of each option that does not exist: what may be meant."""
+        is_named = message.startswith("unrecognized arguments")
+        text = self.format_help()
+        lines = [line.strip() for line in text.splitlines() if line.lstrip().startswith("-")]
+        options = [name for line in lines for name in _OPTION.findall(line.split("  ")[0])]
+        operands = {f"--{name.lower()}": name for name in _OPERAND.findall(text)}
+        for word in (word.partition("=")[0] for word in self.given):
+            if not _OPTION.fullmatch(word) or any(name.startswith(word) for name in options):
+                continue
+            near = get_close_matches(word, [*options, *operands], 1, _ALIKE)
+            meant = [
+                f"{operands[name]} without {word}" if name in operands else name for name in near
+            ]
+            unknown = [] if is_named else [f"{word} is unrecognized"]
+            if found := [*unknown, *(f"did you mean {name}?" for name in meant)]:
+                yield ", ".join(found)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -97,6 +133,9 @@ def _run(argv: Sequence[str]) -> int:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((word for word in argv if word in COMMANDS), None)
+    command = next((word for word in argv if not word.startswith("-")), "")
+    if command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
+        parser.error(f"no command {command}; did you mean {near[0]}?")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)
         if name == chosen:
@@ -107,17 +146,8 @@ def _run(argv: Sequence[str]) -> int:
             module.add_arguments(subparser)
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
-        _refuse(subparsers.choices[args.command], unknown)
+        subparsers.choices[args.command].refuse(unknown)
     return int(_module(args.command).run(args))
-
-
-def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> NoReturn:
-    """End with the ``unknown`` words, and with the options of ``parser`` that are like them."""
-    options = _OPTION.findall(parser.format_usage())
-    words = [word.partition("=")[0] for word in unknown if word.startswith("--")]
-    near = [name for word in words for name in get_close_matches(word, options, 1)]
-    hint = f" (did you mean {', '.join(near)}?)" if near else ""
-    parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
 def _module(command: str) -> ModuleType:

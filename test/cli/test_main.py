@@ -93,7 +93,17 @@ def test_a_mistake_in_a_model_is_one_line_and_exit_code_2(
         (["simulate", "two_mass", "-o", "x", "--rate", "nan"], "expected a number"),
         (["simulate", "two_mass", "-o", "x", "--epoch", "0"], "above zero"),
         (["simulate", "two_mass", "-o", "x", "--seed", "1.5"], "whole number"),
-        (["simulate", "two_mass", "-o", "x", "--jiter", "0.1"], "(did you mean --jitter?); see"),
+        (
+            ["simulate", "two_mass", "-o", "x", "--jiter", "0.1"],
+            "0.1; did you mean --jitter?; see",
+        ),
+        (
+            ["observe", "bag", "--modl", "x.yaml"],
+            "required: -o/--output; --modl is unrecognized, did you mean --model?; see",
+        ),
+        (["smooth", "bag", "--ouput=x"], "--ouput is unrecognized, did you mean --output?; see"),
+        (["simulate", "--model", "x.yaml"], "did you mean MODEL without --model?; see"),
+        (["observ", "bag"], "no command observ; did you mean observe?; see"),
         (["simulate", "two_mass", "-o", "x", "--what"], "see impact-observer simulate --help"),
         (["magic"], "invalid choice"),
         ([], "COMMAND"),
