@@ -39,7 +39,8 @@ DRIVE = 0.004, 100.0
 """Amplitude of the unevenness of the driving gear, rad, and its frequency, rad/s."""
 MODEL = f"""\
 name: gears
-bodies:  [{{name: loose, mass: 0.001}}]     # kg m^2; angles in rad
+unit: rad
+bodies:  [{{name: loose, mass: 0.001}}]     # kg m^2
 grounds:
   - {{name: drive, motion: {{harmonics: [{{amplitude: {DRIVE[0]}, frequency: {DRIVE[1]}}}]}}}}
 springs: [{{between: [ground, loose], stiffness: 0.5, damping: 0.004}}]    # drag of the oil

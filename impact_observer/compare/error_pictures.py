@@ -155,8 +155,8 @@ def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
         grid = figure.subplots(shown.size, 2, sharex=True, squeeze=False)
         for row, i in enumerate(shown):
             for axes, column, label in (
-                (grid[row, 0], i, f"|Δ{names[i]}| [m or rad]"),
-                (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [m/s or rad/s]"),
+                (grid[row, 0], i, f"|Δ{names[i]}| [{first.system.unit}]"),
+                (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [{first.system.speed_unit}]"),
             ):
                 for each, style in zip(comparisons.values(), drawn, strict=True):
                     size = np.abs(each.error[:, column])

@@ -158,9 +158,9 @@ def _parameter_table(found: Identification) -> Table:
         if each.name in found.bounded:
             own = "at its bound"
         table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
-    names = found.family.system.coordinates
-    rows = [*((f"{name} at the start", "m or rad") for name in names)]
-    rows += [(f"d{name}/dt at the start", "m/s or rad/s") for name in names]
+    system = found.family.system
+    rows = [(f"{name} at the start", system.unit) for name in system.coordinates]
+    rows += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
     states = zip(rows, _initial_state(found), _initial_errors(found), strict=True)
     for (name, unit), value, error in states:
         table.add_row(name, "", f"{value:.10g}", f"{error:.2g}", unit)

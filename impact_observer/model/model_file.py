@@ -40,7 +40,15 @@ from impact_observer.model.ground_keys import (
 )
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
-from impact_observer.model.system import LARGEST_STATE, Contact, Guide, System, moving_system
+from impact_observer.model.system import (
+    LARGEST_STATE,
+    UNITS,
+    UNKNOWN_UNIT,
+    Contact,
+    Guide,
+    System,
+    moving_system,
+)
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -50,7 +58,7 @@ _MATRIX_KEYS = (
 )
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
-_COMMON_KEYS = ("name", "initial_state", "provenance")
+_COMMON_KEYS = ("name", "unit", "initial_state", "provenance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +105,8 @@ class Model:
         """
         form = self.element_form or _matrix_form(self.system)
         document: dict[str, Value] = {"name": self.system.name, **form}
+        if self.system.unit != _unit_of(elements=bool(self.element_form)):
+            document["unit"] = self.system.unit
         if self.element_form and "forcing" in form:  # it may name a file
             document["forcing"] = _sampled_of(self.system)
         if self.system.frame is not None:
@@ -116,6 +126,11 @@ class Model:
         yaml.width = 99
         yaml.dump(document, stream)
         return stream.getvalue()
+
+
+def _unit_of(*, elements: bool) -> str:
+    """The unit of coordinates where a file of this form does not say it."""
+    return UNITS[0] if elements else UNKNOWN_UNIT
 
 
 class _Representer(SafeRepresenter):
@@ -313,6 +328,10 @@ def _model(document: Value, folder: Path | None) -> Model:
         written.pop("grounds", None)
     else:
         system = _system_of_matrices(name, section, folder)
+    unit = _unit_of(elements=form is elements.KEYS)
+    if "unit" in section and (unit := section.text("unit")) not in UNITS:
+        raise ModelError("unit", f"{unit!r} found; expected {UNKNOWN_UNIT}, of the coordinates")
+    system = replace(system, unit=unit)
     position, velocity = _initial_state(section, system)
     provenance = section.value("provenance") if "provenance" in section else {}
     if not isinstance(provenance, Mapping):

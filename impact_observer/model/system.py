@@ -35,6 +35,9 @@ from impact_observer.model.grounds import Grounds, LiveNames, MovingFrame
 from impact_observer.model.restitution import Curve
 from impact_observer.states import Matrix, Vector, frozen
 
+UNITS = ("m", "rad")
+"""Of coordinates."""
+UNKNOWN_UNIT = " or ".join(UNITS)
 LARGEST_STATE = 1e9
 """Largest magnitude of a coordinate or velocity that is accepted."""
 LONGEST_CONTACT = 0.1
@@ -47,6 +50,11 @@ _SEMIDEFINITE = 1e-10
 """Most negative eigenvalue accepted as zero, relative to the largest."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a mass matrix accepted, relative to the largest."""
+
+
+def per_second(unit: str) -> str:
+    """The unit of velocities of coordinates in ``unit``."""
+    return " or ".join(f"{each}/s" for each in unit.split(" or "))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +108,7 @@ class System:
         frame: that frame, and the grounds that move; None where nothing moves by itself.
         guides: where it rubs.
         live: names of what arrives live; None where nothing does.
+        unit: of the coordinates, ``m`` or ``rad``; ``m or rad`` where it is not known.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
@@ -123,6 +132,7 @@ class System:
     frame: MovingFrame | None = None
     guides: tuple[Guide, ...] = ()
     live: LiveNames | None = None
+    unit: str = UNKNOWN_UNIT
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
@@ -169,6 +179,11 @@ class System:
             object.__setattr__(self, key, value)
         if self.frame is not None:
             self.frame.check(self.forcing, self.M, self.C, self.K)
+
+    @property
+    def speed_unit(self) -> str:
+        """Of the velocities: ``m/s``, ``rad/s``, or both."""
+        return per_second(self.unit)
 
     @property
     def n(self) -> int:

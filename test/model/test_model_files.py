@@ -257,6 +257,7 @@ IN_ELEMENT_FORM = {
     ),
     "stiffness negative": ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: is -1"),
     "damping infinite": ("damping: 0.1", "damping: .inf", "springs[0].damping: is not finite"),
+    "unit unknown": ("name: pair", "name: pair\nunit: cm", "unit: 'cm' found; expected m or rad"),
     "force on ground": ("{body: b, amp", "{body: ground, amp", "forces[0].body: is the ground"),
     "force without amplitude": ("amplitude: 4, ", "", "forces[0].amplitude: is missing"),
     "force both": (

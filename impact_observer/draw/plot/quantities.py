@@ -21,6 +21,7 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.system import UNKNOWN_UNIT, per_second
 from impact_observer.states import Matrix, Vector
 
 _GROUPS = ("positions", "velocities", "gaps")
@@ -84,14 +85,15 @@ def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quan
         system: of the model, whose coordinates are ``names``; None without a model: no gaps.
     """
     n, found = len(names), list[Quantity]()
+    m = UNKNOWN_UNIT if system is None else system.unit
     unit = np.eye(2 * n)
     for i, name in enumerate(names):
-        found.append(Quantity(f"q_{name}", f"{name} [m or rad]", unit[i]))
-        found.append(Quantity(f"u_{name}", f"d{name}/dt [m/s or rad/s]", unit[n + i]))
+        found.append(Quantity(f"q_{name}", f"{name} [{m}]", unit[i]))
+        found.append(Quantity(f"u_{name}", f"d{name}/dt [{per_second(m)}]", unit[n + i]))
     if system is not None:
         for i, contact in enumerate(system.contacts):
             row = np.concatenate([contact.direction, np.zeros(n)])
-            name, label = f"g_{contact.name}", f"gap of {contact.name} [m]"
+            name, label = f"g_{contact.name}", f"gap of {contact.name} [{m}]"
             found.append(Quantity(name, label, row, contact.gap, i))
     return {each.name: each for each in found}
 

@@ -64,6 +64,21 @@ def test_deviation_of_a_gap_between_bodies_contains_their_correlation() -> None:
     np.testing.assert_allclose(found[1], [2.0, 0.0, 2.0, 0.0, 0.0], atol=1e-12)
 
 
+def test_labels_have_the_unit_of_the_model() -> None:
+    """Of elements m, or what the model says; of matrices it is not known."""
+    turning = parse_model(PAIR.replace("bodies", "unit: rad\nbodies"), "pair.yaml")
+    again = parse_model(turning.text(), "again").system
+    for system, units in (
+        (parse_model(PAIR, "pair.yaml").system, ("m", "m/s", "m")),
+        (turning.system, ("rad", "rad/s", "rad")),
+        (again, ("rad", "rad/s", "rad")),
+        (read_model("two_mass").system, ("m or rad", "m/s or rad/s", "m or rad")),
+    ):
+        every = [*quantities_of(system.coordinates, system).values()]
+        found = [every[k].label.partition("[")[2].rstrip("]") for k in (0, 1, -1)]
+        assert found == [*units]
+
+
 def test_deviation_without_covariance_is_none() -> None:
     """NaN, and a variance that rounding made negative counts as zero."""
     every = tuple(quantities_of(("a",), None).values())
