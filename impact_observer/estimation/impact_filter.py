@@ -299,7 +299,9 @@ class ImpactFilter:
             settled = expected.settled(found)
             if found.parameters:
                 bounds = self.members.bound_correction(found.theta, found.root, found.of_theta)
-                found = found._replace(z=found.z + bounds)
+                z = found.z + bounds
+                z[found.of_theta] = self.members.bounded(z[found.of_theta])
+                found = found._replace(z=z)
             found = self._at_estimated_instant(change, found, member)
             if settled:
                 break
@@ -310,12 +312,14 @@ class ImpactFilter:
     ) -> GaussianState:
         """The state after the event, at its stamp; ``joint`` is just before it.
 
-        A contact that closes may neglect the speed ``leftover`` before it rested, m/s.
+        A contact that closes may neglect the speed ``leftover`` before it rested, m/s; where that
+        is infinite, the state is at rest afterwards, and nothing is measured by that.
         """
         joint = self._at_jump(change, joint)
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
+            new = new if math.isfinite(leftover) else ()
             short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
         s, sensitivity = change.t - joint.t, None

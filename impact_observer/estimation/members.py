@@ -460,6 +460,12 @@ class Members:
         room[self.moving :] = np.inf  # impacts need no bounds of their parameters
         return np.asarray(np.exp2(np.floor(np.log2(np.minimum(wanted, room)))))
 
+    def bounded(self, constants: Vector) -> Vector:
+        """``constants``, shape (p or p + 1,), with parameters within their bounds."""
+        p = self.family.size
+        theta = np.clip(constants[:p], self.low, self.high)
+        return np.concatenate([theta, constants[p:]])
+
     def bound_correction(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
         """The correction, shape (d,), that takes parameters beyond their bounds back to them.
 

@@ -72,9 +72,10 @@ def rested(
     if p:
         theta = state.theta + change[size : size + p]
         change += members.bound_correction(theta, update.root, slice(size, size + p))
+    constants = state.constants + change[size:]
     corrected = state._replace(
         x=state.x + change[:size],
-        constants=state.constants + change[size:],
+        constants=members.bounded(constants) if p else constants,
         root=update.root,
         differences=state.differences - update.change(H.dot(state.differences)),
     )

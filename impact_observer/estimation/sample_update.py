@@ -222,11 +222,10 @@ class SampleFilter:
 
     def _within_bounds(self, state: GaussianState) -> GaussianState:
         """``state`` with its parameters within their bounds."""
-        size, p = state.x.size, state.parameters
-        change = self.filter.members.bound_correction(
-            state.theta, state.root, slice(size, size + p)
-        )
-        return state._replace(x=state.x + change[:size], constants=state.constants + change[size:])
+        size, p, members = state.x.size, state.parameters, self.filter.members
+        change = members.bound_correction(state.theta, state.root, slice(size, size + p))
+        constants = members.bounded(state.constants + change[size:])
+        return state._replace(x=state.x + change[:size], constants=constants)
 
 
 class SampleUpdate:

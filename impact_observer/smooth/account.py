@@ -35,10 +35,12 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.verdicts import verdict_of
 from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples
-from impact_observer.stamps import Elapsed, seconds_between
+from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
 _SETTLED = 16
 """Events after which a hypothesis has found the errors of clock and model at an event."""
+_FLIGHTS = 8.0
+"""Flights of a chattering sequence, in deviations of stamps, below which they are left out."""
 
 
 class Moment(NamedTuple):
@@ -50,12 +52,15 @@ class Moment(NamedTuple):
         error: of the model in the flight before it, and at its impact.
         is_inserted: whether it was missed by the sensor, so that its instant follows from the
             motion alone.
+        until: stamp until which further impacts of the contact are left out, as it chatters until
+            it stays closed, ns; 0 for none.
     """
 
     change: ContactChange
     clock: float
     error: LearnedError = NO_ERROR
     is_inserted: bool = False
+    until: int = 0
 
 
 class EventAccount(NamedTuple):
@@ -205,10 +210,10 @@ def account_of(
     verdicts = [each for each in received if (each.stamp, each.sequence) not in traces]
     verdicts = [v for v in verdicts if v.ruling is not Ruling.INSERTED and not v.revises]
     verdicts += [verdict_of(note, names) for notes in decided.values() for note in notes]
-    verdicts.sort(key=lambda each: (each.stamp, each.sequence))
     epoch = observer.epoch or min(each.stamp for each in events)
-    moments = tuple(_moments(traces, decided, epoch))
-    reported = tuple(_moments(traces, {}, epoch))
+    moments = tuple(_merged([*_moments(traces, decided, epoch)]))
+    reported = tuple(_merged([*_moments(traces, {}, epoch)]))
+    verdicts = sorted(_explained(verdicts, moments, names), key=lambda v: (v.stamp, v.sequence))
     first = start_of(events, observer.epoch)
     used = _samples(observer, law, [each for each in samples if each.stamp >= first], epoch)
     return EventAccount(moments, tuple(verdicts), reported, used)
@@ -272,6 +277,53 @@ def _moments(
         if change.hit or change.before != change.closed:
             yield Moment(change, clock, error)
             closed, since = change.closed, change.stamp
+
+
+def _merged(moments: Sequence[Moment]) -> Iterator[Moment]:
+    """The moments, with the end of a chattering sequence as one at which the contact closes.
+
+    There flights are as short as the stamps are wrong: neither order nor number of the impacts
+    says more than the first of them.
+    """
+    k, since = 0, 0
+    while k < len(moments):
+        first, end = moments[k], k + 1
+        while end < len(moments) and _chatters(moments[end - 1], moments[end]):
+            end += 1
+        change, last = first.change, moments[end - 1]
+        if end > k + 1 and last.change.closed != change.before:
+            change = change._replace(closed=last.change.closed)
+            until = last.change.stamp + round(_FLIGHTS * last.clock * NS_PER_S)
+            first = first._replace(until=until)
+        else:
+            end = k + 1
+        flown = seconds_between(since or change.stamp, change.stamp)
+        yield first._replace(change=change._replace(flown=flown))
+        k, since = end, change.stamp
+
+
+def _explained(
+    verdicts: Iterable[Verdict], moments: Sequence[Moment], names: Sequence[str]
+) -> Iterator[Verdict]:
+    """The ``verdicts``; impacts that ``_merged`` leaves out are not spurious."""
+    spans = [(names[m.change.hit[0]], m.change.stamp, m.until) for m in moments if m.until]
+    for each in verdicts:
+        is_left_out = each.ruling is Ruling.REJECTED and any(
+            each.contact == name and first <= each.stamp <= until for name, first, until in spans
+        )
+        yield each._replace(ruling=Ruling.APPLIED, reason="") if is_left_out else each
+
+
+def _chatters(moment: Moment, after: Moment) -> bool:
+    """Whether the same contact hits again, by stamps that do not tell when."""
+    flight = seconds_between(moment.change.stamp, after.change.stamp)
+    hit, before = moment.change.hit, moment.change.before
+    return (
+        len(hit) == 1
+        and hit == after.change.hit == after.change.contacts
+        and {*after.change.before} - {*hit} == {*before} - {*hit}
+        and flight <= _FLIGHTS * max(moment.clock, after.clock)
+    )
 
 
 def _switches(change: ContactChange) -> list[tuple[int, Kind]]:

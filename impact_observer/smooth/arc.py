@@ -128,7 +128,7 @@ class Arc(Linearised):
             joint = filter_.joint_prior(change, prior, moment.clock)
             joint = filter_.joint_posterior(change, joint)
             early[k], x[k] = change.t - joint.t, joint.x
-            state = filter_.posterior(change, joint)
+            state = filter_.posterior(change, joint, math.inf if moment.until else 0.0)
         deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
         return Path(start, early, x, doubt, state.constants, deviations)
 

@@ -173,11 +173,6 @@ class Linearised:
         """How far state and constants may differ by rounding, shape (2n + c,)."""
         return np.append(_ROUNDED * self._sizes(x), np.full(self._count, STILL))
 
-    def bounded(self, constants: Vector) -> Vector:
-        """``constants`` with parameters within their bounds."""
-        theta = np.clip(constants[: self._p], self._members.low, self._members.high)
-        return np.concatenate([theta, constants[self._p :]])
-
     def left(self, path: Path, k: int) -> Step:
         """From the chain's vector at the ``k``-th moment to (x, constants) just after it."""
         if k < 0:
@@ -215,9 +210,13 @@ class Linearised:
         return Step.unmeasured(A, b, root)
 
     def resting(self, path: Path, k: int) -> Step:
-        """The jump at the ``k``-th moment, after which closed contacts are measured to rest."""
+        """The jump at the ``k``-th moment, after which closed contacts are measured to rest.
+
+        Not one that chatters until then: it is put to rest earlier than it is.
+        """
         change, x, member = self.moments[k].change, self._jumped(path, k), self.member(path)
         new = tuple(i for i in change.closed if i not in change.before)
+        new = () if self.moments[k].until else new
         short = self.filter.neglected(member, change.before, x, self.instant(path, k))
         near = self._near(path, x, change.closed)
         rest = rest_measurement(self._members, near, new, short[list(new)])

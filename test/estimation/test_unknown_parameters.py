@@ -29,6 +29,7 @@ from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.resting import rested
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.motion import FlightEnd
@@ -350,6 +351,19 @@ def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
     assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
     assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
     assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
+
+
+def test_a_contact_that_rests_leaves_parameters_within_their_bounds() -> None:
+    """To the last digit: a contact time of -1e-21 s is none."""
+    model, rng = sample("two_mass").system, np.random.default_rng(1)
+    unknowns = UnknownParameters.named(model, ["contact-time=0.01", "restitution=0.3"])
+    members = ImpactFilter(model, 0.0, unknowns).members
+    for _ in range(50):
+        x, root = np.append(0.1 * rng.normal(size=2), rng.normal(size=2)), rng.normal(size=(6, 6))
+        theta = members.bounded(unknowns.family.nominal + 0.1 * rng.normal(size=2))
+        state = GaussianState(x, theta, root, np.empty((6, 0)), (0,), parameters=2)
+        after = rested(members, state, (0,), np.zeros(1)).theta
+        assert np.all((members.low <= after) & (after <= members.high))
 
 
 def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations() -> None:

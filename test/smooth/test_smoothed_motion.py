@@ -170,6 +170,41 @@ def test_states_are_those_of_conditioning_on_all_events(
     assert (min(ranks) < x.size) == (name in {"rubbing_guide", "without rebound"})
 
 
+@pytest.mark.parametrize(
+    ("name", "learned"),
+    [
+        ("two_mass", {}),
+        ("two_mass", {"clock_offset_error": 0.02}),
+        ("rubbing_guide", {}),
+        ("without rebound", {}),
+        ("hits of 4 ms", {}),
+    ],
+)
+def test_states_are_those_of_conditioning_on_exact_stamps(
+    name: str, learned: dict[str, object]
+) -> None:
+    """With stamps of 1 ns, in decimal arithmetic: deviations fall from 0.1 to 1e-9.
+
+    The mean to 1e-9 and to 1e-5 deviations, the covariance to 1e-6 of deviations.
+    """
+    model = rig(name)
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 4.0 if name == "without rebound" else 12.0, SensorModel())
+    options = about(x, 0.1, clock_error=0.0, **learned)
+    arc, path, *_ = smoothed(model.system, events, options).smoothed
+    steps = [arc.step(path, node) for node in arc.nodes(path)]
+    chain = Chain(arc.first, len(steps), steps.__getitem__)
+    found = dict(chain.states())
+    means, covariances, density = conditioned(arc.first, steps, precise=True)
+    for k in range(-1, len(steps)):
+        deviations = np.maximum(np.sqrt(np.diag(covariances[k + 1])), 1e-16)
+        error = np.abs(found[k].mean - means[k + 1])
+        assert np.all(error < np.minimum(1e-9, 1e-5 * deviations))
+        scale = np.outer(deviations, deviations)
+        assert np.all(np.abs(found[k].covariance - covariances[k + 1]) < 1e-6 * scale)
+    assert chain.evidence == pytest.approx(density + sum(each.density for each in steps), abs=1e-4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate"),
@@ -300,6 +335,38 @@ def test_states_are_exact_through_accumulating_impacts_and_contact_that_stays() 
         np.testing.assert_allclose(np.append(each.q, each.u), true, atol=1e-6)
         assert not each.closed or abs(system.gap(each.q)[0]) < 1e-9
     assert any(each.closed for each in found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_contact_that_chatters_faster_than_stamps_are_exact(seed: int) -> None:
+    """Jitter of 1 ms, in which the last flights of each chattering sequence are lost.
+
+    The states are as exact as their covariance says, though the start is wrong by 0.1.
+    """
+    model = parse_model(PRESSED, "pressed")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 6.0, SensorModel(jitter=JITTER), seed)
+    stamps = [each.stamp for each in events]
+    assert stamps != sorted(stamps)
+    start = x + np.random.default_rng(seed).normal(scale=0.1, size=x.size)
+    declared = Options(
+        law="minimum-variance",
+        initial_state=",".join(f"{each:.17g}" for each in start),
+        initial_deviation="0.1",
+        clock_error=JITTER,
+    )
+    motion = smoothed(system, events, declared)
+    assert not motion.misfit
+    assert {each.ruling for each in motion.account.verdicts} == {Ruling.APPLIED}
+    seconds = [0.0, 0.3, 1.0, 2.2, 3.1, 4.1]
+    instants = np.array([EPOCH + round(s * NS_PER_S) for s in seconds])
+    truth = simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), instants).states
+    for each, true in zip(states(motion, seconds), truth, strict=True):
+        error = np.append(each.q, each.u) - true
+        assert each.synchronized
+        assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(each.covariance)) + 1e-12)
+        assert np.all(np.abs(error) < 0.05)
 
 
 @pytest.mark.slow
