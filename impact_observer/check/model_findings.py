@@ -21,6 +21,7 @@ import numpy as np
 
 from impact_observer.check.findings import listed, times
 from impact_observer.check.model_check import ModelCheck, largest_kept
+from impact_observer.estimation.uncertainty import suggested_deviation
 from impact_observer.model import System
 from impact_observer.states import Vector
 
@@ -49,6 +50,7 @@ def findings(checked: ModelCheck) -> list[ModelFinding]:
         *_closing(checked),
         *_modes(checked),
         *_unseen(checked),
+        *_size(checked.system),
     ]
 
 
@@ -216,6 +218,21 @@ def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
             "Every mode moves some contact. One impact gives one number for each contact that"
             f" closes, of {2 * system.n}; enough of them determine the whole state.",
         )
+
+
+def _size(system: System) -> Iterator[ModelFinding]:
+    """A default that is of another size than the rig."""
+    if not (suggested := suggested_deviation(system)):
+        return
+    q, *_, u = suggested.split(",")
+    given = suggested if system.n <= _SHOWN else f"{q} for each position, {u} for each velocity"
+    yield ModelFinding(
+        "note",
+        f"Observers begin with standard deviations of 1 {system.unit} and 1 {system.speed_unit},"
+        " but the size of this rig is another one. Where you know no better, give"
+        f" --deviation {given} (initial_deviation of the node): with a faulty sensor the estimate"
+        " settles some dozens of events earlier.",
+    )
 
 
 def _contacts(system: System, contacts: Sequence[int]) -> str:

@@ -73,13 +73,14 @@ def run(args: argparse.Namespace) -> int:
     say(f"{', '.join(map(str, files))}: written\n")
     code = check(files[0])
     model, sensors, launch = files
+    deviation = f" -p initial_deviation:={rig.deviation}" if rig.deviation else ""
     say(f"""
 Next, with a simulation in the place of the rig, then with its sensors. In a clone ./dev run stands
 for impact-observer, and the nodes lie in .venv/bin:
 
     impact-observer simulate {model} --duration 30 -o {args.name}_bag
     detector --ros-args -p sources:={sensors}{" -p epoch:=NANOSECONDS" * rig.needs_epoch}
-    observer --ros-args -p model:={model} -p law:=minimum-variance
+    observer --ros-args -p model:={model} -p law:=minimum-variance{deviation}
     ros2 launch {launch}    # both nodes, where there is ROS 2 Jazzy""")
     return code
 

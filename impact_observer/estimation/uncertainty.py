@@ -14,6 +14,7 @@
 
 """The uncertainty that the user of an observer declares."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,10 @@ from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_DEVIATION = 1e9
 """Most that a standard deviation of the initial state may be, SI units."""
+_FAR_FROM_ONE = 30.0
+"""Ratio to the default from which on another deviation is suggested."""
+_RIGID = 1e-12
+"""Eigenvalue that counts as zero, relative to the largest."""
 _LIMITED = (
     "clock_error",
     "clock_offset_error",
@@ -166,3 +171,28 @@ def spread(x: Vector, root: Matrix, count: int) -> Matrix:
         drawn = left[:, :rank] @ right[:rank] * np.sqrt(others * x.size / rank)
     found[1:] += drawn @ root.T
     return found
+
+
+def suggested_deviation(system: System) -> str:
+    """Deviations of the initial state for a rig of another size than the default's.
+
+    Three times the farthest stop at rest for positions, and that times the fastest excitation, or
+    without one the lowest eigenfrequency, for velocities. Too large ones cost little, too small
+    ones mislead: so it is three times.
+
+    Returns:
+        As ``deviation_of`` reads it, each to one digit; empty where the default does, or where the
+        model does not say how large the motion is.
+    """
+    directions = np.abs(system.W).max(axis=0, initial=0.0)
+    gaps = np.abs(system.q_r[directions > 0]) / directions[directions > 0]
+    frequency = float(system.forcing.frequency.max(initial=0.0))
+    if not frequency:
+        squares = linalg.eigvalsh(system.K, system.M)
+        elastic = squares[squares > _RIGID * squares[-1]]
+        frequency = math.sqrt(elastic[0]) if elastic.size else 0.0
+    length = 3 * float(gaps.max(initial=0.0))
+    speed = length * frequency
+    if not speed or (1 / _FAR_FROM_ONE < length < _FAR_FROM_ONE and speed < _FAR_FROM_ONE):
+        return ""
+    return ",".join([f"{length:.1g}"] * system.n + [f"{speed:.1g}"] * system.n)

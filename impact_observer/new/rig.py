@@ -21,6 +21,7 @@ from pathlib import Path
 
 from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
+from impact_observer.estimation.uncertainty import suggested_deviation
 from impact_observer.model import Model, parse_model
 from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
 
@@ -77,7 +78,10 @@ from impact_observer.resources import shared
 FOLDER = Path(__file__).resolve().parent
 NODES = {{
     "detector": {{"sources": str(FOLDER / "{name}_sensors.yaml")}},
-    "observer": {{"model": str(FOLDER / "{name}.yaml"), "law": "minimum-variance"}},
+    "observer": {{
+        "model": str(FOLDER / "{name}.yaml"),
+        "law": "minimum-variance",{deviation}
+    }},
 }}
 
 
@@ -148,6 +152,11 @@ class NewRig:
         """Whether something is a function of time."""
         return bool(self.items(GROUND)) or any("frequency" in each for each in self.items(FORCE))
 
+    @property
+    def deviation(self) -> str:
+        """Of the initial state, where the default is of another size than the rig; else empty."""
+        return suggested_deviation(self.model().system)
+
     def model(self) -> Model:
         """The model, read from its text.
 
@@ -175,7 +184,8 @@ class NewRig:
     def launch_text(self) -> str:
         """The launch file."""
         epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.needs_epoch else ("", "")
-        return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark)
+        deviation = f'\n        "initial_deviation": "{self.deviation}",' if self.deviation else ""
+        return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark, deviation=deviation)
 
     def check_sensors(self) -> None:
         """Check that each is of a stop, and that a detector reads them.

@@ -26,7 +26,9 @@ from impact_observer.estimation.uncertainty import (
     covariance_root,
     deviation_of,
     spread,
+    suggested_deviation,
 )
+from impact_observer.model import parse_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.options import OBSERVER_OPTIONS, Option
 
@@ -165,3 +167,33 @@ def test_what_the_table_refuses_is_refused_of_an_uncertainty_too() -> None:
         Uncertainty(**{name: most})  # type: ignore[arg-type]
         with pytest.raises(UsageError, match=f"^{name}: .* found; expected 0 to"):
             Uncertainty(**{name: 1.01 * most})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("limit", "more", "expected"),
+    [
+        (0.001, "", "0.003,0.03"),  # sqrt(10 / 0.1) = 10 rad/s
+        (-0.001, "", "0.003,0.03"),
+        (0.001, "forces: [{body: x, amplitude: 1, frequency: 200}]", "0.003,0.6"),
+        (0.2, "", ""),
+        (0.2, "forces: [{body: x, amplitude: 1, frequency: 200}]", "0.6,1e+02"),
+        (40, "", "1e+02,1e+03"),
+        (0, "", ""),
+    ],
+)
+def test_a_deviation_is_suggested_for_a_rig_of_another_size(
+    limit: float, more: str, expected: str
+) -> None:
+    """Three times its gap, at the frequency of what moves it; it can be used as it is."""
+    text = f"""
+name: rig
+bodies: [{{name: x, mass: 0.1}}]
+springs: [{{between: [ground, x], stiffness: 10}}]
+stops: [{{name: stop, body: x, limit: {limit}, side: above, restitution: 0.5}}]
+{more}"""
+    system = parse_model(text, "rig.yaml").system
+    assert suggested_deviation(system) == expected
+    if expected:
+        assert deviation_of(expected, system).tolist() == [float(x) for x in expected.split(",")]
+    free = parse_model(text.replace("stiffness: 10", "stiffness: 0"), "free.yaml").system
+    assert suggested_deviation(free) == (expected if more else "")

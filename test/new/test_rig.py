@@ -114,6 +114,17 @@ def test_a_simulation_does_not_begin_inside_a_stop() -> None:
     assert model.position is not None
 
 
+def test_files_of_a_small_rig_have_its_deviation() -> None:
+    """In the launch file; a rig of the size of a metre has the default."""
+    for limit, line in (("0.5", ""), ("0.001", '"initial_deviation": "0.003,0.03",')):
+        made = rig((MASS, "x,0.1"), (SPRING, "ground,x,10"), (STOP, f"end,x,above,{limit},0.5"))
+        launch = complete(made).launch_text()
+        assert [each.strip() for each in launch.splitlines() if "deviation" in each] == (
+            [line] if line else []
+        )
+        compile(launch, "rig.launch.py", "exec")
+
+
 @pytest.mark.parametrize("drive", ["x1,2", "x1,2,3"])
 def test_the_launch_file_names_the_epoch_where_it_is_needed(drive: str) -> None:
     """And is Python in any case."""
