@@ -159,7 +159,7 @@ def work() -> None:
     from impact_observer.model.measurement import Measurement
     from impact_observer.observer.samples import SensorSample
 
-    stamps = grid(EPOCH, EPOCH + 4_000_000_000, 10.0)
+    stamps = grid(EPOCH, EPOCH + 2_000_000_000, 10.0)
     starts = [(model.system, *model.initial_state()) for model in map(read_model, MODELS)]
     starts.append((PRESSED, np.array([0.1, -0.2]), np.array([0.5, 0.0])))
     for system, q, u in starts:
