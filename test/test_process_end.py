@@ -85,7 +85,7 @@ def test_a_third_signal_ends_at_once_without_a_traceback() -> None:
         assert process.stderr.readline().startswith("ending already")
         process.send_signal(signal.SIGINT)
         assert process.stderr.readline().startswith("ended at once")
-        assert process.wait(timeout=60) == 130
+        assert process.wait(timeout=90) == 130
 
 
 @pytest.mark.parametrize(

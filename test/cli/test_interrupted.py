@@ -161,7 +161,7 @@ def test_sigterm_ends_a_command_with_ros_in_order(
         wait(lambda: is_up(command, process.pid, tmp_path))
         below = descendants(process.pid)
         process.send_signal(signal.SIGTERM)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=90)
     assert process.returncode == (143 if command == "demo" else 0)
     assert "Traceback" not in errors
     shown = (tmp_path / "said").read_text() + errors
@@ -172,23 +172,30 @@ def test_sigterm_ends_a_command_with_ros_in_order(
             assert len(list(reader.raw())) == reader.message_count
 
 
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag that takes an observer some seconds."""
+    folder = tmp_path_factory.mktemp("long") / "plant"
+    simulated = ["simulate", "two_mass", "--duration", "20", "--rate", "1000"]
+    assert main([*simulated, "-o", str(folder)]) == 0
+    return folder
+
+
 @pytest.mark.parametrize(
     ("number", "code", "how"),
     [(signal.SIGINT, 1, "interrupted"), (signal.SIGTERM, 143, "ended by SIGTERM")],
 )
 def test_an_observer_that_is_interrupted_leaves_a_whole_bag(
-    tmp_path: Path, number: int, code: int, how: str
+    plant: Path, tmp_path: Path, number: int, code: int, how: str
 ) -> None:
     """One line; the estimates in the bag are the first of the run."""
-    plant, output = tmp_path / "plant", tmp_path / "estimates"
-    simulated = ["simulate", "two_mass", "--duration", "20", "--rate", "1000"]
-    assert main([*simulated, "-o", str(plant)]) == 0
+    output = tmp_path / "estimates"
     command = [sys.executable, "-m", "impact_observer", "observe", str(plant), "-o", str(output)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     file = output / "estimates_0.mcap"
     wait(lambda: file.is_file() and file.stat().st_size > 2**20)  # until a first chunk is there
     process.send_signal(number)
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=90)
     assert process.returncode == code
     assert error == f"impact-observer: {how}; {output} holds what was done until then\n"
     with BagReader(output) as reader:
@@ -199,7 +206,7 @@ def test_an_observer_that_is_interrupted_leaves_a_whole_bag(
     assert main(["compare", str(output)]) == 0
 
 
-def wait(done: Callable[[], object], patience: float = 60.0) -> None:
+def wait(done: Callable[[], object], patience: float = 90.0) -> None:
     """Wait until something is so."""
     until = time.monotonic() + patience
     while not done():
@@ -240,7 +247,7 @@ def test_a_sweep_leaves_no_process_behind(tmp_path: Path, number: int, code: int
             assert process.poll() is None
             time.sleep(0.05)
         process.send_signal(number)
-        assert process.wait(timeout=60) == code
+        assert process.wait(timeout=90) == code
     wait(lambda: not any(Path(f"/proc/{each}").exists() for each in workers))
     assert [each.name for each in tmp_path.iterdir()] in ([], [path.name])
     assert os.getpid() not in workers

@@ -45,7 +45,7 @@ with Keyboard() as keyboard:
                 raise ValueError("broken")
         time.sleep(0.01)
 """
-PATIENCE = 20.0
+PATIENCE = 90.0
 
 
 class Session:

@@ -38,7 +38,7 @@ from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.messages import bag_messages
 
 MAKE = bag_messages()
-PATIENCE = 20.0
+PATIENCE = 90.0
 """How long a slow machine may take, s."""
 REINDEXED = re.compile(r".+_(\d+)\.([a-zA-Z0-9])+")
 """Files that ``ros2 bag reindex`` of Jazzy takes (rosbag2_cpp, reindexer.cpp)."""

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.ros
 MAKE = ros_messages()
-PATIENCE = 20.0
+PATIENCE = 90.0
 """How long a slow machine may take, s."""
 RECORD = """
 import argparse, sys
