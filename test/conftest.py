@@ -23,6 +23,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+from systems import examples
 
 from benchmarks.domain import free_domain
 from impact_observer.events import ImpactEvent, Switch
@@ -31,8 +33,13 @@ from impact_observer.states import Estimate
 
 
 def pytest_configure() -> None:
-    """Forget the shell's width, and that it ignores signals for what it runs in the background."""
+    """Forget the shell's width, and that it ignores signals for what it runs in the background.
+
+    Tests that hypothesis draws examples for have no deadline, on a busy machine neither.
+    """
     gc.disable()  # until all tests are collected
+    settings.register_profile("test", parent=examples(100))
+    settings.load_profile("test")
     os.environ.pop("COLUMNS", None)  # pytest-xdist sets it
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
