@@ -14,12 +14,15 @@
 
 """The examples run, and what they say is so."""
 
+import re
 import runpy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from impact_observer.cli.main import main
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PICTURES = ("basins", "beam", "drill", "drop_height", "encoder", "gears", "shaker")
@@ -74,6 +77,26 @@ def test_a_drop_height_is_that_of_the_closed_form() -> None:
     assert found.height == pytest.approx(height, abs=3 * found.height_error)
     assert found.restitution == pytest.approx(restitution, abs=3 * found.restitution_error)
     assert found.height_error < 1e-3
+
+
+@pytest.mark.slow
+def test_the_page_has_the_commands_that_print_a_drop_height(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As they stand there, of the clicks and the model of the example."""
+    code, page = example("drop_height"), (EXAMPLES / "README.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    Path("ball.yaml").write_text(code["MODEL"])
+    Path("clicks.csv").write_text("\n".join(["time", *map(str, code["CLICKS"])]))
+    commands = re.findall(r"^    ./dev run ((?:import|identify) .*)$", page, re.MULTILINE)
+    assert len(commands) == 2
+    assert [main(command.split()) for command in commands] == [0, 0]
+    printed = capsys.readouterr().out
+    q, u = (
+        float(re.findall(rf"{name} at the start +(\S+)", printed)[0])
+        for name in ("height", "dheight/dt")
+    )
+    assert q + u**2 / (2 * code["GRAVITY"]) == pytest.approx(1.234, abs=1e-3)
 
 
 @pytest.mark.slow
