@@ -73,15 +73,18 @@ def run(args: argparse.Namespace) -> int:
     say(f"{', '.join(map(str, files))}: written\n")
     code = check(files[0])
     model, sensors, launch = files
-    deviation = f" -p initial_deviation:={rig.deviation}" if rig.deviation else ""
+    option = f" --deviation {rig.deviation}" if rig.deviation else ""
+    parameter = f" -p initial_deviation:={rig.deviation}" if rig.deviation else ""
+    epoch = " epoch:=NANOSECONDS" if rig.needs_epoch else ""
     say(f"""
 Next, with a simulation in the place of the rig, then with its sensors. In a clone ./dev run stands
 for impact-observer, and the nodes lie in .venv/bin:
 
     impact-observer simulate {model} --duration 30 -o {args.name}_bag
-    detector --ros-args -p sources:={sensors}{" -p epoch:=NANOSECONDS" * rig.needs_epoch}
-    observer --ros-args -p model:={model} -p law:=minimum-variance{deviation}
-    ros2 launch {launch}    # both nodes, where there is ROS 2 Jazzy""")
+    impact-observer observe {args.name}_bag --law minimum-variance{option} -o {args.name}_estimate
+    detector --ros-args -p sources:={sensors}{epoch and f" -p{epoch}"}
+    observer --ros-args -p model:={model} -p law:=minimum-variance{parameter}
+    ros2 launch {launch}{epoch}    # both nodes, where there is ROS 2 Jazzy""")
     return code
 
 

@@ -15,6 +15,7 @@
 """new: from a few words to a rig that is simulated, detected and observed."""
 
 import builtins
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -64,6 +65,7 @@ def test_what_is_written_is_checked_and_explained(capsys: pytest.CaptureFixture[
     assert f"{', '.join(FILES)}: written" in out
     assert "hammer: 2 coordinates, 1 contact, forcing: 1 harmonic" in out
     assert "-p sources:=hammer_sensors.yaml -p epoch:=NANOSECONDS" in out
+    assert "ros2 launch hammer.launch.py epoch:=NANOSECONDS " in out
     assert main(["check-model", "hammer.yaml"]) == 0
     assert capsys.readouterr().out in out
 
@@ -115,6 +117,27 @@ def test_the_files_go_all_the_way_to_an_estimate(capsys: pytest.CaptureFixture[s
     assert "anvil: 22 impacts" in capsys.readouterr().out
     assert main(["observe", "detected", "--law", "minimum-variance", "-o", "observed"]) == 0
     assert "22 applied" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_the_commands_that_come_next_run_as_they_are_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of a rig of millimetres, whose deviation they have."""
+    parts = (
+        "--mass a,0.05 --mass b,0.02 --spring ground,a,2000,0.3 --spring a,b,1500,0.2"
+        " --force b,3,180 --stop anvil,b,above,0.001,0.6"
+    )
+    assert main(["new", "small", *parts.split()]) == 0
+    out = capsys.readouterr().out
+    commands = re.findall(r"^    impact-observer (.*)$", out, re.MULTILINE)
+    assert [command.split()[0] for command in commands] == ["simulate", "observe"]
+    assert "--deviation 0.003,0.003,0.5,0.5" in commands[1]
+    assert "-p initial_deviation:=0.003,0.003,0.5,0.5" in out
+    short = commands[0].replace("--duration 30", "--duration 0.5")
+    assert [main(command.split()) for command in (short, commands[1])] == [0, 0]
+    assert "applied" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("there", FILES)
