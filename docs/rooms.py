@@ -43,7 +43,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("estimation", "Kalman filter of impact times, saltation, hypotheses", ""),
     ),
     (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
-    (Room("io", "messages, bags in and out, CSV in", "rosbags, mcap"),),
+    (Room("io", "messages, bags in and out, CSV and WAV in", "rosbags, mcap"),),
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
         Room("draw", "pictures, scenes, films, URDF, layouts", "matplotlib"),
