@@ -209,7 +209,7 @@ class CsvFile:
             name = self._form.time_column or "time"
             remedy = ""
             if self._bare and self._form.time_column is None:
-                remedy = ", or a time; --time-column NAME if it is called otherwise"
+                remedy = ", or a time; remove lines before it, or name it: --time-column NAME"
             found = repr(cells[0]) if self._form.time_column is None else ", ".join(cells)
             if named := next((cell for cell in cells if cell.lower() in _LIKE_TIME), ""):
                 remedy = f"; --time-column {named} names it, if that is the time"
@@ -253,7 +253,11 @@ class CsvFile:
             self.wrong(self._line, f"{cell!r} found; expected a time as a decimal number")
         time = number * _UNITS[self._unit or "s"]
         if abs(time) > MAX_STAMP:
-            problem = f"time {cell} is too large; stamps end at {text(MAX_STAMP)} s"
+            unit = self._unit or "s"
+            problem = (
+                f"time {cell} is too large in {unit}; stamps end at {text(MAX_STAMP)} s: is that"
+                " its unit? --time-unit ms, us or ns"
+            )
             self.wrong(self._line, problem)
         return round(time)
 

@@ -172,7 +172,7 @@ def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("0.5,stop\n\n0.6x,stop\n", (), ", line 3: '0.6x' found; expected a time as a decimal"),
         ("0.5,stop\nnan,stop\n", (), ", line 2: 'nan' found; expected a time"),
         ("time,contact\n,stop\n", (), ", line 2: '' found; expected a time"),
-        ("0.5,stop\n1e12,stop\n", (), ", line 2: time 1e12 is too large; stamps end at"),
+        ("0.5,stop\n1e12,stop\n", (), ", line 2: time 1e12 is too large in s; stamps end at"),
         ("# x\n0.5\n", (), ", line 2: names no contact; expected a column contact, or a --model"),
         ("time,contact\n0.5,\n", ("--model", "three_mass"), "no contact; expected one of right,"),
         ("0.5,anvil\n", ("--model", "two_mass"), ", line 1: contact 'anvil' is none of the model"),
