@@ -32,6 +32,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import system_of
 from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import with_unit
+from impact_observer.model.system import UNKNOWN_UNIT
 
 
 class CurveGroup(Enum):
@@ -126,10 +127,10 @@ _DIAGNOSTICS = (
 )
 """Keys of an observer's diagnostics whose values are always numbers."""
 _MOTION = (
-    (CurveGroup.POSITIONS, "position", "m"),
-    (CurveGroup.VELOCITIES, "velocity", "m/s"),
+    (CurveGroup.POSITIONS, "position", ""),
+    (CurveGroup.VELOCITIES, "velocity", "/s"),
 )
-"""Fields of joint states with their groups and units."""
+"""Fields of joint states with their groups, and what follows the unit of the coordinates."""
 
 
 def curves(
@@ -226,8 +227,8 @@ def _plants(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Cur
 
 def _coordinates(system: System, source: str, label: str, topic: str) -> Iterator[Curve]:
     """Positions and velocities in joint states; those of all sources share a plot."""
-    for (group, field, unit), (i, name) in product(_MOTION, enumerate(system.coordinates)):
-        steps, plot = (FieldStep(field, i),), f"{name} {field} [{unit}]"
+    for (group, field, per), (i, name) in product(_MOTION, enumerate(system.coordinates)):
+        steps, plot = (FieldStep(field, i),), f"{name} {field} [{_unit(system)}{per}]"
         yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
 
 
@@ -249,9 +250,14 @@ def _motion(system: System, observer: ObserverTopics) -> Iterator[Curve]:
     name = observer.name
     yield from _coordinates(system, name, name, observer.topic(interfaces.OBSERVER_JOINT_STATES))
     error, group = interfaces.MONITOR_ERROR, CurveGroup.ERRORS
-    for (_, field, unit), (i, name) in product(_MOTION, enumerate(system.coordinates)):
-        step, plot = FieldStep(f"{field}_error", i), f"{name} {field} error [{unit}]"
+    for (_, field, per), (i, name) in product(_MOTION, enumerate(system.coordinates)):
+        step, plot = FieldStep(f"{field}_error", i), f"{name} {field} error [{_unit(system)}{per}]"
         yield _of_observer(observer, name, error, group, plot, step)
+
+
+def _unit(system: System) -> str:
+    """Of the coordinates; m where it is not known, as titles are short."""
+    return "m" if system.unit == UNKNOWN_UNIT else system.unit
 
 
 def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
@@ -264,8 +270,8 @@ def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
             yield replace(curve, transform=Transform.LOGARITHM)
     for k in range(2 * n if observer.filters else 0):
         step, group = FieldStep("covariance", k * (2 * n + 1)), CurveGroup.DEVIATIONS
-        of = "velocities [m/s]" if k >= n else "positions [m]"
-        plot = f"standard deviations of {of}"
+        of, per = ("velocities", "/s") if k >= n else ("positions", "")
+        plot = f"standard deviations of {of} [{_unit(system)}{per}]"
         curve = _of_observer(observer, system.coordinates[k % n], states, group, plot, step)
         yield replace(curve, transform=Transform.ROOT)
     for i, parameter in enumerate(observer.learned):

@@ -14,6 +14,7 @@
 
 """The list of curves: of a model, and of a bag."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,12 @@ from impact_observer.errors import UsageError
 from impact_observer.io import BagReader
 from impact_observer.model import read_model
 
+MOTION = {
+    CurveGroup.POSITIONS,
+    CurveGroup.VELOCITIES,
+    CurveGroup.ERRORS,
+    CurveGroup.DEVIATIONS,
+}
 LAWS = {
     "observer_geometric": "geometric",
     "observer_kinematic": "kinematic",
@@ -91,6 +98,15 @@ def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
     assert sum(each.group is CurveGroup.ERRORS for each in found) == 6
     contacts = [each.name for each in found if each.topic == "/impacts"]
     assert contacts == ["right", "left"]
+
+
+def test_a_model_of_angles_has_its_curves_in_rad() -> None:
+    """Positions, velocities, errors and deviations alike; of matrices the titles say m."""
+    matrices = read_model("two_mass").system
+    for system, unit in ((replace(matrices, unit="rad"), "rad"), (matrices, "m")):
+        found = curves(system, [ObserverTopics.of_node("observer_minimum_variance")])
+        units = {each.plot.partition("[")[2] for each in found if each.group in MOTION}
+        assert units == {f"{unit}]", f"{unit}/s]"}
 
 
 def test_observers_of_two_rigs_are_distinguished() -> None:
