@@ -78,9 +78,11 @@ def test_replica_that_starts_at_the_truth_stays_there(law: str) -> None:
     observer = followed(softened(), law, TRUE_START, EPOCH, clock_error=0.0, model_error=0.0)
     for each in made.events:
         observer.receive(each)
-    V = energies(softened(), states(observer, made.stamps) - made.states)
     within = made.states[:, 1] > 0.5
     assert within.sum() > 20
+    keep = np.flatnonzero(within | (np.arange(within.size) % 10 == 0))
+    V = energies(softened(), states(observer, made.stamps[keep]) - made.states[keep])
+    within = within[keep]
     assert V[~within].max() < 1e-13
     # At the very instant of a jump the stamp may be rounded to either side of it.
     assert np.sort(V[within])[: -len(made.events)].max() < 1e-13
