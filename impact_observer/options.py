@@ -179,7 +179,7 @@ class Options:
     )
     initial_deviation: str = option(
         "1",
-        "standard deviations of the initial state: one number, or 2n",
+        "standard deviations of the initial state: one number, or 2n; of a small rig check-model suggests them",
         flag="deviation",
         metavar="D",
     )
