@@ -179,7 +179,8 @@ class Options:
     )
     initial_deviation: str = option(
         "1",
-        "standard deviations of the initial state: one number, or 2n; of a small rig check-model suggests them",
+        "standard deviations of the initial state: one number, or 2n; of a small rig check-model"
+        " suggests them",
         flag="deviation",
         metavar="D",
     )
