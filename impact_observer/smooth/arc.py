@@ -132,6 +132,12 @@ class Arc(Linearised):
         deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
         return Path(start, early, x, doubt, state.constants, deviations)
 
+    def beginning(self, count: int) -> "Arc":
+        """The first moments, at most ``count``; itself if it has no more."""
+        if len(self.moments) <= count:
+            return self
+        return Arc(self.filter, self._t, self._state, self.moments[:count], self.samples)
+
     def nodes(self, path: Path) -> list[Node]:
         """The steps of the chain: moments, rests and samples after them."""
         groups, found = self._groups(path), list[Node]()

@@ -130,13 +130,15 @@ class Chain:
         count: number of steps.
         step: the step of an index; each is asked for twice.
         evidence: logarithm of the probability density of all measurements; known once ``states``
-            has begun.
+            has begun, as are
+        squares: sum of the squares of all normalised innovations, and
+        rows: their number, which that is on average.
     """
 
     def __init__(self, first: Normal, count: int, step: Callable[[int], Step]) -> None:
         """See the attributes."""
         self.first, self.count, self.step = first, count, step
-        self.evidence = 0.0
+        self.evidence, self.squares, self.rows = 0.0, 0.0, 0
 
     def states(self) -> Iterator[tuple[int, Normal]]:
         """The states after each step given all measurements, the last one first.
@@ -146,12 +148,14 @@ class Chain:
         """
         size = max(1, math.isqrt(self.count))
         blocks = [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
-        kept, self.evidence = [self.first], 0.0
+        kept, self.evidence, self.squares, self.rows = [self.first], 0.0, 0.0, 0
         for block in blocks:
             state = kept[-1]
             for k in block:
-                state, density = _filtered(state, self.step(k))
+                state, white, density = _filtered(state, self.step(k))
                 self.evidence += density
+                self.squares += float(white.dot(white))
+                self.rows += white.size
             kept.append(state)
         d = kept[-1].mean.size
         errors = Normal(np.zeros(d), np.eye(d))
@@ -202,11 +206,10 @@ def _corrected(mean: Vector, found: Matrix, step: Step) -> tuple[Normal, Vector,
     return Normal(mean + found[k:, :k].dot(white), found[k:, k:]), white, density
 
 
-def _filtered(before: Normal, step: Step) -> tuple[Normal, float]:
-    """The state after a step and its measurement, and the logarithm of the latter's density."""
+def _filtered(before: Normal, step: Step) -> tuple[Normal, Vector, float]:
+    """As ``_corrected``, from the state before the step."""
     mean, joint = _joint(before, step)
-    after, _, density = _corrected(mean, triangular(joint), step)
-    return after, density
+    return _corrected(mean, triangular(joint), step)
 
 
 def _turned(before: Normal, step: Step) -> tuple[Normal, _Turn]:

@@ -47,6 +47,13 @@ _DOUBTED = (
     "the model may not explain the impacts; `identify BAG --check --clock-error S` tests it, see"
     " docs/misfit.md"
 )
+_ONE_MOTION_IN = 1e-3
+"""Share of true motions that explain the events less well than one that is warned of."""
+_IMPLAUSIBLE = (
+    "fewer than one in a thousand true motions explain the impacts as badly as the smoothed one,"
+    " and where guides rub another may be likelier: declare the start (--initial, --deviation);"
+    " see docs/smoothing.md"
+)
 _FAR = 5.0
 """Deviations of a stamp beyond which the motion does not explain it."""
 
@@ -306,6 +313,8 @@ class SmoothedMotion:
                 f" {_FAR:g} deviations of their stamps from the smoothed motion: the account of"
                 " the events or the model is wrong; see docs/smoothing.md"
             )
+        if self.smoothed.arc.filter.system.guides and self.smoothed.chance < _ONE_MOTION_IN:
+            return _IMPLAUSIBLE
         return self._law.last.misfit if self._law.last else ""
 
     @property

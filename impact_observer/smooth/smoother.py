@@ -20,10 +20,11 @@ Newton's method for the likeliest motion (Bell, The iterated Kalman smoother as 
 method, 1994).
 
 Where guides rub, whether one sticks depends on the state, and several motions may explain the
-events locally best. So filters that begin about the smoothed start give other first paths, until
-none leads to a likelier motion.
+events locally best. So filters that begin elsewhere, and then about the smoothed start, give other
+first paths, until none leads to a likelier motion.
 """
 
+import itertools
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,6 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from impact_observer.estimation.likelihood import STILL
 from impact_observer.smooth.arc import Arc, Node
@@ -46,6 +48,16 @@ _MOST_WORSE = 3
 """Linearisations without a smaller change than before, after which there are no more."""
 _MOST_STARTS = 3
 """Most filters after the first from whose path a motion with friction is smoothed."""
+_FEW_MOMENTS = 2
+"""Moments for each number of the state that tell whether its start is plausible."""
+_PLAUSIBLE, _AGREES = 0.2, 0.1
+"""Chance of a start, and change by another linearisation, with which no others are tried."""
+_MORE = 2.0
+"""How much smaller than the declared deviation of a coordinate its smoothed one is then."""
+_AWAY, _NEARER = 1.5, 1 / 6
+"""Distance of these from the declared start, in its deviations, and what of its deviations they
+have: a half, divided by ``Arc.predicted``'s factor.
+"""
 _MOST_GATES = 4
 """Most times that samples are chosen again by their distance from the smoothed motion."""
 _LIKELIER = 0.1
@@ -67,6 +79,7 @@ class Smoothed(NamedTuple):
         first: the state (q, u, constants) at the start.
         known: at each node of the arc, of (e, q, u, constants) at a moment.
         evidence: logarithm of the probability density of the reported instants, 1/s each.
+        chance: that a true motion explains the events less well.
         change: that another linearisation would make, in standard deviations.
         rounds: linearisations.
     """
@@ -76,6 +89,7 @@ class Smoothed(NamedTuple):
     first: Normal
     known: "KnownStates"
     evidence: float
+    chance: float
     change: float
     rounds: int
 
@@ -147,12 +161,39 @@ def smooth(
     ``progress`` is called with the number of linearisations done, and the most that may be.
     """
     best = _gated(_settled(arc, arc.predicted(), progress), progress)
+    if arc.filter.system.guides:
+        best = _elsewhere(best, progress)
     for _ in range(_MOST_STARTS if arc.filter.system.guides else 0):
         again = _gated(_settled(arc, arc.predicted(best.first), progress), progress)
         if not again.is_better(best):
             break
         best = again
     return best
+
+
+def _elsewhere(best: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
+    """The likeliest motion of filters that begin elsewhere, unless ``best`` begins plausibly.
+
+    They begin as far from the declared start as that may be wrong, along each axis of which the
+    events say more; the first moments tell.
+    """
+    arc, size = best.arc, 2 * best.arc.filter.system.n
+    few = arc.beginning(_FEW_MOMENTS * size)
+    begin = first = best if few is arc else _settled(few, few.predicted(), progress)
+    shifts = _AWAY * arc.first.deviations[:size]
+    shifts[arc.first.deviations[:size] < _MORE * begin.first.deviations[:size]] = 0.0
+    for i, sign in itertools.product(np.flatnonzero(shifts).tolist(), (1, -1)):
+        if begin.chance > _PLAUSIBLE and begin.change <= _AGREES:
+            break
+        mean = arc.first.mean.copy()
+        mean[i] += sign * shifts[i]
+        other = _settled(few, few.predicted(Normal(mean, _NEARER * arc.first.root)), progress)
+        begin = other if other.is_better(begin) else begin
+    if begin is first:
+        return best
+    found = begin if few is arc else _settled(arc, arc.predicted(begin.first), progress)
+    found = _gated(found, progress)
+    return found if found.is_better(best) else best
 
 
 def _gated(found: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
@@ -170,12 +211,14 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
     worse = 0
     best: Smoothed | None = None
     for rounds in range(1, MOST_ROUNDS + 1):
-        first, known, evidence = _linear(arc, path)
+        first, known, chain = _linear(arc, path)
         better, change = _improved(arc, path, first, known)
         progress(rounds, MOST_ROUNDS)
         worse += 1
         if best is None or change < best.change:
-            best = Smoothed(arc, path, first, known, evidence, change, rounds)
+            evidence = chain.evidence + arc.left_out(path)
+            chance = float(special.chdtrc(max(chain.rows, 1), chain.squares))
+            best = Smoothed(arc, path, first, known, evidence, chance, change, rounds)
             worse = 0
         if best.change <= SETTLED or worse == _MOST_WORSE or not math.isfinite(change):
             break
@@ -197,8 +240,8 @@ def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iter
         yield known.at(Node(k, arc.rests(k))).mapped(step.A, step.b, step.N)
 
 
-def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, float]:
-    """The first state, those at all nodes, and the evidence, linearised about ``path``."""
+def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
+    """The first state, those at all nodes, and their chain, linearised about ``path``."""
     nodes = arc.nodes(path)
     first, known = arc.first, KnownStates(nodes, 1 + arc.first.mean.size)
 
@@ -212,7 +255,7 @@ def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, float]:
             first = z
         else:
             known.set(i, z)
-    return first, known, chain.evidence + arc.left_out(path)
+    return first, known, chain
 
 
 def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[Path, float]:

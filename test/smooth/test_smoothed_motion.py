@@ -156,7 +156,8 @@ def test_states_are_those_of_conditioning_on_all_events(
     seconds = 4.0 if name == "without rebound" else 12.0
     events = recording(model.system, x, seconds, SensorModel(jitter=JITTER))
     samples = encoded(model.system, x, seconds, rate) if rate else []
-    arc, path, *_ = smoothed(model.system, events, about(x, 0.1, **learned), samples).smoothed
+    options = about(x, DEVIATION if model.system.guides else 0.1, **learned)
+    arc, path, *_ = smoothed(model.system, events, options, samples).smoothed
     assert any(node.group for node in arc.nodes(path)) == bool(rate)
     steps = [arc.step(path, node) for node in arc.nodes(path)]
     chain = Chain(arc.first, len(steps), steps.__getitem__)
@@ -251,6 +252,33 @@ def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) ->
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
     assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)
+
+
+@pytest.mark.slow
+def test_a_rubbing_guide_is_found_from_a_start_that_is_wrong_by_a_decimetre() -> None:
+    """From the filter's path alone the smoother ends in another stick and slip, 0.4 m off."""
+    model = sample("rubbing_guide")
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 12.0, SensorModel(jitter=JITTER), 3)
+    wrong = x + np.random.default_rng(3).normal(scale=0.1, size=x.size)
+    motion = smoothed(model.system, events, about(wrong, 0.1))
+    found = motion.smoothed.first
+    assert np.all(np.abs(found.mean - x) < 4 * found.deviations)
+    assert np.all(found.deviations < 0.06)
+    assert not motion.misfit
+
+
+@pytest.mark.slow
+def test_an_implausible_motion_with_friction_is_warned_of() -> None:
+    """Stamps are wrong by three times their declared error: each is near, all of them are not."""
+    model = sample("rubbing_guide")
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 12.0, SensorModel(jitter=1e-4))
+    options = about(x, 1e-4, clock_error=3e-5)
+    motion = smoothed(model.system, events, options)
+    assert motion.unexplained == 0
+    assert "where guides rub another may be likelier" in motion.misfit
+    assert not states(motion, [1.0])[0].synchronized
 
 
 @pytest.mark.slow
