@@ -39,7 +39,10 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     SampledForces,
     SeriesFlow,
     Sizes,
+    difference,
+    dots,
     largest_distance,
+    product,
     triangular,
 )
 
@@ -56,6 +59,9 @@ __all__ = [
     "SampledForces",
     "SeriesFlow",
     "Sizes",
+    "difference",
+    "dots",
     "largest_distance",
+    "product",
     "triangular",
 ]

@@ -18,10 +18,13 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <string>
 #include <vector>
+
+#include "rows.hpp"
 
 namespace kernel {
 
@@ -60,6 +63,22 @@ struct Matrix {
     const double* row(std::size_t i) const { return data.data() + i * columns; }
     View view() const { return {data.data(), rows, columns}; }
 };
+
+// found += A B. Terms are added in their order, and a row does not depend on the others.
+inline void add_matrix_product(const double* A, std::size_t rows, const Matrix& B, double* found) {
+    const std::size_t n = B.columns, wide = 512;  // parts of B are read once, and stay in a cache
+    for (std::size_t c = 0; c < n; c += wide)
+        for (std::size_t k = 0; k < B.rows; k += 4)
+            for (std::size_t i = 0; i < rows; ++i) {
+                const double *a = A + i * B.rows + k, *b = B.row(k) + c;
+                double* to = found + i * n + c;
+                const std::size_t some = std::min(wide, n - c);
+                if (k + 4 <= B.rows)
+                    add_four(a, b, n, to, some);
+                else
+                    for (std::size_t j = 0; k + j < B.rows; ++j) add(a[j], b + j * n, to, some);
+            }
+}
 
 inline std::string shape_of(const py::array& a) {
     std::string text = "(";

@@ -114,8 +114,10 @@ class Flights {
             &hit.after[0], n);
         for (std::size_t k = 0; k < n; ++k)
             hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
+        const double away = dot(contact.W.data(), &hit.after[n], n);
+        if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return false;
         Flight next = begun(instant, hit.after.data());
-        if (may_rest(i, dot(contact.W.data(), &hit.after[n], n), hit.energy, next)) return false;
+        if (may_rest(i, away, next)) return false;
         flight = std::move(next);
         crossing.reset();
         tell(std::move(hit));
@@ -123,15 +125,15 @@ class Flights {
     }
 
     // Whether a contact that separates with speed gamma could be back at once: not if its flight
-    // is long and high enough with the largest acceleration that it could have.
-    bool may_rest(std::size_t i, double gamma, double energy, const Flight& next) const {
-        if (gamma <= 1e-11 * arena->contacts[i].length * std::sqrt(2 * energy)) return true;
+    // is long and high enough with the acceleration that it has, known to 1e-8 of the largest.
+    bool may_rest(std::size_t i, double gamma, const Flight& next) const {
         const std::unique_ptr<Functions> gaps = arena->gaps->along(next.motion);
         gaps->look(0.0);
-        const double fall = gaps->largest(2, i, arena->timescale);
+        const double fall =
+            std::max(-gaps->derivative(2, i), 0.0) + 1e-8 * gaps->largest(2, i, arena->timescale);
         const double scale = std::abs(gaps->constant(i)) + gaps->largest(0, i, arena->timescale);
         return gamma <= fall * arena->shortest ||
-               gamma * gamma <= 16 * fall * arena->lowest * scale;
+               gamma * gamma <= 4 * fall * arena->lowest * scale;
     }
 };
 

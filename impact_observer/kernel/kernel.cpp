@@ -14,6 +14,7 @@
 
 // The module impact_observer.kernel._kernel.
 #include "bindings.hpp"
+#include "doubled.hpp"
 #include "triangular.hpp"
 
 using namespace kernel;
@@ -34,6 +35,41 @@ Array triangular(const Array& root) {
     return to_python(found);
 }
 
+// Both parts of numbers of one shape.
+struct Parts {
+    Array first, second;
+    View high, low;
+
+    Parts(const py::tuple& given, const char* name, py::ssize_t rows, py::ssize_t columns)
+        : first(py::cast<Array>(given[0])),
+          second(py::cast<Array>(given[1])),
+          high(checked(first, name, rows, columns)),
+          low(checked(second, name, py::ssize_t(high.rows), py::ssize_t(high.columns))) {}
+};
+
+py::tuple to_python(const DoubledMatrix& m) {
+    return py::make_tuple(to_python(m.high), to_python(m.low));
+}
+
+py::tuple product(const Array& A, const Array& B) {
+    const View left = checked(A, "A", ANY, ANY), right = checked(B, "B", A.shape(1), ANY);
+    return to_python(doubled_product(left, right));
+}
+
+py::tuple dots(const Array& X, const py::tuple& Y) {
+    const View given = checked(X, "X", ANY, ANY);
+    const Parts parts(Y, "Y", X.shape(0), X.shape(1));
+    return to_python(doubled_dots(given, parts.high, parts.low));
+}
+
+Array difference(const py::tuple& Y, const py::tuple& Z, const Array& factors) {
+    const Parts from(Y, "Y", ANY, ANY);
+    const Parts other(Z, "Z", py::ssize_t(from.high.rows), py::ssize_t(from.high.columns));
+    const View each = checked(factors, "factors", py::ssize_t(from.high.columns));
+    return to_python(
+        doubled_difference({Matrix(from.high), Matrix(from.low)}, other.high, other.low, each));
+}
+
 }  // namespace
 
 PYBIND11_MODULE(_kernel, module) {
@@ -42,5 +78,12 @@ PYBIND11_MODULE(_kernel, module) {
     module.def("triangular", &triangular, py::arg("root"),
                "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is "
                "given.");
+    module.def("product", &product, py::arg("A"), py::arg("B"),
+               "A B in twice the digits: rounded, and what it was rounded by.");
+    module.def("dots", &dots, py::arg("X"), py::arg("Y"),
+               "Products of each column of X with that of Y in twice the digits, shape (1, "
+               "columns).");
+    module.def("difference", &difference, py::arg("Y"), py::arg("Z"), py::arg("factors"),
+               "Y - Z diag(factors) of numbers in twice the digits, rounded.");
     bind_dynamics(module);
 }

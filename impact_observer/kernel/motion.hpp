@@ -104,10 +104,12 @@ class ModalMotion : public Motion {
     }
 
     void states(const double* s, std::size_t count, double* rows) const override {
-        std::vector<double> y(flow->coordinates.size), now(flow->response.columns);
-        for (std::size_t i = 0; i < count; ++i) {
-            pairs(s[i], y.data(), now.data());
-            flow->coordinates.state(y.data(), rest, rows + i * 2 * flow->coordinates.n);
+        const std::size_t size = flow->coordinates.size, at_once = 8;  // shapes are read once
+        std::vector<double> y(std::min(count, at_once) * size), now(flow->response.columns);
+        for (std::size_t first = 0; first < count; first += at_once) {
+            const std::size_t some = std::min(at_once, count - first);
+            for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now.data());
+            flow->coordinates.states(y.data(), some, rest, rows + first * 2 * flow->coordinates.n);
         }
     }
 

@@ -22,7 +22,6 @@
 #include <string>
 
 #include "arrays.hpp"
-#include "rows.hpp"
 
 namespace kernel {
 
@@ -87,14 +86,10 @@ class Coordinates {
 
     // y = T^-1 (x - rest).
     void split(const double* x, const std::vector<double>& rest, double* y) const {
-        std::vector<double> moves(x, x + 2 * n), part(paired ? size / 2 : size);
+        std::vector<double> moves(x, x + 2 * n), parts(size, 0.0);
         for (std::size_t i = 0; i < rest.size(); ++i) moves[i] -= rest[i];
-        for (std::size_t k = 0; k < (paired ? 2 : 1); ++k) {
-            std::fill(part.begin(), part.end(), 0.0);
-            for (std::size_t i = 0; i < backward.rows; ++i)
-                add(moves[k * n + i], backward.row(i), part.data(), part.size());
-            for (std::size_t p = 0; p < part.size(); ++p) y[paired ? 2 * p + k : p] = part[p];
-        }
+        add_matrix_product(moves.data(), paired ? 2 : 1, backward, parts.data());
+        for (std::size_t k = 0; k < size; ++k) y[k] = parts[place(k)];
     }
 
     // The part of the position that does not move, n numbers, or none where all moves.
@@ -104,19 +99,20 @@ class Coordinates {
         return found;
     }
 
-    // The state. Terms are added in the order of the pairs, whatever else is computed.
-    void state(const double* y, const std::vector<double>& rest, double* x) const {
-        std::fill(std::copy(rest.begin(), rest.end(), x), x + 2 * n, 0.0);
-        for (std::size_t j = 0; j < size; ++j) {
-            if (y[j] == 0) continue;
-            if (paired)
-                add(y[j], forward.row(j / 2), x + j % 2 * n, n);
-            else
-                add(y[j], forward.row(j), x, 2 * n);
+    // States of rows y. Terms are added in the order of the pairs, whatever else is computed.
+    void states(const double* y, std::size_t count, const std::vector<double>& rest,
+                double* x) const {
+        std::vector<double> parts(count * size);
+        for (std::size_t i = 0; i < count; ++i) {
+            std::fill(std::copy(rest.begin(), rest.end(), x + 2 * n * i), x + 2 * n * (i + 1),
+                      0.0);
+            for (std::size_t k = 0; k < size; ++k) parts[size * i + place(k)] = y[size * i + k];
         }
-        if (Q.rows == 0) return;
-        const std::vector<double> p(x, x + n);
-        for (std::size_t i = 0; i < n; ++i) x[i] = dot(Q.row(i), p.data(), n) + offset[i];
+        add_matrix_product(parts.data(), paired ? 2 * count : count, forward, x);
+        for (std::size_t i = 0; i < count && Q.rows > 0; ++i, x += 2 * n) {
+            const std::vector<double> p(x, x + n);
+            for (std::size_t j = 0; j < n; ++j) x[j] = dot(Q.row(j), p.data(), n) + offset[j];
+        }
     }
 
     // found += factor times column i of T times row j of T^-1.
@@ -135,6 +131,9 @@ class Coordinates {
     Matrix forward, backward;  // transposed: T and T^-1 by columns
     Matrix held, Q;
     std::vector<double> offset;
+
+    // Where y_k stands if all coordinates stand before all velocities.
+    std::size_t place(std::size_t k) const { return paired ? k % 2 * (size / 2) + k / 2 : k; }
 
     static Matrix transposed(const View& A) {
         Matrix found(A.columns, A.rows);

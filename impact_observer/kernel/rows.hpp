@@ -31,6 +31,18 @@ inline void add(double a, const double* x, double* y, std::size_t n) {
     if (i < n) y[i] += a * x[i];
 }
 
+// y += a_0 x_0 + a_1 x_1 + a_2 x_2 + a_3 x_3, added one after the other; each row x is `apart`
+// from the one before it.
+inline void add_four(const double* a, const double* x, std::size_t apart, double* y,
+                     std::size_t n) {
+    const double *x1 = x + apart, *x2 = x1 + apart, *x3 = x2 + apart;
+    std::size_t i = 0;
+    for (; i + 2 <= n; i += 2)
+        *reinterpret_cast<Two*>(y + i) = two(y + i) + a[0] * two(x + i) + a[1] * two(x1 + i) +
+                                         a[2] * two(x2 + i) + a[3] * two(x3 + i);
+    if (i < n) y[i] = y[i] + a[0] * x[i] + a[1] * x1[i] + a[2] * x2[i] + a[3] * x3[i];
+}
+
 // The sum of x_i y_i, four partial sums at once.
 inline double dot(const double* x, const double* y, std::size_t n) {
     Two one = {0, 0}, other = {0, 0};

@@ -280,7 +280,7 @@ class SeriesMotion : public Motion {
         for (std::size_t i = 0; i < count; ++i) {
             walk.go(s[i]);
             walk.value(s[i] - walk.begin, y.data());
-            coordinates.state(y.data(), rest, rows + i * 2 * coordinates.n);
+            coordinates.states(y.data(), 1, rest, rows + i * 2 * coordinates.n);
         }
     }
 

@@ -26,7 +26,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
@@ -369,7 +368,7 @@ def _check_symmetric(key: str, matrix: Matrix) -> None:
 
 
 def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
-    eigenvalues = linalg.eigvalsh(symmetric)
+    eigenvalues = np.linalg.eigvalsh(symmetric)
     smallest, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
     if strictly and smallest <= _SINGULAR * largest:
         raise ModelError(key, f"is not positive definite: smallest eigenvalue {smallest:g}")

@@ -14,7 +14,7 @@
 
 """The event-driven plant: exact flow from one change of its contacts to the next."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -95,6 +95,7 @@ class Plant:
         self._inside: tuple[int, ...] = ()
         self._left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None = None
         self._searcher = lru_cache(KEPT)(self._search_of)
+        self._switches = lru_cache(KEPT)(partial(switches, system))
         gaps = self._searcher(self._phases.phase(), tuple(range(system.m)), ())
         self.impacts = PlainImpacts(self._phases, gaps, self._zeno.shortest, LOW)
         self._last, self._energetic = None, 0.0
@@ -157,7 +158,7 @@ class Plant:
         instant, contacts = Instant(self.epoch + hit.ns, hit.remainder), (hit.contact,)
         self._is_plain = True
         self._energetic = max(self._energetic, hit.energy)
-        changes = switches(self.system, (), contacts, ())
+        changes = self._switches((), contacts, ())
         return Switching(instant, contacts, (), (), hit.before, hit.after, changes)
 
     def cross(self, switching: Switching) -> None:
@@ -363,6 +364,6 @@ class Plant:
             held=grip.held,
             before=before,
             after=after,
-            switches=switches(self.system, self.closed, contacts, grip.closed),
+            switches=self._switches(self.closed, contacts, grip.closed),
             loads=grip.loads,
         )

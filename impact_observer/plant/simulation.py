@@ -82,8 +82,9 @@ def simulate(
     while (switching := plant.next_switching(last)) is not None:
         stamp = switching.instant.stamp
         upto = int(np.searchsorted(stamps, stamp))
-        states[done:upto] = plant.states(stamps[done:upto])
-        done = upto
+        if upto > done:
+            states[done:upto] = plant.states(stamps[done:upto])
+            done = upto
         plant.cross(switching)
         switchings.append(switching)
         if switching.switches:

@@ -17,16 +17,18 @@
 LAPACK finds each ``omega^2`` to about 1e-16 of the largest. Where that is 1e8 times the smallest,
 a slow mode would be wrong by a part in 1e8. One step of the refinement of Ogita and Aishima
 (Japan J. Indust. Appl. Math. 35, 2018) corrects it. It needs ``M x`` and ``K x`` of shapes in
-twice the digits (``double_double.py``), because ``K x - omega^2 M x`` cancels. That difference is
-small, and products with it need only the usual digits.
+twice the digits (``kernel/doubled.hpp``), because ``K x - omega^2 M x`` cancels. That difference
+is small, and products with it need only the usual digits.
 """
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.flow.double_double import Double, difference, dots, product
+from impact_observer.kernel import difference, dots, product
 from impact_observer.states import Matrix, Vector
 
+Double = tuple[Matrix, Matrix]
+"""Numbers as sums of two, of one shape."""
 _SEPARATION = 1e3
 """Least distance of two ``omega^2``, over their coupling, for the coupling to be removed."""
 _LARGE = 1e-9
@@ -45,7 +47,7 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
         _, shapes = linalg.eigh(K, M)
     inertia, force = product(M, shapes), product(K, shapes)
     excess = _excess(shapes, inertia)
-    squares = dots(shapes, force).total / (1 - np.diag(excess))
+    squares = np.add(*dots(shapes, force))[0] / (1 - np.diag(excess))
     coupling = shapes.T @ difference(force, inertia, squares)
     differences = squares - squares[:, None]
     removable = np.abs(differences) > _SEPARATION * np.abs(coupling)
@@ -60,16 +62,16 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
 
 def _excess(shapes: Matrix, inertia: Double) -> Matrix:
     """``I - X' M X``, shape (n, n), of shapes ``X`` and of ``M X``."""
-    excess: Matrix = -(shapes.T @ inertia.high)
-    lengths = dots(shapes, inertia)
-    np.fill_diagonal(excess, (1.0 - lengths.high) - lengths.low)
+    excess: Matrix = -(shapes.T @ inertia[0])
+    high, low = dots(shapes, inertia)
+    np.fill_diagonal(excess, (1.0 - high) - low)
     return excess
 
 
 def congruence(X: Matrix, seen: Double) -> Matrix:
     """``X' A X`` of ``seen``, ``A X``, in twice the digits: small entries are not lost."""
-    found = product(X.T, seen.high)
-    return np.asarray(found.high + (found.low + X.T @ seen.low))
+    high, low = product(X.T, seen[0])
+    return np.asarray(high + (low + X.T @ seen[1]))
 
 
 def diagonal(X: Matrix, seen: Double, within: float) -> Vector | None:
@@ -80,7 +82,7 @@ def diagonal(X: Matrix, seen: Double, within: float) -> Vector | None:
         seen: ``A X``, shape (n, n).
         within: how large other entries may be, relative to the largest of all.
     """
-    found, entries = dots(X, seen).total, np.abs(X.T @ seen.high)
+    found, entries = np.add(*dots(X, seen))[0], np.abs(X.T @ seen[0])
     np.fill_diagonal(entries, 0.0)
     others = float(entries.max())
     return found if others <= within * max(others, float(np.abs(found).max())) else None

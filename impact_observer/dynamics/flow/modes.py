@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.flow.double_double import product
 from impact_observer.dynamics.flow.eigenmodes import congruence, diagonal, modes_of
 from impact_observer.dynamics.flow.flow import Complex, Equations, PhaseFrame
+from impact_observer.kernel import product
 from impact_observer.states import Matrix, Vector
 
 _PROPORTIONAL = 1e-12

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.flow.double_double import Double, difference, dots, product
+from impact_observer.kernel import difference, dots, product
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def banded(rng: np.random.Generator, n: int) -> Array:
     return graded(rng, n, n) * (abs(np.subtract.outer(np.arange(n), np.arange(n))) <= 1)
 
 
-@pytest.mark.parametrize(("n", "columns"), [(1, 1), (2, 2), (3, 7), (5, 1), (16, 4)])
+@pytest.mark.parametrize(("n", "columns"), [(1, 1), (2, 2), (3, 7), (5, 1), (40, 4)])
 def test_product_has_twice_the_digits(n: int, columns: int) -> None:
     """Relative to the sum of sizes of the terms."""
     rng = np.random.default_rng(n)
@@ -53,29 +53,22 @@ def test_product_has_twice_the_digits(n: int, columns: int) -> None:
     assert worst(A, B) < 2.0**-95
 
 
-@pytest.mark.parametrize("n", [17, 40])
-def test_product_of_full_matrices_loses_little_beside_its_largest_terms(n: int) -> None:
-    """Parts have bits below the largest number of a row, not below every number."""
-    rng = np.random.default_rng(n)
-    assert worst(rng.normal(size=(n, n)), rng.normal(size=(n, 3))) < 2.0**-75
-
-
-def test_product_of_a_band_is_as_exact_as_that_of_few_numbers() -> None:
+def test_product_of_a_band_is_as_exact() -> None:
     """Forty rows of three numbers each, and a row of zeros."""
     rng = np.random.default_rng(3)
     A = banded(rng, 40)
     A[7] = 0.0
     assert worst(A, graded(rng, 40, 5)) < 2.0**-95
-    assert not product(np.zeros((3, 3)), np.eye(3)).total.any()
+    assert not np.any(product(np.zeros((3, 3)), np.eye(3)))
 
 
 def worst(A: Array, B: Array) -> float:
     """Largest error of a product, relative to the sizes of its terms."""
-    found, sizes = product(A, B), np.abs(A) @ np.abs(B)
+    (found, rest), sizes = product(A, B), np.abs(A) @ np.abs(B)
     errors = [
         abs(Fraction(high) + Fraction(low) - entry) / (Fraction(size) or 1)
         for highs, lows, row, over in zip(
-            found.high.tolist(), found.low.tolist(), exact(A, B), sizes.tolist(), strict=True
+            found.tolist(), rest.tolist(), exact(A, B), sizes.tolist(), strict=True
         )
         for high, low, entry, size in zip(highs, lows, row, over, strict=True)
     ]
@@ -85,13 +78,13 @@ def worst(A: Array, B: Array) -> float:
 def test_columns_are_multiplied_in_twice_the_digits() -> None:
     """The terms cancel but for their last digits."""
     X = np.array([[1.0, 3.0], [1.0, 1 / 3]])
-    Y = Double(np.array([[1.0, 1 / 3], [-1.0, -3.0]]), np.array([[1e-20, 0.0], [0.0, 2e-18]]))
+    Y = np.array([[1.0, 1 / 3], [-1.0, -3.0]]), np.array([[1e-20, 0.0], [0.0, 2e-18]])
     expected = [1e-20, float(Fraction(2e-18) * Fraction(1 / 3))]
-    np.testing.assert_allclose(dots(X, Y).total, expected, rtol=1e-14)
+    np.testing.assert_allclose(np.add(*dots(X, Y))[0], expected, rtol=1e-14)
 
 
 def test_difference_of_what_is_nearly_the_same_keeps_its_digits() -> None:
     """``0.1 * 3`` is not ``0.3``."""
-    Y, Z = (Double(np.array([[each]]), np.zeros((1, 1))) for each in (0.3, 0.1))
+    Y, Z = ((np.array([[each]]), np.zeros((1, 1))) for each in (0.3, 0.1))
     expected = float(Fraction(0.3) - 3 * Fraction(0.1))
     assert difference(Y, Z, np.array([3.0]))[0, 0] == expected != 0
