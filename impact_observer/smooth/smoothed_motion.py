@@ -15,6 +15,7 @@
 """The smoothed motion at any instant, and the smoothed instants of its impacts."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import NamedTuple
@@ -111,6 +112,12 @@ class SmoothedMotion:
         self.doubt = doubt
         self._law, self._epoch = law, epoch
         self._names = law.system.contact_names
+        applied = {
+            (each.stamp, each.sequence)
+            for each in account.verdicts
+            if each.ruling is Ruling.APPLIED
+        }
+        self._applied = sorted(applied)
         self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
         delays = [from_seconds(each.change.delay(law.system)) for each in account.moments]
         self._jumps = self._instants + np.array(delays, dtype=np.int64)
@@ -216,8 +223,8 @@ class SmoothedMotion:
     def _estimate(
         self, stamp: int, k: int, x: Vector, root: Matrix, closed: tuple[int, ...] | None = None
     ) -> Estimates:
-        n, event = self._law.system.n, self.account.moments[k].change if k >= 0 else None
-        system = self.smoothed.arc.filter.system
+        n, system = self._law.system.n, self.smoothed.arc.filter.system
+        last_event, last_sequence = self._last_event(k, stamp)
         (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
         warning, until = self.early_doubt
@@ -233,10 +240,17 @@ class SmoothedMotion:
             misfit=misfit,
             clock_offset=self._constants.offset,
             parameters=self.parameters,
-            last_sequence=event.sequence if event else 0,
-            last_event=event.stamp if event else 0,
+            last_sequence=last_sequence,
+            last_event=last_event,
         )
         return Estimates(estimate, np.array([stamp]), x[None])
+
+    def _last_event(self, k: int, stamp: int) -> tuple[int, int]:
+        """Stamp (ns) and sequence of the last event applied in the flight after a moment."""
+        change = self.account.moments[k].change if k >= 0 else None
+        own = (change.stamp, change.sequence) if change else (0, 0)
+        before = bisect_left(self._applied, (stamp + 1, 0))
+        return max(own, self._applied[before - 1]) if before else own
 
     @cached_property
     def _constants(self) -> GaussianState:

@@ -393,6 +393,7 @@ def test_a_contact_that_chatters_faster_than_stamps_are_exact(seed: int) -> None
     for each, true in zip(states(motion, seconds), truth, strict=True):
         error = np.append(each.q, each.u) - true
         assert each.synchronized
+        assert each.last_event >= max([0, *(s for s in stamps if s <= each.stamp)])
         assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(each.covariance)) + 1e-12)
         assert np.all(np.abs(error) < 0.05)
 
