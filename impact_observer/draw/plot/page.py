@@ -128,7 +128,8 @@ _PAGE = """<!DOCTYPE html>
 body { font: 14px sans-serif; margin: 1em auto; max-width: 75em; padding: 0 1em; color: #111 }
 h1 { font-size: 1.2em } p { color: #444; margin: .3em 0 }
 canvas { display: block; width: 100%; cursor: crosshair }
-#legend span { margin-right: 1.4em; white-space: nowrap }
+#legend { display: flex; flex-wrap: wrap; column-gap: 1.4em }
+#legend span { white-space: nowrap }
 </style></head><body><h1>TITLE</h1>
 <p id="legend"></p>
 <p id="note"></p>
