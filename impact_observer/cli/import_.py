@@ -83,6 +83,8 @@ def _summary(imported: "Imported") -> str:
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"
     zero = f"time 0 is stamp {text(imported.start)} s"
     epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
+    if not (imported.epoch or imported.start):
+        epoch += ", as a stamp of 0 is none (--start 1 makes time 0 a stamp)"
     events = f"{times(imported.events, 'event')} of {times(imported.rows, 'row')}"
     states = f", {imported.states} true states" if imported.states else ""
     return f"{events}{states}, {span}; {zero}, {epoch}"

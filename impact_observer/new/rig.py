@@ -19,12 +19,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from scipy.optimize import nnls
+
 from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
 from impact_observer.estimation.uncertainty import suggested_deviation
-from impact_observer.model import Model, parse_model
+from impact_observer.model import Model, System, parse_model
 from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
+from impact_observer.states import Vector
 
+_CLEAR = 0.01
+"""Gap that a start outside a stop gets, relative to how far zero is inside."""
+_NONE = 1e-9
+"""Residual, of one, below which no positions are outside all stops."""
 _FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
 _MODEL = """\
 # {name}: a model of a rig, made by `impact-observer new`. SI units: kg, m, s, N, rad.
@@ -167,11 +175,16 @@ class NewRig:
 
     def model_text(self) -> str:
         """The model file."""
-        at_rest, thrown = (", ".join(each for _ in self.items(MASS)) for each in "01")
-        speed = at_rest if self.needs_epoch else thrown  # else nothing would ever move
-        start = f"initial_state: {{position: [{at_rest}], velocity: [{speed}]}}"
-        if any(_gap_at_rest(each) < 0.0 for each in self.items(STOP)):
-            start = f"# {start}    # this one is inside a stop"
+        without_start = self._model_text("")
+        q = outside_stops(parse_model(without_start, f"{self.name}.yaml").system)
+        speed = 0.0 if self.needs_epoch else 1.0  # else nothing would ever move
+        position, velocity = (", ".join(f"{x:.6g}" for x in each) for each in (q, q * 0 + speed))
+        return self._model_text(
+            f"initial_state: {{position: [{position}], velocity: [{velocity}]}}"
+        )
+
+    def _model_text(self, start: str) -> str:
+        """The model file, with the line of its initial state."""
         parts = {kind.name: _lines(self.items(kind)) for kind in (GROUND, SPRING, FORCE, STOP)}
         mass = _lines(self.items(MASS)).removeprefix("\n")
         return _MODEL.format(name=self.name, mass=mass, start=start, **parts)
@@ -245,12 +258,29 @@ def write(rig: NewRig, folder: Path) -> list[Path]:
     return list(texts)
 
 
-def _gap_at_rest(stop: Item) -> float:
-    """The gap of a stop where all positions are zero, m."""
-    if "gap" in stop:
-        return float(str(stop["gap"]))
-    limit = float(str(stop["limit"]))
-    return limit if stop["side"] == "above" else -limit
+def outside_stops(system: System) -> Vector:
+    """The least positions at the epoch at which no body is inside a stop, m, shape (n,).
+
+    With gaps ``W^T q + g_0`` this is the least distance problem of Lawson and Hanson (Solving
+    Least Squares Problems, chapter 23): the residual of a fit with factors that are not negative
+    is proportional to ``q``.
+
+    Raises:
+        UsageError: there are none.
+    """
+    rest = np.zeros(2 * system.n)
+    at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), rest[None])[0]
+    gaps = system.gap(at_epoch[: system.n])
+    if not np.any(gaps < 0.0):
+        return rest[: system.n]
+    wanted = _CLEAR * np.max(-gaps) - gaps
+    unit = np.append(np.zeros(system.n), 1.0)
+    matrix = np.vstack([system.W, wanted])
+    residual = matrix @ nnls(matrix, unit)[0] - unit
+    if abs(residual[-1]) < _NONE:
+        names = ", ".join(system.contact_names)
+        raise UsageError(f"--stop: no positions are outside all of {names}; expected room there")
+    return np.asarray(-residual[:-1] / residual[-1])
 
 
 def _lines(items: tuple[Item, ...]) -> str:

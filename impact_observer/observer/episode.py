@@ -69,8 +69,8 @@ def require_epoch(system: System, epoch: int) -> None:
     """Raise UsageError where the forcing depends on time and its ``epoch`` (ns) is unknown, 0."""
     if not epoch and system.depends_on_time:
         raise UsageError(
-            f"epoch: the forcing of {system.name} depends on time and the events do not"
-            " say when it began; give the epoch"
+            f"epoch: 0 found, which is none, and the forcing of {system.name} depends on time;"
+            " expected events that say when it began, or a declared epoch above 0"
         )
 
 

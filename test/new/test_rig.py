@@ -22,7 +22,16 @@ from systems import examples
 
 from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
-from impact_observer.new.parts import FORCE, MASS, MODEL_KINDS, SENSOR, SPRING, STOP, PartKind
+from impact_observer.new.parts import (
+    FORCE,
+    GROUND,
+    MASS,
+    MODEL_KINDS,
+    SENSOR,
+    SPRING,
+    STOP,
+    PartKind,
+)
 from impact_observer.new.rig import NewRig, complete
 
 NUMBERS = st.floats(1e-9, 1e9)
@@ -106,12 +115,28 @@ def test_every_stop_has_a_sensor() -> None:
     assert sources[0].threshold == 30.0
 
 
-def test_a_simulation_does_not_begin_inside_a_stop() -> None:
-    """Then the initial state is left to the user."""
-    model = rig((MASS, "x1,1"), (STOP, "anvil,x1,above,-0.1,0.5")).model()
-    assert model.position is None
-    model = rig((MASS, "x1,1"), (STOP, "anvil,x1,below,-0.1,0.5")).model()
-    assert model.position is not None
+@pytest.mark.parametrize(
+    ("stops", "least"),
+    [
+        (["anvil,x1,above,-0.1,0.5"], [-0.1, 0.0]),
+        (["anvil,x1,below,-0.1,0.5"], [0.0, 0.0]),
+        (["between,x1,x2,-0.2,0.5"], [-0.1, 0.1]),
+        (["plate,table,x1,0,0.5"], [0.05, 0.0]),  # which is 0.05 high at t = 0
+        (["plate,table,x1,0,0.5", "between,x1,x2,0,0.5"], [0.05, 0.05]),
+    ],
+)
+def test_a_simulation_begins_just_outside_the_stops(stops: list[str], least: list[float]) -> None:
+    """At the least positions, which are known here, with 1 % of the depth as a gap."""
+    parts = [(MASS, "x1,1"), (MASS, "x2,1"), (GROUND, "table,0.05,3")]
+    made = rig(*parts, *((STOP, each) for each in stops)).model()  # outside, else an error
+    assert made.position == pytest.approx(least, rel=0.021)
+
+
+def test_stops_that_leave_no_room_are_refused() -> None:
+    """As nowhere is outside both."""
+    squeezed = [(MASS, "x1,1"), (STOP, "right,x1,above,-0.1,0.5"), (STOP, "left,x1,below,0.1,0.5")]
+    with pytest.raises(UsageError, match="no positions are outside all of right, left; expected"):
+        rig(*squeezed)
 
 
 def test_files_of_a_small_rig_have_its_deviation() -> None:

@@ -119,7 +119,7 @@ def line(whole: Snapshot) -> str:
         if each.health is not None and each.health[0]:
             words.append(_health(each))
         parts.append(f"{each.name.lstrip('/')}: {', '.join(words)}")
-    return "; ".join(parts if whole.observers else [*parts, "no observer"])
+    return "; ".join(parts if whole.observers else [*parts, "no estimate yet"])
 
 
 def _head(whole: Snapshot, style: ScreenStyle) -> list[RenderableType]:
