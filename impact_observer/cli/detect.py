@@ -145,7 +145,10 @@ def _in_signal(
         progress=show,
     )
     known = f"epoch {text(epoch)} s" if epoch else "epoch unknown"
-    progress.line(f"{args.bag}: time 0 is stamp {text(signal.start)} s, {known}")
+    rows = f"{result.rows} rows in {result.seconds:.6g} s"
+    if result.seconds:
+        rows += f" ({(result.rows - 1) / result.seconds:.4g} Hz)"
+    progress.line(f"{args.bag}: {rows}; time 0 is stamp {text(signal.start)} s, {known}")
     return result
 
 

@@ -109,6 +109,11 @@ def run(args: argparse.Namespace) -> int:
         if unexplained := observer.remarks[Remark.MISFIT]:
             latest = observer.estimate(observer.last_event).misfit
             progress.line(f"warning: at {unexplained} events {latest or MISFIT}")
+    if not (count or rulings):
+        raise BagError(
+            f"{args.bag}: no impact in it, so that nothing is estimated; expected impacts, or the"
+            " --epoch at which the initial state holds"
+        )
     if rulings and not rulings[Ruling.APPLIED]:
         none = f"{args.bag}: none of its {sum(rulings.values())} impacts and releases was applied"
         if rulings[Ruling.REJECTED] == sum(rulings.values()):
@@ -125,7 +130,7 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
     law = observer.law
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
-        yield f"{law.name} uses no measurements: {names} change nothing"
+        yield f"{law.name} uses no measurements: nothing is made of {names}"
 
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":

@@ -35,19 +35,23 @@ _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
 
 @dataclass(slots=True)
 class BagDetection:
-    """The result of detection on a bag.
+    """The result of detection on a bag or a signal.
 
     Attributes:
         sources: the sensors that are in the bag, complete.
         counts: of each one.
         events: how many events were written.
         problems: what was not found or not copied, a line each.
+        rows: of a signal, 0 of a bag.
+        seconds: from the first of them to the last.
     """
 
     sources: list[Source]
     counts: list[SensorCounts]
     events: int = 0
     problems: list[str] = field(default_factory=list)
+    rows: int = 0
+    seconds: float = 0.0
 
     def finish(self, path: Path, detector: Detector) -> None:
         """Count what the ``detector`` has found in ``path``.

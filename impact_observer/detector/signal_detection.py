@@ -32,6 +32,7 @@ from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.signal_file import SignalFile
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
+from impact_observer.stamps import seconds_between
 
 _TYPE = "a column of numbers"
 
@@ -80,15 +81,20 @@ def detect_signal(
         if model is not None:
             write_model(writer, model, signal.first)
         writer.declare(interfaces.IMPACTS.topic)
-        _run(signal, writer, detector, progress)
+        result.rows, last = _run(signal, writer, detector, progress)
+        result.seconds = seconds_between(signal.first, last)
         result.finish(signal.path, detector)
     return result
 
 
 def _run(
     signal: SignalFile, writer: BagWriter, detector: Detector, progress: Callable[[int], None]
-) -> None:
-    """Feed the detector with every row, as if each were received at its stamp."""
+) -> tuple[int, int]:
+    """Feed the detector with every row, as if each were received at its stamp.
+
+    Returns:
+        The number of rows, and the stamp of the last one, ns.
+    """
     make = bag_messages()
     columns = {topic: column for column, topic in signal.topics.items()}
 
@@ -96,7 +102,7 @@ def _run(
         for decided, event in detections:
             writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
 
-    stamp = signal.first
+    done, stamp = 0, signal.first
     rows = signal.rows([columns[source.topic] for source in detector.sources])
     for done, (stamp, values) in enumerate(rows, start=1):
         for index, value in enumerate(values):
@@ -105,3 +111,4 @@ def _run(
         progress(done)
     # As in a bag: no message can be missing any more after the longest delay.
     write(detector.advance(stamp + MAX_DELAY))
+    return done, stamp

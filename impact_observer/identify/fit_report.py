@@ -63,7 +63,8 @@ def _inside(found: Identification) -> str:
     remedy = "leave out --initial-state"
     if not system.depends_on_time:
         ahead = first - max((second - first) // 10, 1)
-        remedy = f"give import --epoch {text(ahead).rstrip('0').rstrip('.')}, shortly before it"
+        epoch = text(ahead).rstrip("0").rstrip(".")
+        remedy = f"repeat import or detect with --epoch {epoch}, shortly before it"
     return (
         f"the initial state is inside the stop {names[0]!r}: it holds"
         f" {seconds_between(episode.start, first):.3g} s before the first impact, where the rig"

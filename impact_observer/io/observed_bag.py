@@ -147,7 +147,7 @@ def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
     if epoch and epochs and epoch not in epochs:
         raise UsageError(
             f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"
-            f" {text(min(epochs))} s; leave --epoch out"
+            f" {text(min(epochs))} s; leave --epoch out, or repeat with it what made the events"
         )
     return events
 

@@ -90,7 +90,7 @@ def test_a_start_inside_a_stop_is_named_with_its_remedy(
     wrong_line = capsys.readouterr().err
     assert wrong in wrong_line
     assert not Path("ball.yaml").exists()
-    epoch = re.search(r"give import --epoch ([0-9.]+),", wrong_line)
+    epoch = re.search(r"repeat import or detect with --epoch ([0-9.]+),", wrong_line)
     assert epoch is not None
     assert 5.9 < float(epoch[1]) < 6
     assert main([*imported, "--epoch", epoch[1], "-o", "late"]) == 0

@@ -71,6 +71,17 @@ def test_a_plant_that_hits_nothing_says_how_near_it_came(
     assert f"no contact closed: smallest gap {gap:.3g} m, at " in capsys.readouterr().out
 
 
+def test_a_bag_without_impacts_gives_no_estimate_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unless the epoch is given, at which the initial state holds."""
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    assert main(["simulate", "bouncing_ball", "--duration", "0.3", "-o", str(bag)]) == 0
+    assert main(["observe", str(bag), "-o", str(out)]) == 1
+    assert "no impact in it, so that nothing is estimated" in capsys.readouterr().err
+    assert main(["observe", str(bag), "--epoch", "1", "-o", str(tmp_path / "falling")]) == 0
+
+
 def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
     """The model in the bag is the simulated one; provenance has version and seed."""
     with BagReader(run_bag) as reader:
