@@ -110,7 +110,8 @@ def test_a_sound_gives_its_impacts(
     arguments = ["--contact", "stop", "--topic", "channel2", "--epoch", "0.5"]
     stamps = found(path, *arguments, "--threshold", "0.3", "--baseline", "0")
     np.testing.assert_allclose(stamps, HITS, atol=error)
-    assert "(4.8e+04 Hz); time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "(4.8e+04 Hz); time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in printed
 
 
 def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
