@@ -26,7 +26,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -249,7 +249,8 @@ def _hooks(program: str) -> Iterator[None]:
 
 def _write(line: str) -> None:
     """Write a line to standard error; nothing where that is closed."""
-    try:
-        say(printable(line), file=sys.stderr)
-    except (OSError, ValueError, RuntimeError):  # the last within a handler of a signal
-        return
+    with suppress(OSError, ValueError):
+        try:
+            say(printable(line), file=sys.stderr)
+        except RuntimeError:  # a signal has interrupted the writing of another line
+            os.write(2, f"{printable(line)}\n".encode(errors="backslashreplace"))

@@ -15,6 +15,7 @@
 """Signals are noted or raised once; whatever ends a process is one line."""
 
 import errno
+import io
 import os
 import signal
 import subprocess
@@ -54,6 +55,24 @@ def test_the_first_signal_is_noted_and_the_second_raises() -> None:
             signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGINT)
         assert stop.number == signal.SIGINT
+
+
+def test_a_signal_that_interrupts_a_line_writes_its_own(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Python refuses to enter a stream twice; the line goes round it."""
+
+    class Writing(io.StringIO):
+        def write(self, _: str) -> int:
+            raise RuntimeError("reentrant call")
+
+    monkeypatch.setattr(sys, "stderr", Writing())
+    with Stop():
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+    assert capfd.readouterr().err.startswith("ending already")
 
 
 def test_nested_blocks_count_together(capsys: pytest.CaptureFixture[str]) -> None:

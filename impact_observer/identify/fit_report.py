@@ -40,6 +40,8 @@ _CORRELATED = 0.9
 """Correlation of two parameters above which it is printed."""
 _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
+_OTHER = 100.0
+"""Shifts, in declared clock errors, above which the times may be another rig's or unit's."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
@@ -228,6 +230,12 @@ def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
     if found.widened > 1.0:
         reasons = "; ".join(_reasons(found, check))
         yield f"Standard errors are widened by a factor of {found.widened:.3g}: {reasons}."
+    if found.declared and found.rms > _OTHER * found.clock:
+        yield (
+            f"WARNING: the shifts of the stamps, {found.rms:.3g} s rms, are no errors of a clock"
+            f" with {found.clock:.3g} s: is the model that of the rig, and --time-unit that of"
+            " the times that were imported?"
+        )
     if not found.converged or not found.family.size:
         return
     held = found.held_back

@@ -137,6 +137,7 @@ def test_a_clock_error_that_makes_outliers_is_named(
     said = " ".join(capsys.readouterr().out.split())
     assert "WARNING: --clock-error 1e-06 makes outliers: up to " in said
     assert "times the declared clock error" in said
+    assert "are no errors of a clock with 1e-06 s" in said
 
 
 @pytest.mark.usefixtures("in_tmp_path")

@@ -357,7 +357,9 @@ def test_forcing_without_an_epoch_is_one_line() -> None:
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     silent = event(1.0, "stop", sequence=1, epoch=0)
     for _ in range(2):
-        with pytest.raises(UsageError, match="epoch: the forcing of two_mass depends on time"):
+        with pytest.raises(
+            UsageError, match=r"epoch: 0 found.* the forcing of two_mass depends on time"
+        ):
             watcher.receive(silent)
     informed = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
     assert informed.receive(silent)[0].ruling is Ruling.APPLIED

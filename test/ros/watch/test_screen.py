@@ -349,7 +349,7 @@ def test_one_line_has_the_same_figures() -> None:
         " observer_minimum_variance: V 1.00e-19 J, synchronized"
     )
     assert line(Snapshot(0)) == "nothing received yet: neither a plant nor an observer"
-    assert line(replace(both(), observers=())).endswith("(stop); no observer")
+    assert line(replace(both(), observers=())).endswith("(stop); no estimate yet")
     unknown = replace(
         both(), truth=False, observers=(replace(FILTER, distance=EstimateHistory()),)
     )
