@@ -73,8 +73,9 @@ def run(args: argparse.Namespace) -> int:
     say(f"{', '.join(map(str, files))}: written\n")
     code = check(files[0])
     model, sensors, launch = files
-    option = f" --deviation {rig.deviation}" if rig.deviation else ""
-    parameter = f" -p initial_deviation:={rig.deviation}" if rig.deviation else ""
+    deviation = rig.deviation
+    option = f" --deviation {deviation}" if deviation else ""
+    parameter = f" -p initial_deviation:={deviation}" if deviation else ""
     epoch = " epoch:=NANOSECONDS" if rig.needs_epoch else ""
     say(f"""
 Next, with a simulation in the place of the rig, then with its sensors. In a clone ./dev run stands

@@ -298,9 +298,7 @@ class ImpactFilter:
             found = view.corrected(update, expected.rows(view), white)
             settled = expected.settled(found)
             if found.parameters:
-                bounds = self.members.bound_correction(found.theta, found.root, found.of_theta)
-                z = found.z + bounds
-                z[found.of_theta] = self.members.bounded(z[found.of_theta])
+                z = self.members.within_bounds(found.z, found.root, found.of_theta)
                 found = found._replace(z=z)
             found = self._at_estimated_instant(change, found, member)
             if settled:

@@ -466,6 +466,15 @@ class Members:
         theta = np.clip(constants[:p], self.low, self.high)
         return np.concatenate([theta, constants[p:]])
 
+    def within_bounds(self, z: Vector, root: Matrix, rows: slice) -> Vector:
+        """``z``, shape (d,), with its ``rows``, the parameters, within their bounds.
+
+        All else moves by ``bound_correction``, whose arguments these are.
+        """
+        found = z + self.bound_correction(z[rows], root, rows)
+        found[rows] = self.bounded(found[rows])  # as the sum is rounded
+        return np.asarray(found)
+
     def bound_correction(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
         """The correction, shape (d,), that takes parameters beyond their bounds back to them.
 

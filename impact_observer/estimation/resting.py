@@ -68,14 +68,12 @@ def rested(
     size, p = state.x.size, state.parameters
     H, value, floor = rest_measurement(members, state, new, leftover)
     update = correction(state.root, H, np.empty((len(H), 0)), floor)
-    change = -update.change(value)
+    z = np.concatenate([state.x, state.constants]) - update.change(value)
     if p:
-        theta = state.theta + change[size : size + p]
-        change += members.bound_correction(theta, update.root, slice(size, size + p))
-    constants = state.constants + change[size:]
+        z = members.within_bounds(z, update.root, slice(size, size + p))
     corrected = state._replace(
-        x=state.x + change[:size],
-        constants=members.bounded(constants) if p else constants,
+        x=z[:size],
+        constants=z[size:],
         root=update.root,
         differences=state.differences - update.change(H.dot(state.differences)),
     )

@@ -223,9 +223,9 @@ class SampleFilter:
     def _within_bounds(self, state: GaussianState) -> GaussianState:
         """``state`` with its parameters within their bounds."""
         size, p, members = state.x.size, state.parameters, self.filter.members
-        change = members.bound_correction(state.theta, state.root, slice(size, size + p))
-        constants = members.bounded(state.constants + change[size:])
-        return state._replace(x=state.x + change[:size], constants=constants)
+        z = np.concatenate([state.x, state.constants])
+        z = members.within_bounds(z, state.root, slice(size, size + p))
+        return state._replace(x=z[:size], constants=z[size:])
 
 
 class SampleUpdate:

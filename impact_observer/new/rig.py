@@ -197,7 +197,8 @@ class NewRig:
     def launch_text(self) -> str:
         """The launch file."""
         epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.needs_epoch else ("", "")
-        deviation = f'\n        "initial_deviation": "{self.deviation}",' if self.deviation else ""
+        suggested = self.deviation
+        deviation = f'\n        "initial_deviation": "{suggested}",' if suggested else ""
         return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark, deviation=deviation)
 
     def check_sensors(self) -> None:
