@@ -32,6 +32,7 @@ from impact_observer.cli.arguments import (
     add_namespace,
     add_observer_arguments,
     add_observers,
+    not_negative,
     observer_options,
     positive,
 )
@@ -82,6 +83,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=SETTLED,
         help=f"V/V0 below which an estimate has settled (default {SETTLED:g})",
     )
+    parser.add_argument(
+        "--from",
+        metavar="S",
+        dest="since",
+        type=not_negative,
+        help="leave out what is earlier than S seconds after the epoch, such as a wrong start"
+        " (default: all samples count)",
+    )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
@@ -100,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
         truth=args.truth,
         estimates=args.observers,
         settled=args.settled,
+        since=args.since,
         namespace=args.namespace,
         plot=args.plot,
         report=args.report,
@@ -132,6 +142,7 @@ def compare(
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
     settled: float = SETTLED,
+    since: float | None = None,
     namespace: str = "",
     plot: Path | None = None,
     report: Path | None = None,
@@ -165,7 +176,7 @@ def compare(
         check_output(report, (".html", ".htm"))
     if csv is not None:
         check_output(csv, (".csv",))
-    how = {"truth": truth, "estimates": estimates, "settled": settled}
+    how = {"truth": truth, "estimates": estimates, "settled": settled, "since": since}
     results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
     labelled = labelled_by_law(results)
     if json:

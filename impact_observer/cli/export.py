@@ -14,7 +14,8 @@
 
 """Write the states, errors or events of a bag to a CSV or Parquet file.
 
-Each row has its stamp in ns and seconds since the epoch. Coordinates are q_NAME and u_NAME, errors
+Each row has its stamp in ns and seconds since the epoch. Coordinates are q_NAME and u_NAME, their
+standard deviations, where an observer has them, deviation_q_NAME and deviation_u_NAME, errors
 dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_observer[parquet].
 """
 

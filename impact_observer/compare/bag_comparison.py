@@ -38,6 +38,7 @@ from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_stamp, named_states, named_topic
 from impact_observer.model import System
 from impact_observer.observer import Observer
+from impact_observer.stamps import from_seconds
 from impact_observer.states import Stamps
 
 
@@ -68,6 +69,7 @@ def compare_bag(
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
     settled: float = SETTLED,
+    since: float | None = None,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
@@ -81,6 +83,7 @@ def compare_bag(
         truth: the topic of the plant's true states; None for the only one there is.
         estimates: observers' prefixes, or topics of states; None for every observer.
         settled: V over V at the start below which an estimate has settled.
+        since: seconds after the epoch; samples before it are left out. None for all.
         progress: receives what is being done, how much of it is done, and how much there is.
 
     Raises:
@@ -97,10 +100,12 @@ def compare_bag(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
+    epoch = epoch_in(reader, events) or first_stamp(reader, [true_topic]) or 0
+    begin = 0 if since is None else epoch + from_seconds(since)
     recorded = {}
     for name, topic in topics.items():
         outcomes, law = outcomes_in(reader, topic, events), name.rpartition("/")[2]
-        recorded[name] = topic, Comparator(system, outcomes, law, settled)
+        recorded[name] = topic, Comparator(system, outcomes, law, settled, begin=begin)
     for done, total in compare_recorded(reader, system, true_topic, recorded.values()):
         progress("comparing", done, total)
 
@@ -116,13 +121,13 @@ def compare_bag(
                 events,
                 true_states,
                 settled=settled,
+                begin=begin,
                 progress=partial(progress, law),
             )
     except BagError as error:
         if str(error).startswith(str(reader.path)):
             raise
         raise BagError(f"{reader.path}: {error}") from None
-    epoch = epoch_in(reader, events) or first_stamp(reader, [true_topic]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 

@@ -31,12 +31,15 @@ from impact_observer.compare.error_curve import ErrorRows
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
+from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, first_stamp, named_states, states_of
 from impact_observer.model import System
 
+DEVIATIONS = ("deviation_q", "deviation_u")
+"""What the columns of standard deviations begin with, of coordinates and of velocities."""
 Progress: TypeAlias = Callable[[int, int], None]
 """Receives the number of messages read, and of all."""
 
@@ -45,6 +48,9 @@ def state_rows(
     reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
 ) -> Iterator[TableBlock]:
     """The true states and the estimates, in the order of the bag.
+
+    Where an observer has a covariance there are columns of standard deviations too; NaN in rows
+    without one.
 
     Raises:
         UsageError: a topic is not in the bag.
@@ -56,9 +62,12 @@ def state_rows(
         raise BagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
     zero = _epoch(reader, int(first.stamps[0])) if epoch is None else epoch
     done, total = 0, sum(reader.topics[topic].count for topic in chosen)
-    for topic, block in reader.blocks(chosen, first.names):
+    with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
+    for topic, block in reader.blocks(chosen, first.names, covariance=with_deviations):
         if block.stamps.size:
             numbers = _columns(("q", "u"), block.names, np.hstack([block.q, block.u]))
+            if with_deviations:
+                numbers |= _columns(DEVIATIONS, block.names, _deviations(block))
             words = {"topic": [topic] * block.stamps.size}
             yield TableBlock(topic, zero, block.stamps, words, numbers)
             done += block.stamps.size
@@ -139,6 +148,21 @@ def _columns(
     """Columns of coordinates and velocities, such as ``q_x1`` and ``u_x1``."""
     headings = [f"{kind}_{name}" for kind in kinds for name in names]
     return dict(zip(headings, x.T, strict=True))
+
+
+def _has_covariance(reader: BagReader, topic: str) -> bool:
+    """Whether the first estimates on a topic have a covariance."""
+    _, block = next(iter(reader.blocks([topic], covariance=True)))
+    return isinstance(block, ObserverStates) and block.covariance.size > 0
+
+
+def _deviations(block: JointStates) -> NDArray[np.float64]:
+    """Standard deviations of coordinates and velocities, shape (rows, 2n); NaN without."""
+    if isinstance(block, ObserverStates) and block.covariance.size:
+        variances = np.diagonal(block.covariance, axis1=1, axis2=2)
+        # Rounding may leave a variance slightly below zero.
+        return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
+    return np.full((block.stamps.size, 2 * len(block.names)), np.nan)
 
 
 def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:

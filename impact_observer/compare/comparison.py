@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from impact_observer.compare.error_curve import ErrorCurve, ErrorRows, error_type
 from impact_observer.compare.mismatch import REACH, Mismatch, windows
 from impact_observer.dynamics.lyapunov import distance
-from impact_observer.errors import BagError, DynamicsError
+from impact_observer.errors import BagError, DynamicsError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import Pairing, Pairs, Samples, arrived, sample_type, samples_of
 from impact_observer.model import System
@@ -40,7 +40,7 @@ from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.samples import SensorSample
-from impact_observer.stamps import seconds_between
+from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Stamps, Vector
 
 SETTLED = 1e-2
@@ -114,7 +114,7 @@ class Comparison:
     def rate_per_impact(self) -> float | None:
         """Fall of ``ln V`` per used impact until V is near its end; None where V does not fall."""
         fall, until = self._fall()
-        impacts = self.outcomes.until(until)
+        impacts = self.outcomes.until(until) - self.outcomes.until(int(self.stamps[0]))
         return fall / impacts if fall > 0 and impacts else None
 
     def _fall(self) -> tuple[float, int]:
@@ -145,6 +145,7 @@ class Comparator:
         law: str,
         settled: float = SETTLED,
         keep: Callable[[ErrorRows], None] | None = None,
+        begin: int = 0,
     ) -> None:
         """Begin without any block.
 
@@ -154,12 +155,14 @@ class Comparator:
             law: name of the law.
             settled: V over V at the start below which the estimate has settled.
             keep: receives the rows that count, in order; None to keep them for the result.
+            begin: stamp before which samples are left out, ns.
         """
         self.pairing = Pairing()
         self.law = law
         self._system, self._outcomes, self._settled = system, outcomes, settled
         self._curve = ErrorCurve()
         self._keep = keep or self._curve.add
+        self._begin = begin
         index = {name: c for c, name in enumerate(system.contact_names)}
         self._impacts = [(at, index[name]) for at, name in outcomes.impacts if name in index]
         self._of_contact = [[at for at, c in self._impacts if c == i] for i in range(system.m)]
@@ -194,7 +197,8 @@ class Comparator:
         if not done:
             due = int(np.searchsorted(pairs["stamp"], last - 2 * REACH, side="right"))
         if due > self._counted:
-            self._count(pairs[self._counted : due])
+            rows = pairs[self._counted : due]
+            self._count(rows[rows["stamp"] >= self._begin])
         # A jump shows against the two samples before it.
         kept = max(due - 2, 0)
         self._carried, self._counted = pairs[kept:], due - kept
@@ -212,7 +216,7 @@ class Comparator:
             before, after = bisect_left(own, impact), bisect_right(own, impact)
             others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
             begin, end = map(int, windows(rows["stamp"], *speeds[c], impact, others))
-            if begin < end:
+            if begin < end and end > self._begin:
                 self._windows.append((begin, end))
                 self._mismatch.windows += 1
                 self._mismatch.longest = max(self._mismatch.longest, seconds_between(begin, end))
@@ -220,6 +224,8 @@ class Comparator:
 
     def _count(self, pairs: Pairs) -> None:
         """Count pairs whose windows are all found."""
+        if not pairs.size:
+            return
         n, stamps = self._system.n, pairs["stamp"]
         rows = np.empty(pairs.size, error_type(2 * n))
         rows["stamp"], rows["error"] = stamps, pairs["estimate"] - pairs["truth"]
@@ -257,8 +263,14 @@ class Comparator:
 
         Raises:
             BagError: no stamp is in both, or every estimate came before its events.
+            UsageError: they end before the stamp from which samples count.
         """
         self.update(done=True)
+        if not (self._samples or self._late or self._mismatch.samples) and self._begin:
+            raise UsageError(
+                f"{self.law}: no sample from stamp {text(self._begin)} s on, where --from begins:"
+                f" {self.pairing.ranges()}"
+            )
         if not (self._samples or self._late or self._mismatch.samples):
             raise BagError(
                 f"{self.law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
@@ -298,6 +310,7 @@ def compare_observer(
     *,
     system: System | None = None,
     settled: float = SETTLED,
+    begin: int = 0,
     needs_event: bool = True,
     samples: Sequence[SensorSample] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
@@ -313,6 +326,7 @@ def compare_observer(
         truth: makes the blocks of the plant's states; their stamps are where to estimate.
         system: whose energy V is; None for the observer's.
         settled: V over V at the start below which the estimate has settled.
+        begin: stamp before which samples are left out, ns.
         needs_event: whether it is an error that the observer could not apply any event.
         samples: of the observer's sensors, in order of stamps.
         progress: receives the number of estimates made, and of all.
@@ -342,7 +356,7 @@ def compare_observer(
             raise BagError(f"{law}: no impact was received, so there is no estimate to compare")
         file.seek(0)
         estimates = iter(lambda: file.read(4096 * row.itemsize), b"")
-        comparator = Comparator(system or observer.system, outcomes, law, settled)
+        comparator = Comparator(system or observer.system, outcomes, law, settled, begin=begin)
         _compare_blocks(comparator, truth(), (np.frombuffer(data, row) for data in estimates))
     return comparator.result()
 

@@ -107,8 +107,15 @@ def _write_csv(path: Path, blocks: Iterable[TableBlock]) -> None:
                 writer.writerow([*block.words, "stamp_ns", "time_s", *block.numbers])
             stamps = block.stamps.tolist()
             times = [text(stamp - block.epoch) for stamp in stamps]
-            numbers = [column.tolist() for column in block.numbers.values()]
+            numbers = [_cells(column) for column in block.numbers.values()]
             writer.writerows(zip(*block.words.values(), stamps, times, *numbers, strict=True))
+
+
+def _cells(column: NDArray[np.float64] | NDArray[np.int64]) -> list[float | str]:
+    """The numbers of a column; NaN is an empty cell."""
+    none = np.isnan(column)
+    cells: list[float | str] = column.tolist()
+    return ["" if n else v for n, v in zip(none, cells, strict=True)] if none.any() else cells
 
 
 def _write_parquet(path: Path, blocks: Iterable[TableBlock]) -> None:

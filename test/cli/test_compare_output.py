@@ -54,6 +54,26 @@ def metrics(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, di
     return dict(found)
 
 
+def test_only_samples_from_a_time_on_count(
+    bag: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """``--from`` counts from the epoch: the errors are those of the rows that ``export`` writes."""
+    table = tmp_path / "errors.csv"
+    assert main(["export", str(bag), "-o", str(table), "--what", "errors"]) == 0
+    with table.open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if float(row["time_s"]) >= 3]
+    found = metrics(capsys, str(bag), "--from", "3")["geometric"]
+    assert found["samples"] == len(rows)
+    assert found["start_stamp_ns"] == int(rows[0]["stamp_ns"])
+    assert found["V_start"] == float(rows[0]["V"])
+    squares = [float(row["dq_x1"]) ** 2 for row in rows]
+    assert found["rms"][0] == pytest.approx((sum(squares) / len(rows)) ** 0.5)
+    whole = metrics(capsys, str(bag))["geometric"]
+    assert found["mismatch_windows"] < whole["mismatch_windows"]
+    assert main(["compare", str(bag), "--from", "7"]) == 2
+    assert "no sample from stamp 8.000000000 s on, where --from begins" in capsys.readouterr().err
+
+
 class Page(HTMLParser):
     """What a browser would load, and what it would show."""
 

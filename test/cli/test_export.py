@@ -101,6 +101,22 @@ def test_states_are_those_of_the_bag_bit_by_bit(
             assert same(of_topic(table, topic, f"u_{name}"), each.u[:, k])
 
 
+def test_states_have_the_deviations_of_an_observer_with_a_covariance(tmp_path: Path) -> None:
+    """Square roots of the messages' variances; the truth has none, and empty cells."""
+    plant, bag = tmp_path / "plant", tmp_path / "bag"
+    simulated = ["simulate", "bouncing_ball", "--duration", "1", "--rate", "20"]
+    assert main([*simulated, "-o", str(plant)]) == 0
+    assert main(["observe", str(plant), "--law", "minimum-variance", "-o", str(bag)]) == 0
+    table = exported(bag, tmp_path / "states.csv")
+    columns = ("deviation_q_height", "deviation_u_height")
+    assert list(table)[-2:] == [*columns]
+    with BagReader(bag) as reader:
+        messages = [message.covariance for *_, message in reader.messages(ESTIMATE)]
+    for k, column in enumerate(columns):
+        assert set(of_topic(table, TRUTH, column)) == {""}
+        assert same(of_topic(table, ESTIMATE, column), np.sqrt([each[3 * k] for each in messages]))
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_errors_are_what_compare_counts(observed: Path, tmp_path: Path, suffix: str) -> None:
     """Samples between the jumps of truth and estimate are left out; V comes along."""
