@@ -144,6 +144,7 @@ class Comparator:
         outcomes: EventOutcomes,
         law: str,
         settled: float = SETTLED,
+        *,
         keep: Callable[[ErrorRows], None] | None = None,
         begin: int = 0,
     ) -> None:
@@ -197,8 +198,8 @@ class Comparator:
         if not done:
             due = int(np.searchsorted(pairs["stamp"], last - 2 * REACH, side="right"))
         if due > self._counted:
-            rows = pairs[self._counted : due]
-            self._count(rows[rows["stamp"] >= self._begin])
+            own = pairs[self._counted : due]
+            self._count(own[own["stamp"] >= self._begin])
         # A jump shows against the two samples before it.
         kept = max(due - 2, 0)
         self._carried, self._counted = pairs[kept:], due - kept

@@ -57,7 +57,7 @@ def metrics(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, di
 def test_only_samples_from_a_time_on_count(
     bag: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """``--from`` counts from the epoch: the errors are those of the rows that ``export`` writes."""
+    """``--from`` counts from the epoch: errors are those of the rows that export writes."""
     table = tmp_path / "errors.csv"
     assert main(["export", str(bag), "-o", str(table), "--what", "errors"]) == 0
     with table.open(encoding="utf-8") as file:
