@@ -218,9 +218,9 @@ def identify(
         fit_report.print_parameters(found, checked)
     lines = sys.stderr if json else sys.stdout
     if output is not None and good:
-        text = fit_report.model_text(found, given, bag, output, initial=initial_state)
-        output.write_text(text, encoding="utf-8")
-        say(f"model: {output}", file=lines)
+        left_out = fit_report.write_model(found, given, bag, output, initial=initial_state)
+        say(", ".join(filter(None, [f"model: {output}", left_out])), file=lines)
+        good = not left_out
     if plot is not None:
         name = found.family.system.name
         save(fit_picture(found, title=f"{name}: instants of the model minus stamps"), plot)

@@ -99,9 +99,12 @@ def facts_table(rows: Iterable[tuple[RenderableType, RenderableType]]) -> Table:
     return table
 
 
-def print_report(table: Table, sentences: Iterable[str]) -> None:
-    """Print a table, and sentences below it."""
+def print_report(table: Table, sentences: Iterable[str], above: Iterable[str] = ()) -> None:
+    """Print a table, with sentences ``above`` and below it."""
     terminal = console(100)
+    for sentence in above:
+        terminal.print(sentence)
+        terminal.print()
     terminal.print(fitted(table, terminal.width))
     terminal.print()
     for sentence in sentences:

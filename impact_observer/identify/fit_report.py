@@ -24,7 +24,6 @@ from rich.table import Table
 
 from impact_observer import __version__
 from impact_observer.draw.text_tables import plain_table, print_report
-from impact_observer.errors import ModelError
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
@@ -62,7 +61,7 @@ def _inside(found: Identification) -> str:
         return ""
     episode = found.recording.episode
     first, second = (key.stamp for key in episode.keys[:2])
-    remedy = "leave out --initial-state"
+    remedy = "--initial-state cannot write it"
     if not system.depends_on_time:
         ahead = first - max((second - first) // 10, 1)
         epoch = text(ahead).rstrip("0").rstrip(".")
@@ -95,7 +94,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
             each.name: {
                 "given": each.value,
                 "value": value,
-                "standard_error": error,
+                "standard_error": error if found.converged else None,
                 "unit": each.unit,
                 "at_bound": each.name in found.bounded,
             }
@@ -107,7 +106,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "unknown": list(found.undetermined),
         "singular_values": found.singular.tolist(),
         "initial_state": _initial_state(found).tolist(),
-        "initial_state_error": _initial_errors(found).tolist(),
+        "initial_state_error": _initial_errors(found).tolist() if found.converged else None,
         "initial_state_seconds": recording.start,
         "clock_error": float(found.clock),
         "clock_error_declared": found.declared,
@@ -137,7 +136,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
 def print_parameters(found: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
     lines = [*_about_fit(found), *_about_errors(found, check), *_about_parameters(found)]
-    print_report(_parameter_table(found), [_about_start(found), *lines])
+    print_report(_parameter_table(found), [_about_start(found), *lines], above=_verdict(found))
 
 
 def print_check(found: Identification, check: FitCheck) -> None:
@@ -145,7 +144,25 @@ def print_check(found: Identification, check: FitCheck) -> None:
     table = plain_table("contact", "impacts", "mean [s]", "rms [s]", names={"contact"})
     for name, (count, mean, rms) in check.by_contact.items():
         table.add_row(name, str(count), f"{mean:.3g}", f"{rms:.3g}")
-    print_report(table, [*_about_fit(found), *_about_check(found, check)])
+    print_report(table, [*_about_fit(found), *_about_check(found, check)], above=_verdict(found))
+
+
+def _verdict(found: Identification) -> Iterator[str]:
+    """What speaks against the model: nothing, or why its values are not to be used."""
+    if not found.converged:
+        yield (
+            "The model does not fit: no motion of it explains these stamps. Do not use these"
+            " values; they have no standard errors. Begin with other values, or free other"
+            f" parameters (docs/misfit.md).{_about_time(found.family.system)}"
+        )
+    if found.declared and found.rms > _OTHER * found.clock:
+        yield (
+            f"WARNING: the shifts of the stamps, {found.rms:.3g} s rms, are no errors of a clock"
+            f" with {found.clock:.3g} s: is the model that of the rig, and --time-unit that of"
+            " the times that were imported?"
+        )
+    if found.converged and found.held_back and not found.held_back.carries_over:
+        yield "WARNING: the model does not carry over to the impacts that were held back."
 
 
 def _parameter_table(found: Identification) -> Table:
@@ -160,13 +177,15 @@ def _parameter_table(found: Identification) -> Table:
             shown, own = "not determined", ""
         if each.name in found.bounded:
             own = "at its bound"
+        own = own if found.converged else ""
         table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
     system = found.family.system
     rows = [(f"{name} at the start", system.unit) for name in system.coordinates]
     rows += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
     states = zip(rows, _initial_state(found), _initial_errors(found), strict=True)
     for (name, unit), value, error in states:
-        table.add_row(name, "", f"{value:.10g}", f"{error:.2g}", unit)
+        own = f"{error:.2g}" if found.converged else ""
+        table.add_row(name, "", f"{value:.10g}", own, unit)
     return table
 
 
@@ -184,12 +203,6 @@ def _about_fit(found: Identification) -> Iterator[str]:
     off = f"differ from the model's impacts by {found.rms:.3g} s rms"
     yield f"{len(found.shifts)} stamps {off}{declared}."
     yield from map(_about_sensor, found.sensors)
-    if not found.converged:
-        yield (
-            "The model does not fit: no motion of it explains these stamps. Do not use these"
-            " values. Begin with other values, or free other parameters (docs/misfit.md)."
-            f"{_about_time(found.family.system)}"
-        )
     impacts = len(found.shifts) + len(found.recording.rejected)
     if found.declared and found.doubted >= _MANY * impacts:
         yield (
@@ -227,15 +240,9 @@ def _about_sensor(each: SensorFit) -> str:
 
 def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
     """Why standard errors are widened, and how the model does on what was held back."""
-    if found.widened > 1.0:
+    if found.converged and found.widened > 1.0:
         reasons = "; ".join(_reasons(found, check))
         yield f"Standard errors are widened by a factor of {found.widened:.3g}: {reasons}."
-    if found.declared and found.rms > _OTHER * found.clock:
-        yield (
-            f"WARNING: the shifts of the stamps, {found.rms:.3g} s rms, are no errors of a clock"
-            f" with {found.clock:.3g} s: is the model that of the rig, and --time-unit that of"
-            " the times that were imported?"
-        )
     if not found.converged or not found.family.size:
         return
     held = found.held_back
@@ -244,8 +251,7 @@ def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
         return
     declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
     yield (
-        f"{'' if held.carries_over else 'WARNING: the model does not carry over. '}Checked on the"
-        f" last {held.impacts} impacts: residuals {held.residual:.3g} s (fitted part"
+        f"Checked on the last {held.impacts} impacts: residuals {held.residual:.3g} s (fitted part"
         f" {held.fitted:.3g} s{declared}). The values are from all impacts."
     )
 
@@ -306,6 +312,20 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
     yield "The model fits." if good else f"The model does not fit; worst: {worst}."
 
 
+def write_model(
+    found: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool
+) -> str:
+    """Write :func:`model_text`; the initial state only where it is outside all stops.
+
+    Returns:
+        What was left out, to be printed; empty if nothing was.
+    """
+    inside = initial and bool(_inside(found))
+    text = model_text(found, given, bag, output, initial=initial and not inside)
+    output.write_text(text, encoding="utf-8")
+    return "without the initial state, which is inside a stop" if inside else ""
+
+
 def model_text(
     found: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
 ) -> str:
@@ -319,10 +339,8 @@ def model_text(
         initial: whether to write the initial state too.
 
     Raises:
-        ModelError: the fitted values make no valid model, or the initial state is in a stop.
+        ModelError: the fitted values make no valid model.
     """
-    if initial and (wrong := _inside(found)):
-        raise ModelError(str(output), wrong)
     document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     provenance: dict[str, object] = {

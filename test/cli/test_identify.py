@@ -86,10 +86,14 @@ def test_a_start_inside_a_stop_is_named_with_its_remedy(
     assert main(["identify", "early", *words]) == 0
     wrong = "the initial state is inside the stop 'floor': it holds 5 s before the first impact"
     assert wrong in " ".join(capsys.readouterr().out.split())
-    assert main(["identify", "early", *words, "-o", "ball.yaml", "--initial-state"]) == 2
-    wrong_line = capsys.readouterr().err
-    assert wrong in wrong_line
-    assert not Path("ball.yaml").exists()
+    assert main(["identify", "early", *words, "-o", "ball.yaml", "--initial-state"]) == 1
+    said = capsys.readouterr()
+    wrong_line = " ".join(said.out.split())
+    assert wrong_line.count(wrong) == 1
+    assert "model: ball.yaml, without the initial state" in wrong_line
+    assert said.err == ""
+    np.testing.assert_allclose(read_model("ball.yaml").system.eps, [0.9], rtol=1e-6)
+    Path("ball.yaml").unlink()
     epoch = re.search(r"repeat import or detect with --epoch ([0-9.]+),", wrong_line)
     assert epoch is not None
     assert 5.9 < float(epoch[1]) < 6
@@ -207,6 +211,30 @@ def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]
     said = " ".join(capsys.readouterr().out.split())
     assert "restitution.floor ended at its bound" in said
     assert not Path("ball.yaml").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of instants at random, which no ball makes: they say nothing of the restitution."""
+    flights = np.random.default_rng(1).uniform(0.2, 1.5, 14)
+    times = 1 + np.append(0.0, np.cumsum(flights))
+    Path("random.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
+    assert main(["import", "random.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    capsys.readouterr()
+    words = ["identify", "bag", "--free", "restitution", "--trust-events"]
+    assert main(words) == 1
+    said = capsys.readouterr().out
+    verdict, table = said.split("parameter ", maxsplit=1)
+    assert "The model does not fit: no motion of it explains these stamps." in verdict
+    rows = [line.split() for line in table.splitlines()[1:4]]
+    assert [len(row) for row in rows] == [3, 6, 6]  # name, value, unit; no standard error
+    assert main([*words, "--json"]) == 1
+    results = json.loads(capsys.readouterr().out)
+    assert results["parameters"]["restitution.floor"]["standard_error"] is None
+    assert results["initial_state_error"] is None
 
 
 @pytest.mark.slow
