@@ -133,7 +133,9 @@ def _outcome(case: tuple[str, str, int]) -> Outcome:
     return outcome(*case)
 
 
-def accuracy(console: Console, runs: int, jobs: int, sensors: Sequence[str]) -> None:
+def accuracy(
+    console: Console, runs: int, jobs: int, models: Sequence[str], sensors: Sequence[str]
+) -> None:
     """Print the first table."""
     title = f"V [J], 30 s, stamps wrong by 1 ms, {runs} starts; NEES over 2n: 1 is consistent"
     table = Table(title=title, box=box.SIMPLE_HEAD)
@@ -141,7 +143,7 @@ def accuracy(console: Console, runs: int, jobs: int, sensors: Sequence[str]) -> 
     for name in ("at [s]", "filter", "smoother", "expected", "NEES", "median ratio"):
         table.add_column(name, justify="right")
     context = multiprocessing.get_context("forkserver")
-    for model, sensor in itertools.product(MODELS, sensors):
+    for model, sensor in itertools.product(models, sensors):
         cases = [(model, sensor, k) for k in range(runs)]
         with ProcessPoolExecutor(jobs, mp_context=context) as pool:
             some = list(track(pool.map(_outcome, cases), sensor, runs, console=console))
@@ -194,6 +196,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run both tables."""
     parser = argparse.ArgumentParser(prog="./dev bench smoothing", description=__doc__)
     parser.add_argument("--runs", type=int, default=200, help="starts of each row (default 200)")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=[*MODELS])
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=[*SENSORS])
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument(
@@ -205,7 +208,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     console = Console()
     if args.runs:
-        accuracy(console, args.runs, args.jobs, args.sensors)
+        accuracy(console, args.runs, args.jobs, args.models, args.sensors)
     if any(args.impacts):
         growth(console, args.impacts)
     return 0
