@@ -14,6 +14,10 @@
 
 """The package's errors: one line that names the thing, what was found, what is wanted.
 
+The rule of exit codes: 2 is wrong use, an argument or a file that is not what the command takes,
+such as one of another kind, or a bag without the topic or the model that is needed; 1 is a failed
+job, such as data that are damaged, too few, or do not fit the model, or a disk that is full.
+
 Every error a user can cause derives from :class:`ImpactObserverError`; its ``exit_code`` is
 what a command ends with. Anything else that escapes is a bug; ``process_end`` reports it.
 """
@@ -79,6 +83,10 @@ class ModelError(UsageError):
 
 class BagError(ImpactObserverError):
     """A bag that cannot be read, written or used for what is asked."""
+
+
+class UnfitBagError(BagError, UsageError):
+    """A file that is no bag, or a bag without what the command takes: wrong use."""
 
 
 class IdentificationError(ImpactObserverError):

@@ -114,7 +114,7 @@ def summarize(bag: Path) -> BagSummary:
         if "`" in str(error):  # it names a command that helps
             raise
         command = f"impact-observer check {quote(str(bag))}"
-        raise BagError(f"{error}; `{command}` says what can be read") from error
+        raise type(error)(f"{error}; `{command}` says what can be read") from error
 
 
 def _summary(reader: BagReader) -> BagSummary:

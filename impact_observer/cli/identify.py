@@ -203,7 +203,7 @@ def identify(
                 samples=recorded.samples,
             )
         except BagError as error:
-            raise BagError(f"{bag}: {error}") from None
+            raise type(error)(f"{bag}: {error}") from None
     checked = check_fit(found)
     good = (
         found.converged

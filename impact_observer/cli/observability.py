@@ -117,7 +117,7 @@ def observe(
             samples=recorded.samples,
         )
     except BagError as error:
-        raise BagError(f"{bag}: {error}") from None
+        raise type(error)(f"{bag}: {error}") from None
     if json:
         say(json_module.dumps(for_json(found), indent=2, allow_nan=False))
     else:

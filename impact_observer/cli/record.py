@@ -81,7 +81,10 @@ def run(args: argparse.Namespace) -> int:
         for line in _counts(recorded):
             progress.line(line)
         count = sum(recorded.counts.values())
-        progress.line(f"{count:>9} {'message' if count == 1 else 'messages'} in {args.output}")
+        progress.line(
+            f"{count:>9} {'message' if count == 1 else 'messages'} in {args.output};"
+            f" impact-observer check {args.output} says whether an observer can use it"
+        )
     return 0
 
 

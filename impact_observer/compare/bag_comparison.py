@@ -28,7 +28,7 @@ from impact_observer.compare.comparison import (
     compare_observer,
     impacts_in,
 )
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in
@@ -96,7 +96,7 @@ def compare_bag(
     names = reader.observers() if estimates is None else [f"/{e.strip('/')}" for e in estimates]
     topics = {name: named_states(reader, name) for name in names}
     if not topics and not observers:
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
@@ -187,7 +187,7 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
     if named is not None:
         return named_topic(reader, named)
     if (found := reader.truth_topic()) is None:
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
     return found

@@ -29,7 +29,7 @@ from impact_observer.compare.bag_comparison import compare_recorded
 from impact_observer.compare.comparison import Comparator
 from impact_observer.compare.error_curve import ErrorRows
 from impact_observer.compare.table_files import TableBlock
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in
@@ -59,7 +59,7 @@ def state_rows(
     chosen = _state_topics(reader, topics)
     first = first_block(reader, chosen)
     if first is None:
-        raise BagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
+        raise UnfitBagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
     zero = _epoch(reader, int(first.stamps[0])) if epoch is None else epoch
     done, total = 0, sum(reader.topics[topic].count for topic in chosen)
     with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
@@ -92,10 +92,10 @@ def error_rows(
     """
     truth = reader.truth_topic()
     if truth is None:
-        raise BagError(f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic})")
+        raise UnfitBagError(f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic})")
     chosen = [topic for topic in _state_topics(reader, topics) if topic != truth]
     if not chosen:
-        raise BagError(f"{reader.path}: has no estimates; make them with observe")
+        raise UnfitBagError(f"{reader.path}: has no estimates; make them with observe")
     zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
     found: list[tuple[str, ErrorRows]] = []
@@ -126,7 +126,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     """
     events = events_in(reader)
     if not events:
-        raise BagError(f"{reader.path}: has no events to export")
+        raise UnfitBagError(f"{reader.path}: has no events to export")
     zero = _epoch(reader, events[0].stamp) if epoch is None else epoch
     rows = [(event, switch) for event in events for switch in event.switches]
     words = {

@@ -21,7 +21,7 @@ from pathlib import Path
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.messages import bag_messages
@@ -128,7 +128,9 @@ def present(
         else:
             missing.append(f"{source.contact}: no topic {topic}")
     if not found:
-        raise BagError(f"{path}: {'; '.join(missing)}; topics in it: {', '.join(types) or 'none'}")
+        raise UnfitBagError(
+            f"{path}: {'; '.join(missing)}; topics in it: {', '.join(types) or 'none'}"
+        )
     return found, missing
 
 

@@ -25,7 +25,7 @@ from itertools import product
 from pathlib import Path
 
 from impact_observer.draw.observer_topics import ObserverTopics, observers_in
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.reader import BagReader
@@ -195,7 +195,9 @@ def curves_of_bag(
     with BagReader(bag) as reader:
         system, found = system_of(reader, model), observers_in(reader)
         if not found:
-            raise BagError(f"{bag}: has no estimates; make them with observe, or name a model")
+            raise UnfitBagError(
+                f"{bag}: has no estimates; make them with observe, or name a model"
+            )
         by_prefix = {each.prefix: each for each in found}
         names = by_prefix if observers is None else observers
         wanted = dict.fromkeys(ObserverTopics.of_node(name).prefix for name in names)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from impact_observer.draw.estimates import chosen_observers, labels_by_law, law_of
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
-from impact_observer.errors import BagError
+from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates, joined
 from impact_observer.io.live_inputs import epoch_in, with_recorded
@@ -66,7 +66,7 @@ def read_film(
     topics = {prefix: states_of(reader, prefix) for prefix in prefixes}
     wanted = [*([] if truth_topic is None else [truth_topic]), *topics.values()]
     if not wanted:
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: nothing that moves; expected true states on"
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
@@ -115,7 +115,7 @@ def _states_between(
             break
     states = {topic: joined(blocks) for topic, blocks in found.items()}
     if not any(each.stamps.size for each in states.values()):
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: no states between {text(low)} and {text(high)} s; choose another"
             " stretch with --start and --duration"
         )

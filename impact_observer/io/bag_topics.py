@@ -22,7 +22,7 @@ from shlex import quote
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from ruamel.yaml import YAML
 
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 
@@ -72,11 +72,12 @@ def storage_of(path: Path) -> str:
             if inside
             else ""
         )
-        raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
+        kind = BagError if inside else UnfitBagError  # a bag that is damaged, or none
+        raise kind(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:
         remedy = "; `import` makes one of a table of impact times, `detect` of a signal"
         is_signal = path.suffix.lower() in SIGNAL_FILES
-        raise BagError(f"{path}: not a bag; expected {_FORMS}{remedy if is_signal else ''}")
+        raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}{remedy if is_signal else ''}")
     return _STORAGES[path.suffix]
 
 

@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.reader import BagReader
@@ -216,12 +216,12 @@ def _by_topic(
         topic = topic_in(reader, each)
         if topic is None:
             in_bag = ", ".join(reader.topics) or "none"
-            wanted = f"{each.name}: no topic {each.topic} in {reader.path}; it has {in_bag}"
-            problems.append(wanted)
+            missing = each.wrong("topic", f"no {each.topic} in {reader.path}; it has {in_bag}")
+            problems.append(str(missing))
             continue
         found.setdefault(topic, []).append(SensorReader(each, i, reader.topics[topic].type))
     if measurements and not found:
-        raise BagError(problems[0])
+        raise UsageError(problems[0])
     return found
 
 

@@ -34,7 +34,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
 
-from impact_observer.errors import BagError, ImpactObserverError, UsageError
+from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import (
@@ -153,7 +153,7 @@ class BagReader:
         if wanted.topic in fitting:
             return wanted.topic
         if len(fitting) > 1:
-            raise BagError(
+            raise UnfitBagError(
                 f"{self.path}: {' and '.join(fitting)} both fit {wanted.topic}; name the one meant"
                 " with --namespace"
             )
@@ -309,7 +309,7 @@ class BagReader:
     def _check_type(self, topic: str, wanted: str) -> None:
         """Check the type of a topic."""
         if (found := self._topic(topic).type) != wanted:
-            raise BagError(f"{self.path}: {topic} is {found}; expected {wanted}")
+            raise UnfitBagError(f"{self.path}: {topic} is {found}; expected {wanted}")
 
     def model_text(self) -> str | None:
         """The text of the model in the bag, as it was last published; None without one.
@@ -326,7 +326,7 @@ class BagReader:
         """A topic, checked to be in the bag."""
         if topic not in self.topics:
             found = ", ".join(self.topics) or "none"
-            raise BagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
+            raise UnfitBagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
         return self.topics[topic]
 
     def _values(

@@ -25,7 +25,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from impact_observer import __version__
-from impact_observer.errors import BagError, ImpactObserverError
+from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError
 from impact_observer.events import ImpactEvent
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
@@ -78,7 +78,10 @@ def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
         writer.close()
     except KeyboardInterrupt:  # of a signal, which raises it once: closing is not interrupted
         writer.close()
-        raise KeyboardInterrupt(f"{path} holds what was done until then") from None
+        raise KeyboardInterrupt(
+            f"the bag {path} is whole and holds what was done until then; to repeat the command,"
+            " remove it or choose another name"
+        ) from None
     except BaseException:
         with suppress(BagError):
             writer.close()
@@ -184,7 +187,7 @@ def text_of_model(reader: BagReader, model: str | None) -> ModelText:
         return model_text(model)
     content = reader.model_text()
     if content is None:
-        raise BagError(f"{reader.path}: carries no model; name one with --model")
+        raise UnfitBagError(f"{reader.path}: carries no model; name one with --model")
     return ModelText(content, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
 
 
@@ -212,7 +215,7 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
     topic = reader.find(interfaces.IMPACTS)
     if topic is None:
         found = ", ".join(reader.topics) or "none"
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: has no impacts; expected {interfaces.IMPACT_EVENT} on"
             f" {interfaces.IMPACTS.topic}, topics in the bag: {found}"
         )

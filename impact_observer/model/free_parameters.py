@@ -15,6 +15,7 @@
 """The parameters of a model that can be estimated, by the names that users write."""
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from itertools import combinations
 
 import numpy as np
@@ -82,8 +83,11 @@ def parametric_family(
     for name in wanted:
         found = [each for each in available if each == name or each.startswith(f"{name}.")]
         if not found:
+            kinds = dict.fromkeys(each.partition(".")[0] for each in available)
+            near = get_close_matches(name, [*kinds, *available], 1)
+            meant = f"did you mean {near[0]}? " if near else ""
             raise UsageError(
-                f"parameter {name!r}: this model has none; expected some of"
+                f"parameter {name!r}: this model has none; {meant}expected some of"
                 f" {', '.join(available)}; or all of a kind, such as restitution"
             )
         names.extend(found)

@@ -165,10 +165,10 @@ def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
     """Warn of misspelt parameters, which ROS ignores."""
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
-            declared = ", ".join(sorted(node.get_parameters_by_prefix("")))
-            node.get_logger().warning(
-                printable(f"parameter {name} does not exist; expected {declared}")
-            )
+            declared = sorted(node.get_parameters_by_prefix(""))
+            near = get_close_matches(name, declared, 1)
+            remedy = f"did you mean {near[0]}?" if near else f"expected {', '.join(declared)}"
+            node.get_logger().warning(printable(f"parameter {name} does not exist; {remedy}"))
 
 
 def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:

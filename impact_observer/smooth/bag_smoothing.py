@@ -124,7 +124,7 @@ def smooth_bag(
             give=give,
         )
     except BagError as error:
-        raise BagError(f"{reader.path}: {error}") from None
+        raise type(error)(f"{reader.path}: {error}") from None
     counts = Counter(problems)
     left_out = [*samples.problems]
     left_out += [f"{count} samples are left out: {each}" for each, count in counts.items()]

@@ -223,7 +223,7 @@ def test_impacts_of_the_bag_make_way_for_those_that_are_found(
         (["--contact", "stop"], 2, "no sensor named"),
         (["--sources", "switch", "--field", "x"], 2, "--field: given beside --sources; write it"),
         (["--sources", "no.yaml"], 2, "no.yaml: no such file; expected a file of sensors"),
-        (["--contact", "stop", "--topic", "/none"], 1, "stop: no topic /none; topics in it:"),
+        (["--contact", "stop", "--topic", "/none"], 2, "stop: no topic /none; topics in it:"),
         (["--contact", "stop", "--topic", "/force"], 2, "kind: is missing, as /force is std_msgs"),
         (["--contact", "stop", "--topic", "/imu"], 2, "threshold: is missing; expected a number"),
         (

@@ -157,7 +157,7 @@ def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
         ("time,x\n", ["--contact", "stop"], 2, "holds no row; expected time, value"),
         ("time,x\n-2,1", ["--contact", "stop"], 2, "first stamp would be -1.000000000 s"),
         ("time,a(1),a[1]\n0,1,2", ["--contact", "stop"], 2, "two columns of one name in a(1)"),
-        (table(), ["--contact", "stop", "--topic", "ay"], 1, "no topic /ay; topics in it: /az"),
+        (table(), ["--contact", "stop", "--topic", "ay"], 2, "no topic /ay; topics in it: /az"),
         (
             table(),
             ["--contact", "stop", "--hysteresis", "28", "--baseline", "0"],
@@ -201,5 +201,5 @@ def test_what_is_no_signal_is_said_to_be_none(
     assert "leave out options of a table" in capsys.readouterr().err
     assert main(["detect", str(tmp_path), "--start", "3", *given]) == 2
     assert "go with a signal, not with a bag" in capsys.readouterr().err
-    assert main(["observe", str(sound), "-o", output]) == 1
+    assert main(["observe", str(sound), "-o", output]) == 2
     assert "`import` makes one of a table of impact times, `detect`" in capsys.readouterr().err

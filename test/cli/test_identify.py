@@ -171,9 +171,9 @@ def test_samples_of_sensors_make_standard_errors_smaller(
     other = Path("other.yaml")
     text = "measurements: [{name: e, topic: /none, field: x, position: {x1: 1}, deviation: 1}]"
     other.write_text(text, encoding="utf-8")
-    assert main([*words, "--measurements", str(other)]) == 1
+    assert main([*words, "--measurements", str(other)]) == 2
     error = capsys.readouterr().err
-    assert "no topic /none" in error
+    assert "other.yaml: measurements[0].topic: no /none in" in error
     assert len(error.splitlines()) == 1
 
 

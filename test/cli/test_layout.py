@@ -93,9 +93,9 @@ def test_a_bag_must_have_what_is_asked_of_it(
     with BagReader(bag) as reader, BagWriter(tmp_path / "plant") as writer:
         copy_topics(reader, writer, ["/impacts", "/plant/joint_states"])
     plant = ["layout", str(tmp_path / "plant"), "-o", str(tmp_path / "x.json")]
-    assert main(plant) == 1
+    assert main(plant) == 2
     assert "carries no model; name one with --model" in capsys.readouterr().err
-    assert main([*plant, "--model", "two_mass"]) == 1
+    assert main([*plant, "--model", "two_mass"]) == 2
     assert "has no estimates; make them with observe" in capsys.readouterr().err
 
 

@@ -149,7 +149,7 @@ def test_dropouts_and_quantisation_are_simulated(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        ("{name: a, topic: /none, joint: x1, quantity: position, deviation: 1}", 1, "no topic"),
+        ("{name: a, topic: /none, joint: x1, quantity: position, deviation: 1}", 2, "no /none in"),
         ("{name: a, topic: /laser, joint: x1, quantity: position, deviation: 1}", 2, "no joints"),
         (("{name: a, topic: /encoder, joint: x7, quantity: position, position: {x1: 1},"
          " deviation: 1}"), 2, "no position of 'x7' on /encoder; joints in its first message: x1"),

@@ -289,8 +289,8 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
 def test_compare_without_estimates_names_the_remedy(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A recording without estimates: exit code 1, one line."""
-    assert main(["compare", str(run_bag)]) == 1
+    """A recording without estimates: exit code 2, one line."""
+    assert main(["compare", str(run_bag)]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
     assert "no estimates" in errors[0]

@@ -306,7 +306,9 @@ def test_names_and_deviations_are_read_as_users_write_them() -> None:
         (("restitution=nan",), "deviation of restitution.stop: nan found"),
         (("restitution=1e5",), "100000 found; expected 1e-12 to 1"),
         (("stiffness-scale=1e-300",), "1e-300 found; expected 1e-12 to 1"),
-        (("elasticity",), "parameter 'elasticity': this model has none"),
+        (("elasticity",), "parameter 'elasticity': this model has none; expected some of"),
+        (("restituton",), "'restituton': this model has none; did you mean restitution"),
+        (("gap.stopp",), "'gap.stopp': this model has none; did you mean gap.stop"),
         (("restitution", "restitution.stop"), "found twice"),
     ],
 )

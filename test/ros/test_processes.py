@@ -233,3 +233,5 @@ def test_misspelt_parameters_give_a_warning(
     assert code == 0
     unknown = re.findall(r"parameter (\S+) does not exist", errors)
     assert unknown == ["lwa", "rat", "sensor.jitter"]
+    meant = re.findall(r"parameter (\S+) does not exist; did you mean (\w+)\?", errors)
+    assert meant == [("lwa", "law"), ("rat", "rate")]

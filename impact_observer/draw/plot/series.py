@@ -29,7 +29,7 @@ from impact_observer.draw.plot.quantities import (
     selected,
     values_of,
 )
-from impact_observer.errors import BagError
+from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in, with_recorded
@@ -148,7 +148,7 @@ def read_recording(
     topics = _topics(reader, observers)
     first = first_block(reader, topics)
     if first is None:
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: no states; expected true states on"
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
@@ -180,7 +180,7 @@ def read_recording(
         if curves[topic].count
     )
     if not series:
-        raise BagError(
+        raise UnfitBagError(
             f"{reader.path}: no states from {text(low)} s on in the stretch that is asked for;"
             " choose another with --start and --duration"
         )
