@@ -35,6 +35,10 @@ _TWO_COLUMNS = 6.5
 """Least width with two columns of panels, inches."""
 _PANEL, _ROW, _REST = 1.45, 0.2, 1.2
 """Height of a panel, of a row of marks and of the rest, inches."""
+_NAMED_ROW = 0.34
+"""Height of a row of marks with its name above it, inches; where there is one column of panels."""
+_SHORT = 3.0
+"""Width below which the axis of time has a short name, inches."""
 MOST_ROWS = 8
 """Most rows of marks; where there are more, the contacts of an estimate share one."""
 BAND = 2.0
@@ -118,7 +122,8 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
     columns = 2 if count > 1 and width >= _TWO_COLUMNS else 1
     height = -(-count // columns)
     rows = mark_rows_of(recording)
-    strip = _ROW * (len(rows) + 0.6) if rows else 0.0
+    above = width < _TWO_COLUMNS
+    strip = (_NAMED_ROW if above else _ROW) * (len(rows) + 0.6) if rows else 0.0
     heights = [*([strip] if rows else []), *[_PANEL] * height]
     drawn = _with_dots(recording.series)
     with mpl.rc_context({"font.size": 9.0}):
@@ -134,11 +139,12 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
             last = column % height == height - 1 or column == count - 1
             axes.tick_params(labelbottom=last)
             if last:
-                axes.set_xlabel("time since the epoch [s]")
+                axes.set_xlabel("time [s]" if width < _SHORT else "time since the epoch [s]")
             panels.append(axes)
         panels[0].set_xlim(recording.start, recording.end)
         for k in range(columns if rows else 0):
-            _draw_marks(figure.add_subplot(grid[0, k], sharex=panels[0]), rows, named=k == 0)
+            axes = figure.add_subplot(grid[0, k], sharex=panels[0])
+            _draw_marks(axes, rows, named=k == 0, above=above)
         handles = [*_handles(recording, drawn), *_mark_handles(rows), *_dot_handles(recording)]
         longest = max(len(str(each.get_label())) for each in handles)
         room = max(int(13 * width) // (longest + 8), 1)
@@ -179,15 +185,18 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
 
 
 def _draw_marks(
-    axes: Axes, rows: Mapping[str, Mapping[Ruling | None, Vector]], *, named: bool
+    axes: Axes, rows: Mapping[str, Mapping[Ruling | None, Vector]], *, named: bool, above: bool
 ) -> None:
-    """A strip with a row of marks for each contact."""
-    for k, row in enumerate(rows.values()):
+    """A strip with a row of marks for each contact, its name beside it or ``above`` it."""
+    for k, (label, row) in enumerate(rows.items()):
         for ruling, seconds in row.items():
             at = np.full(seconds.size, k)
             axes.plot(seconds, at, linestyle="none", clip_on=False, **MARKS[ruling][1])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_yticks(range(len(rows)), list(rows) if named else [""] * len(rows))
+        if named and above:
+            place = axes.get_yaxis_transform()
+            axes.text(0.0, k - 0.3, label, transform=place, fontsize="small", in_layout=False)
+    axes.set_ylim(len(rows) - 0.4, -1.0 if above else -0.6)
+    axes.set_yticks(range(len(rows)), list(rows) if named and not above else [""] * len(rows))
     axes.tick_params(labelbottom=False, bottom=False, left=False, labelsize="small")
     for side in axes.spines.values():
         side.set_visible(False)

@@ -124,6 +124,20 @@ def test_many_rows_of_marks_become_one_an_estimate() -> None:
     assert rows["impacts, a"][Ruling.APPLIED].tolist() == list(map(float, range(MOST_ROWS)))
 
 
+def test_long_names_of_rows_leave_a_narrow_picture_its_width() -> None:
+    """They are above the marks; a wide one has them beside the marks."""
+    marks = {Mark("stop", f"a long name of estimate {k}"): np.array([1.0]) for k in range(2)}
+    for width, least, short in ((2.0, 0.5, True), (3.5, 0.7, False)):
+        figure = recording_picture(recording(marks=marks), width=width)
+        figure.draw_without_rendering()
+        assert all(axes.get_position().width > least for axes in figure.axes)
+        assert [each.get_text() for each in figure.axes[-1].texts] == list(
+            mark_rows_of(recording(marks=marks))
+        )
+        assert (figure.axes[3].get_xlabel() == "time [s]") == short
+    assert not recording_picture(recording(marks=marks)).axes[-1].texts
+
+
 def test_what_is_left_out_is_said() -> None:
     """How many coordinates."""
     drawn = recording_picture(recording(left_out=12))
