@@ -74,6 +74,7 @@ class EquationsOfMotion:
         self.constrained_inverse = cache(self._constrained_inverse)
         self.generator = cache(self._generator)
         self._step = cache(self._step_of)
+        self._impact = cache(self._impact_of)
         self._held: list[Contacts] = []
         h = family.system.forcing.frequency.size
         self._size = 2 * family.system.n + 2 * h + 1
@@ -222,22 +223,33 @@ class EquationsOfMotion:
             found.append((float(curve.at(np.array(speed))), curve.slope(speed), *by))
         return tuple(np.array(found).T)
 
+    def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, Matrix, Matrix]:
+        """``W`` and ``X`` of contacts, and what each parameter changes.
+
+        Returns:
+            ``W``, shape (n, c) for c contacts; ``X``, the same; ``-dX``, shape (p, n, c); the
+            changes of the restitution's value and exponent, shape (p, c) each.
+        """
+        P, changes = list(pressed), self._changes
+        W, R = self._system.W[:, P], self.constrained_inverse(pressed)
+        X = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
+        by_mass = np.reshape([R @ each.M @ X for each in changes], (len(changes), *X.shape))
+        by_value = np.reshape([each.eps[P] for each in changes], (-1, len(P)))
+        by_exponent = np.reshape([each.exponent[P] for each in changes], (-1, len(P)))
+        return W, X, by_mass, by_value, by_exponent
+
     def jumped(self, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
         """``z`` and its derivatives just after a moment."""
         n, d = self._system.n, 2 * self._system.n
         u, U = z[n:d].copy(), Z[n:d].copy()
         if moment.pressed:
-            P = list(moment.pressed)
-            W, R = self._system.W[:, P], self.constrained_inverse(moment.pressed)
-            X = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
+            W, X, by_mass, by_value, by_exponent = self._impact(moment.pressed)
             speeds = W.T @ u
-            eps, slopes, by_value, by_exponent = self._rebounds(moment.pressed, speeds)
+            eps, slopes, *shares = self._rebounds(moment.pressed, speeds)
             U -= X @ ((1.0 + slopes)[:, None] * (W.T @ U))
             lost = (1.0 + eps) * speeds
-            for j, change in enumerate(self._changes):
-                U[:, d + j] += R @ (change.M @ (X @ lost))
-                rebound = by_value * change.eps[P] + by_exponent * change.exponent[P]
-                U[:, d + j] -= X @ (rebound * speeds)
+            rebounds = (shares[0] * by_value + shares[1] * by_exponent) * speeds
+            U[:, d : d + len(self._changes)] += (by_mass @ lost - rebounds @ X.T).T
             u -= X @ lost
         if moment.held:
             R, M = self.constrained_inverse(moment.held), self.numbers.M
