@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences, listed, times
+from impact_observer.check.hit_times import FAST, HitTimes, too_slow
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 
@@ -26,9 +27,6 @@ _MOST_NAMES = 1000
 """Most contacts that are counted by name; a damaged bag may name any number."""
 _MOST_LINES = 5
 """Most contacts with the same fault that have a line of their own."""
-_FAST = 5_000_000
-"""Interval of two hits of one contact below which it may be bouncing, ns: the dead time of a
-switch in the detector."""
 _CHATTER, _CHATTER_SHARE = 5, 0.1
 """Chatter is at least so many short intervals, and more than such a share of all."""
 
@@ -66,7 +64,7 @@ class _ContactHistory:
         at: stamp of the last one, ns.
         hit: stamp of the last hit, ns.
         intervals: between its hits.
-        fast: of them, those shorter than ``_FAST``.
+        fast: of them, those shorter than ``FAST``.
         pending: fast ones since the last slow one: if they end in a CLOSE, they are no chatter.
     """
 
@@ -87,7 +85,7 @@ class _ContactHistory:
         """A hit at ``stamp``, ns."""
         if self.hit is not None and stamp > self.hit:
             self.intervals += 1
-            if stamp - self.hit < _FAST:
+            if stamp - self.hit < FAST:
                 self.pending += 1
             else:
                 self.fast, self.pending = self.fast + self.pending, 0
@@ -101,6 +99,7 @@ class ContactCheck:
         """Check the events of ``topic``; ``CONTACT_FAULTS`` are counted in ``faults``."""
         self._topic, self._faults = topic, faults
         self._contacts: defaultdict[str, _ContactHistory] = defaultdict(_ContactHistory)
+        self._times = HitTimes()
 
     def reset(self) -> None:
         """The sender starts again: all contacts are open."""
@@ -109,6 +108,7 @@ class ContactCheck:
 
     def add(self, event: ImpactEvent, where: str) -> None:
         """Add an event, at the place ``where`` of the bag."""
+        self._times.add(event)
         for switch in sorted(event.switches, key=lambda each: each.kind):
             named = switch.contact in self._contacts or len(self._contacts) < _MOST_NAMES
             contact = self._contacts[switch.contact if named else "(other contacts)"]
@@ -144,11 +144,13 @@ class ContactCheck:
                     WARNING,
                     f"{self._topic} {name}",
                     f"{fast} of {contact.intervals} hits follow another in less than"
-                    f" {_FAST / 1e6:g} ms",
+                    f" {FAST / 1e6:g} ms",
                     remedy="a switch that is not debounced looks like this (run detect on its"
                     " signal, with a dead_time), and so do hits that die out (CLOSE reports rest)",
                 )
         if system is not None:
+            if line := too_slow(self._times, system):
+                yield Finding(WARNING, self._topic, line)
             yield from self._name_findings(system)
 
     def _name_findings(self, system: System) -> Iterator[Finding]:

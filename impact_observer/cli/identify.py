@@ -157,6 +157,7 @@ def identify(
         BagError: the bag cannot be read, or contains no impact of the model's contacts.
         IdentificationError: too few impacts, or parameters that move no impact.
     """
+    from impact_observer.check.hit_times import doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
     from impact_observer.identify import fit_report
@@ -180,13 +181,12 @@ def identify(
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed = parse_model(*given)
-        said = events_from(reader, epoch)
-        events = [replace(each, epoch=each.epoch or epoch) for each in said]
+        events = [replace(e, epoch=e.epoch or epoch) for e in events_from(reader, epoch)]
         system = with_recorded(reader, parsed.system, epoch_of(events))
         declared = read_measurements(measurements)
         recorded = samples_in(reader, declared)
-    for problem in recorded.problems:
-        say(f"warning: {problem}", file=sys.stderr if json else sys.stdout)
+        for problem in (*recorded.problems, *doubts(reader, system, has_covariance=True)):
+            say(f"warning: {problem}", file=sys.stderr if json else sys.stdout)
     # What arrived live is known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:

@@ -47,8 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
+    from impact_observer.check.hit_times import doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.io.csv_import import import_csv
+    from impact_observer.io.reader import BagReader
     from impact_observer.model import read_model
 
     model = None if args.model is None else read_model(args.model)
@@ -70,6 +72,10 @@ def run(args: argparse.Namespace) -> int:
             progress=show,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
+        if model is not None:
+            with BagReader(args.output) as reader:
+                for line in doubts(reader, model.system, has_covariance=False):
+                    progress.line(f"warning: {line}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0

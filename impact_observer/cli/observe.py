@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
+    from impact_observer.check.hit_times import doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.estimation.misfit import MISFIT
@@ -77,7 +78,8 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
         measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
-        for line in (*measured.problems, *unused_lines(observer)):
+        odd = doubts(reader, read.system, has_covariance=observer.law.has_covariance)
+        for line in (*measured.problems, *unused_lines(observer), *odd):
             progress.line(f"warning: {line}")
 
         def show(done: int, total: int) -> None:

@@ -70,7 +70,9 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from impact_observer import plant
+    from impact_observer.check.hit_times import first_times, settling
     from impact_observer.cli.progress import Progress
+    from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import (
         SampleFaults,
@@ -134,6 +136,9 @@ def run(args: argparse.Namespace) -> int:
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
+        with BagReader(args.output) as reader:
+            if line := settling(first_times(reader)):
+                progress.line(f"note: {line}")
         if not done.switchings and model.system.m:
             gap, contact = done.nearest(model.system)
             progress.line(f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}")

@@ -1,0 +1,156 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Whether the times of impacts suit a model and a filter: a wrong unit, bounces that settle."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from itertools import islice
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.events import ImpactEvent, Kind
+from impact_observer.io import interfaces
+from impact_observer.io.reader import BagReader
+from impact_observer.model import System
+from impact_observer.stamps import NS_PER_S
+
+FAST = 5_000_000
+"""Interval of two hits of one contact below which it may be bouncing, ns: the dead time of a
+switch in the detector."""
+_MANY, _SHARE = 50, 0.25
+"""Bounces that settle are at least so many fast hits, and more than such a share of all."""
+_PERIODS = 30.0
+"""Periods of the slowest motion that may pass between two impacts, as a rule."""
+_SPEED = 30.0
+"""Fastest speed at which a flight under a constant force may begin, as a rule, m/s."""
+_RIGID = 1e-12
+"""Eigenvalue that counts as zero, relative to the largest."""
+_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_ENOUGH = 5000
+"""First events of a bag that are looked at."""
+
+
+class HitTimes:
+    """The times between impacts, in constant memory.
+
+    Attributes:
+        hits: impacts and closings.
+        fast: of them, those that follow another of the same contact in less than ``FAST``.
+    """
+
+    def __init__(self, events: Iterable[ImpactEvent] = ()) -> None:
+        """Begin with some ``events``."""
+        self.hits = self.fast = 0
+        self._last, self._of_contact = 0, dict[str, int]()
+        self._lengths = Counter[int]()
+        for each in events:
+            self.add(each)
+
+    def add(self, event: ImpactEvent) -> None:
+        """Add an event; of another run of the sender, earlier ones are no neighbours."""
+        hit = [each.contact for each in event.switches if each.kind is not Kind.OPEN]
+        if not hit:
+            return
+        if 0 < self._last < event.stamp:
+            self._lengths[(event.stamp - self._last).bit_length()] += 1
+        for contact in hit:
+            self.hits += 1
+            self.fast += 0 < event.stamp - self._of_contact.get(contact, 0) < FAST
+            self._of_contact[contact] = event.stamp
+        self._last = event.stamp
+
+    @property
+    def median(self) -> float:
+        """The median time between impacts of any contacts, s; 0 without.
+
+        It is rounded down, by less than half.
+        """
+        half = self._lengths.total() / 2
+        for length in sorted(self._lengths):
+            half -= self._lengths[length]
+            if half <= 0:
+                return float(2 ** (length - 1)) / NS_PER_S
+        return 0.0
+
+
+def doubts(reader: BagReader, system: System, *, has_covariance: bool) -> Iterator[str]:
+    """What is odd in the times of a bag's impacts, and what to do; nothing as a rule.
+
+    Args:
+        reader: the bag.
+        system: the model.
+        has_covariance: whether a filter is to use them, whose time grows with bounces.
+    """
+    times = first_times(reader)
+    if line := too_slow(times, system):
+        yield line
+    if has_covariance and (line := settling(times)):
+        yield line
+
+
+def first_times(reader: BagReader) -> HitTimes:
+    """The times of the first impacts of a bag."""
+    topic = reader.find(interfaces.IMPACTS)
+    return HitTimes(islice(reader.events(topic), _ENOUGH) if topic is not None else ())
+
+
+def settling(times: HitTimes) -> str:
+    """What to do where many hits are bounces that settle; empty elsewhere."""
+    if times.fast < _MANY or times.fast <= _SHARE * times.hits:
+        return ""
+    return (
+        f"{times.fast} of {times.hits} hits follow another in less than {FAST / 1e6:g} ms, as"
+        " bounces that settle: where stamps have errors, minimum-variance takes long for each."
+        f" Keep the first of each row: --dead-time {FAST / NS_PER_S:g} of simulate, dead_time of"
+        " the detector"
+    )
+
+
+def too_slow(times: HitTimes, system: System) -> str:
+    """What is wrong where impacts come far less often than a model can make; empty elsewhere."""
+    longest, median = longest_interval(system), times.median
+    if median <= longest:
+        return ""
+    unit = next((name for name, size in _UNITS if size * median <= longest), "")
+    remedy = f"are the times in {unit} (import --time-unit {unit}), or is" if unit else "is"
+    return (
+        f"more than {median:.2g} s pass between impacts; by its frequencies and constant forces"
+        f" the model {system.name} makes less than {longest:.2g} s likely: {remedy} it the"
+        " model of another rig?"
+    )
+
+
+def longest_interval(system: System) -> float:
+    """Time that may pass between impacts as a rule, s; infinite where the model does not say.
+
+    It is 30 periods of the slowest mode or excitation; where bodies fly, the flight under their
+    constant forces that begins at 30 m/s.
+    """
+    if system.live is not None or system.forcing.sampled is not None:
+        return math.inf
+    squares, shapes = linalg.eigh(system.K, system.M)
+    rigid = squares <= _RIGID * max(float(squares[-1]), 0.0)
+    frequencies = [*np.sqrt(squares[~rigid]), *system.forcing.frequency]
+    periods = [2 * math.pi / each for each in frequencies if each > 0]
+    longest = _PERIODS * max(periods, default=0.0)
+    if rigid.any():
+        free = shapes[:, rigid]
+        pull = np.abs(system.W.T @ free @ (free.T @ system.forcing.constant))
+        if not np.any(pull > 0):
+            return math.inf
+        longest = max(longest, 2 * _SPEED / float(np.max(pull)))
+    return longest or math.inf

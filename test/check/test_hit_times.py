@@ -1,0 +1,84 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the times of impacts say of a table's unit, and of bounces that settle."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.check.hit_times import HitTimes, longest_interval, settling, too_slow
+from impact_observer.cli.main import main
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.model import read_model
+
+
+def times_of(seconds: list[float], contact: str = "floor") -> HitTimes:
+    """The times of impacts of one contact."""
+    stamps = (1e9 * (1 + np.asarray(seconds))).astype(np.int64).tolist()
+    return HitTimes(ImpactEvent(at, (Switch(contact),), k, 0, 1) for k, at in enumerate(stamps))
+
+
+def test_a_ball_in_milliseconds_that_were_taken_for_seconds_is_named() -> None:
+    """With the unit that would do; the same bounces in seconds are no cause for doubt."""
+    bounces = np.cumsum(2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(12))
+    system = read_model("bouncing_ball").system
+    assert longest_interval(system) == pytest.approx(2 * 30 / 9.81)
+    assert too_slow(times_of(bounces.tolist()), system) == ""
+    for factor, unit in ((1e3, "ms"), (1e6, "us")):
+        said = too_slow(times_of((factor * bounces).tolist()), system)
+        assert f"are the times in {unit} (import --time-unit {unit})" in said
+
+
+def test_periods_of_modes_and_forces_bound_the_time_between_impacts() -> None:
+    """Thirty of the slowest, of all modes of a chain and of its force."""
+    system = read_model("two_mass").system
+    slowest = min(np.sqrt(np.linalg.eigvals(np.linalg.solve(system.M, system.K))).min(), 2.5)
+    assert longest_interval(system) == pytest.approx(30 * 2 * np.pi / slowest)
+    assert too_slow(times_of([0, 90, 180]), system) == ""
+    assert "make" in too_slow(times_of([0, 900, 1800]), system)
+
+
+def test_bounces_that_settle_are_named_with_the_dead_time_that_leaves_them_out() -> None:
+    """Not as many hits at an even rate, nor a few of them."""
+    row = np.cumsum(0.05 * 0.6 ** np.arange(30))
+    rows = np.concatenate([row + k for k in range(10)]).tolist()
+    said = settling(times_of(rows))
+    assert "250 of 300 hits follow another in less than 5 ms" in said
+    assert "--dead-time 0.005 of simulate" in said
+    assert settling(times_of(row.tolist())) == ""
+    assert settling(times_of((0.006 * np.arange(500)).tolist())) == ""
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_commands_name_a_wrong_unit_before_they_work(capsys: pytest.CaptureFixture[str]) -> None:
+    """The commands import with a model, check and observe."""
+    rows = "\n".join(f"{each}" for each in (0, 1200, 2280, 3250, 4120))
+    Path("ball.csv").write_text(rows, encoding="utf-8")
+    said = "are the times in ms (import --time-unit ms)"
+    for command in (
+        ["import", "ball.csv", "--model", "bouncing_ball", "-o", "bag"],
+        ["check", "bag"],
+        ["observe", "bag", "--rate", "0.1", "-o", "estimates"],
+    ):
+        assert main(command) == 0
+        assert said in " ".join(capsys.readouterr().out.split())
+    assert (
+        main(
+            ["import", "ball.csv", "--model", "bouncing_ball", "--time-unit", "ms", "-o", "right"]
+        )
+        == 0
+    )
+    assert said not in capsys.readouterr().out
