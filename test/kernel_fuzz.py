@@ -123,7 +123,7 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
 
     triangular(np.arange(12.0).reshape(3, 4))
     free, _, w = calls["Impact.__init__"][0].given[:3]
-    free.flown(0.1, np.ones(2 * w.size), 0.2)
+    free.moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, flown, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(t, flown, states)
     samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")

@@ -20,7 +20,7 @@ more than its deviation explains, an impact or a release was missed.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -28,6 +28,7 @@ import numpy as np
 import scipy
 from scipy import special
 
+from impact_observer.dynamics import Phase
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
@@ -117,20 +118,23 @@ class Flight:
         """A flight from ``t``, s since the epoch, with ``closed`` contacts."""
         self._system = member.system
         self._t = t
-        self._phase = member.moving.phase(closed)
-        self._scales = member.moving.phases.scales
+        self._prepare = partial(member.moving.phase, closed)
+        self._scales = member.moving.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
         self.guided = member.moving.guided  # then loads of contacts depend on the motion
-        self._pressed = () if self.guided else self._phase.held
+        self._pressed = self._phase.held if closed and not self.guided else ()
         self.gaps, self.contacts = len(open_), (*open_, *self._pressed)
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]
         if self._pressed:
             loads = Measured.loads(self._phase, self._phase.held)
             self.c = np.vstack([self.c, loads.c])
-        self._rest = self._phase.start(t, np.zeros(2 * self._system.n))
         self.over = lru_cache(_KEPT)(self._over)
+
+    @cached_property
+    def _phase(self) -> Phase:
+        return self._prepare()
 
     def _over(self, duration: float) -> _Samples:
         """Samples of the next ``duration`` seconds."""
@@ -138,7 +142,7 @@ class Flight:
         s = np.linspace(0.0, duration, count + 1)
         s = np.concatenate([s[:1], s[1] * _FINER, s[1:]])
         start = np.eye(2 * self._system.n)
-        forced = self._rest.states(s)
+        forced = self._phase.start(self._t, np.zeros(2 * self._system.n)).states(s)
         moved = [self._phase.start(self._t, x).states(s) - forced for x in start]
         return _Samples(s, self.c @ np.stack(moved, axis=2), forced @ self.c.T + self.offset(s))
 
@@ -222,6 +226,9 @@ class Forecast:
         found = dips_of(self._filter, self._t, duration, [self._state], [self._level])
         if found is not None:
             return found[0]
+        if gaps := self._filter.gaps_with_parameters(self._state, duration):
+            (some,) = gaps.dips(self._t, duration, [self._state], np.array([self._level]))
+            return [self._weighed(Dip(dip[0], Kind.IMPACT, *dip[:-1])) for dip in some]
         if not (self._flight.contacts and duration > 0):
             return []
         samples = self._flight.over(duration)
@@ -231,6 +238,11 @@ class Forecast:
         each = [self._of(j, samples, values[:, j]) for j in range(values.shape[1])]
         dips = [dip for some in each for dip in islice(some, _MOST_DIPS)]
         return sorted(dips, key=lambda dip: dip.below)
+
+    def _weighed(self, dip: Dip) -> Dip:
+        """A ``dip`` with the depth that the errors of parameters leave it."""
+        deep = -self._value(dip.which, dip.deepest) / self._deviation(dip.which, dip.deepest)
+        return dip._replace(depth=deep, unlikely=float(special.log_ndtr(-deep)))
 
     def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
         """The first dips of one function."""
@@ -312,6 +324,8 @@ class Forecast:
         above, below = dip.above, dip.below
         if dip.began is not None:
             return dip.began
+        if gaps := self._filter.gaps_with_parameters(self._state, below):
+            return gaps.root(self._t, self._state, self._level, dip.which, above, below)
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
             return below  # negative from the start, or rounded otherwise when evaluated alone
         found = scipy.optimize.brentq(

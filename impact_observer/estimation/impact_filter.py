@@ -246,6 +246,13 @@ class ImpactFilter:
             return None
         return self.members.given.free_gaps
 
+    def gaps_with_parameters(self, state: GaussianState, s: float) -> Gaps | None:
+        """The same with the parameters of a state."""
+        moving = self.members.motion(state.theta)
+        if state.closed or not moving.is_plain or s > self._longest:
+            return None
+        return self.member(state).free_gaps
+
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
         """The prior of the event's instant and the state then.
 
@@ -431,8 +438,8 @@ class ImpactFilter:
 
     def pressed(self, member: Member, change: ContactChange, x: Vector) -> Contacts:
         """The contacts that take an impulse at an event, before which the state is ``x``."""
-        if not change.hit:
-            return ()
+        if not change.hit or len(change.active) == 1:
+            return change.hit
         n = self.system.n
         gamma = member.gaps(change.hit).c[:, :n].dot(x[n:])
         return change.pressed(member.newton, gamma)

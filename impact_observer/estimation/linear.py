@@ -14,11 +14,11 @@
 
 """The prediction of state and covariance between two events, while one linear phase lasts."""
 
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
-from impact_observer.dynamics import Motion, Phase
+from impact_observer.dynamics import Motion
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
 from impact_observer.estimation.members import Members, transition_of
 from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
@@ -28,11 +28,7 @@ from impact_observer.states import Matrix, Vector
 
 
 class LinearPrediction:
-    """State and covariance while one linear phase lasts.
-
-    Attributes:
-        motion: of the estimate.
-    """
+    """State and covariance while one linear phase lasts."""
 
     def __init__(
         self, t: float, state: GaussianState, members: Members, noise: ProcessNoise | None
@@ -49,12 +45,9 @@ class LinearPrediction:
         self._start = state
         self._members = members
         given = members.given.moving
-        moving = members.motion(state.theta) if state.parameters else given
-        self._phase: Phase = moving.phase(state.closed)
+        self._moving = members.motion(state.theta) if state.parameters else given
         self._noise = noise
         self._diffusion = partial(given.diffusion, state.closed)
-        self._guided = moving.guided
-        self.motion: Motion = moving.motion(t, state.x, state.closed)
         self._root = state.root
         if members.moving:
             size, p = state.x.size, state.parameters
@@ -62,8 +55,15 @@ class LinearPrediction:
             self._own = self._root[size : size + members.moving]
             self._steps = members.steps(state.theta, self._own)
 
+    @cached_property
+    def motion(self) -> Motion:
+        """Of the estimate."""
+        return self._moving.motion(self._t, self._start.x, self._start.closed)
+
     def state(self, s: float) -> Vector:
         """The estimate (q, u) after ``s`` seconds, shape (2n,)."""
+        if self._moving.is_cheap(self._start.closed, s):
+            return self._moved(s)[0]
         return self.motion.state(s)
 
     def root(self, s: float) -> Matrix:
@@ -81,14 +81,18 @@ class LinearPrediction:
         return self._with_noise(propagate_errors(self._root, 0, transition), s)
 
     def _transition(self, s: float) -> Matrix:
-        return transition_of(self.motion, s) if self._guided else self._phase.transition(s)
+        if self._moving.guided:
+            return transition_of(self.motion, s)
+        if self._moving.is_cheap(self._start.closed, s):
+            return self._moved(s)[1]
+        return self._moving.phase(self._start.closed).transition(s)
+
+    def _moved(self, s: float) -> tuple[Vector, Matrix]:
+        return self._moving.moved(self._t, self._start.x, s, self._start.closed)
 
     def prior(self, s: float) -> GaussianState:
         """State and covariance after ``s`` seconds."""
-        if self._guided:
-            x, transition = self.motion.state(s), self._transition(s)
-        else:
-            x, transition = self._phase.flow.moved(self.motion, s)
+        x, transition = self._moved(s)
         if not self._members.moving:
             prior = self._start.propagated(x, transition)
             return (

@@ -35,9 +35,17 @@ from impact_observer.dynamics import (
     PositionProjection,
     persistent_contacts,
 )
+from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
-from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
+from impact_observer.estimation.saltation import (
+    FreePhase,
+    Jet,
+    Measured,
+    Mirror,
+    StateRates,
+)
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import FreeMotion, Gaps, Impact, Sizes
 from impact_observer.model import System
@@ -63,15 +71,20 @@ class MovingSystem:
 
     Attributes:
         system: the system; the places of its stops do not matter here.
-        phases: its linear phases.
         guided: whether guides rub: then a motion has many phases, and which one depends on it.
+        is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
 
-    def __init__(self, system: System) -> None:
-        """Each phase is prepared when it is first needed."""
+    def __init__(self, system: System, inverse: Matrix | None = None) -> None:
+        """Each phase is prepared when it is first needed.
+
+        Where the ``inverse`` of the masses is given, shape (n, n), short motions without contact
+        are the kernel's, which is cheaper for a system that few are asked of.
+        """
         self.system = system
-        self.phases = Phases(system)
         self.guided = bool(system.guides)
+        self.is_plain = not self.guided and system.forcing.sampled is None
+        self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
@@ -79,7 +92,16 @@ class MovingSystem:
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
         self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
-        self._rate = lru_cache(KEPT)(lambda closed: fastest_rate(self.phase(closed)))
+
+    @cached_property
+    def phases(self) -> Phases:
+        """Its linear phases."""
+        return Phases(self.system)
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Of its motions while nothing is held."""
+        return self.phases.scales if self._inverse is None else Scales.of(self.system)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -91,6 +113,12 @@ class MovingSystem:
         """A bound of all rates while no contact is closed, 1/s."""
         return float(max(self._rate(()), *self.system.forcing.frequency, 0.0))
 
+    def _rate(self, closed: Contacts) -> float:
+        """A bound of the rates of the differences of states, 1/s."""
+        if not closed:
+            return fastest_rate(self.rates(()).A)
+        return fastest_rate(state_matrix(self.phase(closed).equations))
+
     def is_short(self, s: float) -> bool:
         """Whether the kernel makes transition matrices of ``s`` seconds by Taylor's series."""
         return self.system.n <= _SMALL and s * self.rate <= _MOST_TURNS
@@ -98,8 +126,8 @@ class MovingSystem:
     @cached_property
     def free(self) -> FreeMotion:
         """Its motion while no contact is closed, without sampled forces, for the kernel."""
-        n, forcing, inverse = self.system.n, self.system.forcing, self.phase(()).inverse
-        rates = self.rates(())
+        n, forcing, rates = self.system.n, self.system.forcing, self.rates(())
+        inverse = rates.B[n:]
         cosine, sine = forcing.cosine @ inverse.T, forcing.sine @ inverse.T
         constant = inverse @ forcing.constant
         return FreeMotion(
@@ -109,7 +137,7 @@ class MovingSystem:
     @cached_property
     def sizes(self) -> Sizes:
         """What its states are rounded against, for the kernel."""
-        scales = self.phases.scales
+        scales = self.scales
         squares = np.maximum(scales.squares, 0.0)
         return Sizes(scales.modes, scales.spread, squares, scales.timescale)
 
@@ -137,12 +165,18 @@ class MovingSystem:
 
         Before it, guides do what they do at ``x``.
         """
+        if self.is_cheap(closed, s):
+            return self.free.moved(t, x, s)
         if not self.guided:
             return self.phase(closed).moved(t, x, s)
         if s <= 0:
             return self._phase_at(t, x, closed).moved(t, x, s)
         motion = self.motion(t, x, closed)
         return motion.state(s), transition_of(motion, s)
+
+    def is_cheap(self, closed: Contacts, s: float) -> bool:
+        """Whether ``s`` seconds while contacts are ``closed`` need no phase."""
+        return not (closed or self._inverse is None) and abs(s) * self.rate <= _MOST_TURNS
 
     @cached_property
     def _clutches(self) -> Clutches:
@@ -184,7 +218,9 @@ class MovingSystem:
         return self.phases.phase(self.phases.independent(closed))
 
     def _rates_of(self, closed: Contacts) -> StateRates:
-        return StateRates(self.phase(closed))
+        if closed or self._inverse is None:
+            return StateRates(self.phase(closed))
+        return StateRates(FreePhase(self.system, self._inverse))
 
     def _diffusion_over(self, closed: Contacts, s: float) -> Matrix:
         """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n)."""
@@ -210,23 +246,37 @@ class Member:
         system: the system.
         values: its parameters, shape (p,).
         moving: its motion between impacts.
-        newton: its impact law.
+        masses: the impact law of a system with the same masses.
     """
 
     def __init__(
-        self, system: System, values: Vector, moving: MovingSystem, numbers: Coefficients
+        self,
+        system: System,
+        values: Vector,
+        moving: MovingSystem,
+        masses: ImpactLaw,
+        numbers: Coefficients,
     ) -> None:
-        """A system whose motion between impacts is ``moving``; ``numbers`` are of ``values``."""
+        """A system whose motion between impacts is ``moving``; ``numbers`` are of ``values``.
+
+        ``masses`` is the impact law of one that has the same masses.
+        """
         self.system = system
         self._numbers = numbers
         self.values = values
         self.moving = moving
-        self.newton = moving.newton if moving.system is system else ImpactLaw(system)
+        self.masses = masses
         self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
         self.guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
         self.jump = lru_cache(KEPT)(self._jump_of)
         self.impact = lru_cache(KEPT)(self._impact_of)
+
+    @cached_property
+    def newton(self) -> ImpactLaw:
+        """Its impact law."""
+        own = self.moving.system is self.system
+        return self.moving.newton if own else ImpactLaw(self.system)
 
     @cached_property
     def projection(self) -> PositionProjection:
@@ -251,7 +301,7 @@ class Member:
         """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part."""
         if self.system.curved.isdisjoint(pressed):
             return self.mirror(pressed)
-        return _mirror_about(self.newton, self._numbers, x, pressed)
+        return _mirror_about(self.masses, self._numbers, x, pressed)
 
     def jump_about(
         self,
@@ -292,7 +342,7 @@ class Member:
         """
         n, curved = self.system.n, [i for i in pressed if i in self.system.curved]
         found = np.zeros((2 * n, len(curved)))
-        stops = self.newton.stops(pressed) if curved else found
+        stops = self.masses.stops(pressed) if curved else found
         for k, i in enumerate(curved):
             row = self.system.W[:, i]
             speed, seen = abs(float(row.dot(x[n:]))), row.dot(root[n:])
@@ -315,7 +365,8 @@ class Member:
         return rows, rows.along(moving.rates(before))
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
-        return Mirror.of(self.system, self.newton.jump(pressed), pressed, self._numbers)
+        J = self.masses.jump(pressed, self._numbers.eps)
+        return Mirror.of(self.system, J, pressed, self._numbers)
 
     def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
         """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
@@ -375,7 +426,8 @@ class Members:
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
         self._mirror = lru_cache(KEPT)(self._mirror_at)
-        self.given = self.at(family.nominal)
+        self._nominal = family.nominal
+        self.given = self.at(self._nominal)
 
     def at(self, values: Vector) -> Member:
         """The member whose parameters are ``values``, shape (p,), all within their bounds."""
@@ -383,7 +435,7 @@ class Members:
 
     def with_given_restitution(self, member: Member) -> Member:
         """``member`` with the restitutions of the model."""
-        values = np.where(self._still, self.family.nominal, member.values)
+        values = np.where(self._still, self._nominal, member.values)
         return self.at(values) if self.family.size else member
 
     def motion(self, values: Vector) -> MovingSystem:
@@ -426,9 +478,10 @@ class Members:
 
     def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
         """The model's motion with the masses of a member, and its coefficients."""
-        theta = np.array(values)
-        heavy = self.motion(np.where(self._weighs, theta, self.family.nominal))
-        return heavy, self._beyond(self.family.at(theta))
+        theta, weighed = np.array(values), self._nominal
+        if any(self._weighs):
+            weighed = np.where(self._weighs, theta, weighed)
+        return self.motion(weighed), self._beyond(self.family.at(theta))
 
     def _beyond(self, numbers: Coefficients) -> Coefficients:
         """``numbers`` with the contact times less those of the model.
@@ -506,13 +559,16 @@ class Members:
 
     def _member(self, values: tuple[float, ...]) -> Member:
         theta, moving = np.array(values), self._moving(values[: self.moving])
-        same = np.array_equal(theta[self.moving :], self.family.nominal[self.moving :])
-        system = moving.system if same else self.family.system_at(theta)
-        return Member(system, theta, moving, self._beyond(self.family.at(theta)))
+        same = np.array_equal(theta[self.moving :], self._nominal[self.moving :])
+        system = moving.system if same else self.family.near(theta)
+        heavy, numbers = self._heavy(values)
+        return Member(system, theta, moving, heavy.newton, numbers)
 
     def _motion(self, values: tuple[float, ...]) -> MovingSystem:
         """The motion with the first parameters at ``values``, the others as given."""
-        theta = np.array(self.family.nominal)
+        theta = np.array(self._nominal)
         theta[: self.moving] = values
-        same = np.array_equal(theta, self.family.nominal)
-        return MovingSystem(self.family.system if same else self.family.system_at(theta))
+        if np.array_equal(theta, self._nominal):
+            return MovingSystem(self.family.system)
+        inverse = None if any(self._weighs) else self.motion(self._nominal).phase(()).inverse
+        return MovingSystem(self.family.near(theta), inverse)

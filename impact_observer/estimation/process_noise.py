@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics.flow.flow import balanced_state_matrix
+from impact_observer.dynamics.flow.flow import balanced
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.estimation.square_root import triangular
 from impact_observer.states import Matrix, Vector
@@ -62,9 +62,9 @@ class ProcessNoise(NamedTuple):
         return np.concatenate(columns, axis=1) if len(columns) > 1 else root
 
 
-def fastest_rate(phase: Phase) -> float:
-    """A bound of the rates of ``phase``, 1/s."""
-    return float(np.linalg.norm(balanced_state_matrix(phase.equations)[0], 1))
+def fastest_rate(A: Matrix) -> float:
+    """A bound of the rates of ``dx/dt = A x``, 1/s."""
+    return float(np.linalg.norm(balanced(A)[0], 1))
 
 
 def diffusion(phase: Phase, s: float, rate: float) -> Matrix:

@@ -23,12 +23,14 @@ after. With ``e = g / gamma`` from the gap this is the saltation matrix (Kong, P
 Johnson, Saltation matrices, 2023), but regular where ``gamma`` is zero.
 """
 
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.flow.flow import Equations
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -44,6 +46,25 @@ LEAST = 1e-150
 _ONE = np.ones(1)
 
 
+class LinearPhase(Protocol):
+    """What a ``Phase`` is without its flow."""
+
+    @property
+    def equations(self) -> Equations:
+        """Without the loads of held contacts."""
+
+    @property
+    def inverse(self) -> Matrix:
+        """What is left of ``M^-1`` when these take their loads, shape (n, n)."""
+
+
+class FreePhase(NamedTuple):
+    """A system while no contact is closed."""
+
+    equations: Equations
+    inverse: Matrix
+
+
 class StateRates:
     """``dx/dt = A x + B f(t) + b`` of one phase with nothing fixed.
 
@@ -51,10 +72,9 @@ class StateRates:
         A: shape (2n, 2n).
         B: shape (2n, n).
         b: by the constant loads of guides, shape (2n,).
-        decay: of the fastest fading motion, 1/s.
     """
 
-    def __init__(self, phase: Phase, rubbed: Vector | None = None) -> None:
+    def __init__(self, phase: LinearPhase, rubbed: Vector | None = None) -> None:
         """Write the phase, with forces of guides if any, (n,), as a system of first order."""
         n, equations = phase.equations.n, phase.equations
         inverse = phase.inverse
@@ -64,7 +84,11 @@ class StateRates:
         self.A[n:, n:] = -inverse @ equations.C
         self.B = np.vstack([np.zeros((n, n)), inverse])
         self.b = np.zeros(2 * n) if rubbed is None else self.B @ rubbed
-        self.decay = max(0.0, -float(np.min(linalg.eigvals(self.A).real)))
+
+    @cached_property
+    def decay(self) -> float:
+        """Of the fastest fading motion, 1/s."""
+        return max(0.0, -float(np.min(np.linalg.eigvals(self.A).real)))
 
     def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
         """``dx/dt`` and its derivative by time, (2n,) each; ``forces`` are f, df/dt, ..."""
@@ -215,8 +239,12 @@ class Mirror(NamedTuple):
         """
         n, P = system.n, list(pressed)
         q_r, offset = (system.q_r if numbers is None else numbers.gap)[P], np.zeros(2 * n)
-        whole, kick = linalg.block_diag(J, J), J - np.eye(n)
-        if P:
+        whole, kick = np.zeros((2 * n, 2 * n)), J - np.eye(n)
+        whole[:n, :n] = whole[n:, n:] = J
+        if len(P) == 1:
+            w = system.W[:, P[0]]
+            offset[:n] = kick @ w * (q_r[0] / w.dot(w))
+        elif P:
             offset[:n] = kick @ linalg.lstsq(system.W[:, P].T, q_r)[0]
         if P and numbers is not None and np.any(numbers.contact_time[P]):
             late = _impulse_delay(numbers, P)

@@ -72,7 +72,7 @@ struct DoubledMatrix {
     }
 };
 
-// As many numbers as `like` has, from x on.
+// The numbers from x on that go with a sum: one, or two side by side.
 inline double as_in(const Doubled<double>&, const double* x) { return *x; }
 inline Two as_in(const Doubled<TwoAligned>&, const double* x) { return two(x); }
 

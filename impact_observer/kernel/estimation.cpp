@@ -158,12 +158,11 @@ py::list missed(const Impact& impact, double t, double flown, const py::sequence
     return stepped(given, [&](const Prior& prior) { return impact.missed(t, flown, prior); });
 }
 
-Array flown(const Motion& motion, double t, const Array& x, double s) {
+py::tuple moved(const Motion& motion, double t, const Array& x, double s) {
     instant(t, s);
-    if (std::abs(s) * motion.rate > MOST_STEPS) throw py::value_error("s: too long");
-    Matrix found(1, motion.size());
-    found.data = motion.flown(t, vector(x, "x", py::ssize_t(motion.size())), s);
-    return flat(found);
+    if (!(std::abs(s) * motion.rate <= MOST_STEPS)) throw py::value_error("s: too long");
+    const Vector after = motion.flown(t, vector(x, "x", py::ssize_t(motion.size())), s);
+    return py::make_tuple(to_python(after), to_python(motion.transition(s)));
 }
 
 // A replica s seconds later, moved by `towards` for each unit by which a sample is larger than
@@ -292,9 +291,7 @@ Array rates_of(const Motion& motion, double t, const Array& x) {
     instant(t, 0.0);
     Vector found = motion.rates(vector(x, "x", py::ssize_t(motion.size())));
     motion.force(t, 0, 1.0, found);
-    Array rates(py::ssize_t(found.size()));
-    std::copy(found.begin(), found.end(), rates.mutable_data());
-    return rates;
+    return to_python(found);
 }
 
 Array diffusion(const Motion& motion, double s) {
@@ -319,8 +316,8 @@ void bind_estimation(py::module_& module) {
              py::arg("row"), py::arg("rest"), py::arg("towards"), py::arg("value"),
              "A replica s seconds after t, moved towards a sample; the map of differences, and the"
              "\ninnovation.")
-        .def("flown", &flown, py::arg("t"), py::arg("x"), py::arg("s"),
-             "The state s seconds after x at t, by Taylor's series: for short times.");
+        .def("moved", &moved, py::arg("t"), py::arg("x"), py::arg("s"),
+             "The state s seconds after x at t, and its derivative by x: for short times.");
     py::class_<Sizes>(module, "Sizes", "What states are rounded against; see dynamics.sizes.")
         .def(py::init(&sizes_of), py::arg("modes"), py::arg("spread"), py::arg("squares"),
              py::arg("timescale"));

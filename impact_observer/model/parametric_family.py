@@ -15,13 +15,14 @@
 """A family of systems that differ by a few parameters, with exact derivatives."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.restitution import Curve, PowerLaw
-from impact_observer.model.system import System
+from impact_observer.model.system import Contact, Guide, System
 from impact_observer.states import Matrix, Vector, frozen
 
 
@@ -65,6 +66,12 @@ class Coefficients:
             system.M, system.C, system.K, system.q_r, *rebound, *harmonics, system.friction, lasts
         )
 
+    @property
+    def parts(self) -> dict[str, Matrix]:
+        """Those of a change that are not zero, by name."""
+        named = {name: getattr(self, name) for name in self.__slots__}
+        return {name: part for name, part in named.items() if np.any(part)}
+
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":
         """A change of ``parts``, by name, and of nothing else."""
@@ -78,12 +85,6 @@ class Coefficients:
             return curve
         value, exponent = float(self.eps[contact]), float(self.exponent[contact])
         return replace(curve, value=value, exponent=exponent)
-
-    def plus(self, factor: float, other: "Coefficients") -> "Coefficients":
-        """``self + factor other``."""
-        return Coefficients(
-            *(getattr(self, name) + factor * getattr(other, name) for name in self.__slots__)
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,8 +112,8 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on it."""
-        motion = ("M", "C", "K", "amplitude", "phase", "friction")
-        return any(np.any(getattr(self.effect, name)) for name in motion)
+        motion = {"M", "C", "K", "amplitude", "phase", "friction"}
+        return not motion.isdisjoint(self.effect.parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,10 +129,13 @@ class ParametricFamily:
     system: System
     parameters: tuple[ModelParameter, ...]
     coefficients: Coefficients = field(init=False)
+    _effects: tuple[tuple[float, dict[str, Matrix]], ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Take the system's coefficients."""
+        """Take the system's coefficients, and what each parameter changes of them."""
+        effects = tuple((each.value, each.effect.parts) for each in self.parameters)
         object.__setattr__(self, "coefficients", Coefficients.of(self.system))
+        object.__setattr__(self, "_effects", effects)
 
     @property
     def size(self) -> int:
@@ -163,10 +167,12 @@ class ParametricFamily:
 
     def at(self, values: Vector) -> Coefficients:
         """The coefficients for parameter ``values``, shape (p,)."""
-        found = self.coefficients
-        for each, value in zip(self.parameters, values, strict=True):
-            found = found.plus(float(value) - each.value, each.effect)
-        return found
+        found = {name: getattr(self.coefficients, name) for name in Coefficients.__slots__}
+        for (nominal, parts), value in zip(self._effects, values.tolist(), strict=True):
+            if value != nominal:
+                by = value - nominal
+                found |= {name: found[name] + by * part for name, part in parts.items()}
+        return Coefficients(**found)
 
     def force_changes(self, values: Vector, t: float) -> Matrix:
         """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
@@ -184,26 +190,37 @@ class ParametricFamily:
         Raises:
             ModelError: that is not a valid system.
         """
-        found, contacts = self.at(values), self.system.contacts
+        return replace(self.system, **self._changed(self.at(values)))
+
+    def near(self, values: Vector) -> System:
+        """The system for parameter ``values``, shape (p,), within their bounds; not checked."""
+        found = self.at(values)
+        changed = self._changed(found)
+        changed["eps"] = frozen([each.restitution for each in changed["contacts"]])
+        return self.system.unchecked(q_r=found.gap, contact_time=found.contact_time, **changed)
+
+    def _changed(self, found: Coefficients) -> dict[str, Any]:
+        """The fields of the system with the coefficients ``found``."""
         numbers = (found.gap, found.eps, found.contact_time)
-        stops = zip(contacts, *(each.tolist() for each in numbers), strict=True)
+        stops = zip(self.system.contacts, *(each.tolist() for each in numbers), strict=True)
         curves = [found.curve(self.system, i) for i in range(self.system.m)]
-        return replace(
-            self.system,
-            M=found.M,
-            C=found.C,
-            K=found.K,
-            forcing=_turned(self.system.forcing, found.amplitude, found.phase),
-            contacts=tuple(
-                replace(each, gap=gap, restitution=eps, curve=curve, contact_time=lasts)
-                for (each, gap, eps, lasts), curve in zip(stops, curves, strict=True)
-            ),
-            frame=self._frame_at(found),
-            guides=tuple(
-                replace(each, force=force)
-                for each, force in zip(self.system.guides, found.friction.tolist(), strict=True)
-            ),
+        contacts = tuple(
+            Contact(each.name, each.direction, gap, c.nominal if c else eps, c, lasts)
+            for (each, gap, eps, lasts), c in zip(stops, curves, strict=True)
         )
+        guides = tuple(
+            Guide(each.name, each.direction, force)
+            for each, force in zip(self.system.guides, found.friction.tolist(), strict=True)
+        )
+        return {
+            "M": found.M,
+            "C": found.C,
+            "K": found.K,
+            "forcing": _turned(self.system.forcing, found.amplitude, found.phase),
+            "contacts": contacts,
+            "frame": self._frame_at(found),
+            "guides": guides,
+        }
 
     def _frame_at(self, found: Coefficients) -> MovingFrame | None:
         """The frame whose own harmonics, the first, and those of grounds have changed."""
@@ -221,6 +238,8 @@ class ParametricFamily:
 
 def _turned(forcing: Forcing, amplitude: Vector, phase: Vector) -> Forcing:
     """Harmonics of other amplitudes, relative to their own, that lead them by ``phase``, rad."""
+    if np.all(amplitude == 1.0) and not np.any(phase):
+        return forcing
     cos, sin = (amplitude * np.cos(phase))[:, None], (amplitude * np.sin(phase))[:, None]
     return replace(
         forcing,

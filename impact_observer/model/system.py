@@ -179,6 +179,13 @@ class System:
         if self.frame is not None:
             self.frame.check(self.forcing, self.M, self.C, self.K)
 
+    def unchecked(self, **changes: object) -> "System":
+        """The same with other fields, derived ones included, of which nothing is checked."""
+        found = object.__new__(System)
+        for name in self.__slots__:
+            object.__setattr__(found, name, changes.get(name, getattr(self, name)))
+        return found
+
     @property
     def speed_unit(self) -> str:
         """Of the velocities: ``m/s``, ``rad/s``, or both."""

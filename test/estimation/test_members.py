@@ -21,7 +21,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import PRESSED, sample
 
-from impact_observer.dynamics import ImpactLaw
+from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.saltation import Measured, Mirror
 from impact_observer.estimation.unknown_parameters import UnknownParameters
@@ -137,3 +137,26 @@ def test_steps_are_about_the_deviations_and_stay_within_bounds() -> None:
             wanted = max(deviation, 1e-6 * 25.0)
             assert step <= wanted
             assert step > min(wanted, theta / 2) / 2
+
+
+def test_a_member_moves_and_jumps_as_its_system_does() -> None:
+    """Without contact and at an impact, forward and back: unchecked members take shortcuts."""
+    model, t = sample("three_mass").system, 0.7
+    wanted = ("stiffness-scale", "damping-scale", "restitution", "gap")
+    all_ = members(model, *wanted)
+    values = all_.family.nominal + 0.01 * np.arange(1, len(all_.family.nominal) + 1)
+    other, found = all_.family.system_at(values), all_.at(values)
+    for name in ("M", "C", "K", "W", "q_r", "eps", "contact_time", "directions"):
+        np.testing.assert_array_equal(getattr(found.system, name), getattr(other, name))
+    x = np.arange(2.0 * model.n) / model.n
+    for s in (0.5, -0.5):
+        for mine, checked in zip(
+            found.moving.moved(t, x, s, ()), Phases(other).phase().moved(t, x, s), strict=True
+        ):
+            np.testing.assert_allclose(mine, checked, rtol=1e-11, atol=1e-12)
+    mirror, w = found.mirror((0,)), model.W[:, 0]
+    u = -x[model.n :] * np.sign(w @ x[model.n :])  # it approaches
+    jumped = mirror.J @ np.concatenate([x[: model.n], u]) + mirror.offset
+    np.testing.assert_allclose(jumped[model.n :], ImpactLaw(other).velocity_after(u, (0,)))
+    gap, eps = w @ x[: model.n] + other.q_r[0], other.eps[0]
+    assert w @ jumped[: model.n] + other.q_r[0] == pytest.approx(-eps * gap)

@@ -23,6 +23,7 @@ from scipy import integrate
 from systems import chain, examples, numbers, system, systems
 
 from impact_observer.dynamics import Phase, Phases
+from impact_observer.dynamics.flow.flow import state_matrix
 from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 
@@ -47,7 +48,7 @@ def test_noise_is_the_integral_of_its_definition(data: st.DataObject) -> None:
     model = data.draw(systems(max_n=3, contacts=(1, 1)))
     phase = Phases(model).phase(data.draw(st.sampled_from([(), (0,)])))
     s = data.draw(numbers(0.0, 4.0))
-    found = 0.3 * diffusion(phase, s, fastest_rate(phase))
+    found = 0.3 * diffusion(phase, s, fastest_rate(state_matrix(phase.equations)))
     expected = integrated_noise(phase, s, 0.3)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-10 * (1 + expected.max()))
 
@@ -68,7 +69,8 @@ def test_noise_of_a_rigid_body_is_the_textbook_one() -> None:
     """``[[s^3/3, s^2/2], [s^2/2, s]]``, over a nanosecond as over a day."""
     phase = Phases(system(2.0, 0, 0)).phase()
     for s in (1e-9, 1.0, 86400.0):
-        found, scale = diffusion(phase, s, fastest_rate(phase)), np.array([s, 1.0])
+        found = diffusion(phase, s, fastest_rate(state_matrix(phase.equations)))
+        scale = np.array([s, 1.0])
         P = found @ found.T / np.outer(scale, scale) / s
         np.testing.assert_allclose(P, [[1 / 3, 1 / 2], [1 / 2, 1]], rtol=1e-12)
 
@@ -76,7 +78,7 @@ def test_noise_of_a_rigid_body_is_the_textbook_one() -> None:
 def test_noise_of_stiff_damping_neither_overflows_nor_takes_long() -> None:
     """``c / m = 1e9``: velocities are lost at once, ``E u^2 = w^2 m / (2 c)``."""
     phase = Phases(system(1.0, 1e9, 1.0)).phase()
-    found = diffusion(phase, 100.0, fastest_rate(phase))
+    found = diffusion(phase, 100.0, fastest_rate(state_matrix(phase.equations)))
     assert np.all(np.isfinite(found))
     assert found[1] @ found[1] == pytest.approx(0.5e-9, rel=1e-6)
 
@@ -84,4 +86,4 @@ def test_noise_of_stiff_damping_neither_overflows_nor_takes_long() -> None:
 def test_no_noise_and_no_time_add_nothing() -> None:
     """The noise is exactly zero."""
     phase = Phases(chain(2)).phase()
-    assert not diffusion(phase, 0.0, fastest_rate(phase)).any()
+    assert not diffusion(phase, 0.0, fastest_rate(state_matrix(phase.equations))).any()

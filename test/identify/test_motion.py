@@ -29,7 +29,11 @@ from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parametric_family
-from impact_observer.model.parametric_family import Coefficients, ParametricFamily
+from impact_observer.model.parametric_family import (
+    Coefficients,
+    ModelParameter,
+    ParametricFamily,
+)
 from impact_observer.stamps import seconds_between
 
 Array = NDArray[np.float64]
@@ -187,6 +191,6 @@ def test_an_effect_has_the_shapes_of_the_system() -> None:
     change = Coefficients.change(model, K=np.eye(2))
     assert change.M.shape == (2, 2)
     assert not np.any(change.M)
-    np.testing.assert_array_equal(
-        Coefficients.of(model).plus(2.0, change).K, model.K + 2 * np.eye(2)
-    )
+    stiffer = ModelParameter("stiffer", 1.0, 0.0, 9.0, 1.0, "", change)
+    found = ParametricFamily(model, (stiffer,)).at(np.array([3.0]))
+    np.testing.assert_array_equal(found.K, model.K + 2 * np.eye(2))

@@ -75,13 +75,18 @@ def state_matrix(system: Equations) -> Matrix:
 
 
 def balanced_state_matrix(system: Equations) -> tuple[Matrix, Vector]:
+    """``balanced`` of the ``state_matrix``."""
+    return balanced(state_matrix(system))
+
+
+def balanced(A: Matrix) -> tuple[Matrix, Vector]:
     """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
 
     Then its entries are rates, and its norm is about the fastest: a matrix exponential needs no
     more squarings than the motion has oscillations. Shapes (2n, 2n) and (2n,).
     """
-    n, A = system.n, state_matrix(system)
-    rate = max(np.sqrt(linalg.norm(A[n:, :n], 1)), linalg.norm(A[n:, n:], 1)) or 1.0
+    n = len(A) // 2
+    rate = max(np.sqrt(np.linalg.norm(A[n:, :n], 1)), np.linalg.norm(A[n:, n:], 1)) or 1.0
     unit = np.concatenate([np.full(n, rate), np.ones(n)])
     return np.asarray(unit[:, None] * A / unit), unit
 
