@@ -26,7 +26,12 @@ import pytest
 from impact_observer.kernel import _kernel
 
 ROOT = Path(__file__).resolve().parents[2]
-SANITIZERS = "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
+SANITIZERS = (
+    "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
+    " -fno-sanitize=null,vptr,object-size"
+)
+"""A null pointer ends the process anyway, casts to derived classes are dynamic, and the sizes of
+objects are known only with optimisation: these checks took a quarter of the compiling."""
 LIBRARIES = ("libasan.so", "libstdc++.so")
 """Which must be loaded before everything else."""
 
@@ -84,7 +89,7 @@ def assert_all_tried(printed: str) -> None:
 def test_wrong_arguments_are_errors_and_never_crash() -> None:
     """Of any shape, order, type, alignment, size and value, in a process of their own."""
     here = {"KERNEL_FILE": str(_kernel.__file__)}
-    assert_all_tried(end_of(here, "kernel_fuzz", "1", "100"))
+    assert_all_tried(end_of(here, "kernel_fuzz", "1", "60"))
 
 
 @pytest.mark.slow
