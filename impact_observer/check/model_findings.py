@@ -15,11 +15,13 @@
 """What a model check means for an observer: sentences, each a fact with its consequence."""
 
 from collections.abc import Iterator, Sequence
+from math import tau
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.check.findings import listed, times
+from impact_observer.check.forced_motion import forced_motion
 from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.estimation.uncertainty import suggested_deviation
 from impact_observer.model import System
@@ -50,6 +52,7 @@ def findings(checked: ModelCheck) -> list[ModelFinding]:
         *_closing(checked),
         *_modes(checked),
         *_unseen(checked),
+        *_forced(checked.system),
         *_size(checked.system),
     ]
 
@@ -217,6 +220,38 @@ def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
             "ok",
             "Every mode moves some contact. One impact gives one number for each contact that"
             f" closes, of {2 * system.n}; enough of them determine the whole state.",
+        )
+
+
+def _forced(system: System) -> Iterator[ModelFinding]:
+    """What follows from the numbers and no rig does: mostly mm taken for m, or Hz for rad/s."""
+    motion, names = forced_motion(system), system.contact_names
+    for i in motion.never_reached()[:_SHOWN]:
+        moved = abs(float(motion.sag[i])) + float(motion.swing[i])
+        yield ModelFinding(
+            "warning",
+            f"{names[i]} is hardly ever reached: constant and harmonic forces move its gap of"
+            f" {motion.rest[i]:.3g} {system.unit} by {moved:.3g} at most. Are all numbers in SI"
+            " units?",
+        )
+    for i in motion.too_fast()[:_SHOWN]:
+        yield ModelFinding(
+            "warning",
+            f"Without impacts the gap of {names[i]} changes at up to {motion.speed[i]:.3g} m/s:"
+            " are all lengths in m, and frequencies in rad/s?",
+        )
+    for i in motion.never_left()[:_SHOWN]:
+        yield ModelFinding(
+            "warning",
+            f"What rests on {names[i]} never leaves it: constant forces press it on by"
+            f" {motion.pull[i]:.3g} m/s^2, harmonic ones and grounds shake it by"
+            f" {motion.shake[i]:.3g} m/s^2 only. Frequencies are in rad/s: 2 pi times Hz.",
+        )
+    for omega, where in motion.odd_frequencies(system)[:_SHOWN]:
+        yield ModelFinding(
+            "note",
+            f"The excitation of {omega:.4g} rad/s is far {where} mode. If {omega:.4g} was meant in"
+            f" Hz, write {tau * omega:.4g}; if in revolutions a minute, {omega * tau / 60:.4g}.",
         )
 
 

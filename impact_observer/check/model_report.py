@@ -15,18 +15,20 @@
 """A model check as text with tables, and as values for ``--json``."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from math import tau
+from math import isfinite, tau
 from typing import NamedTuple
 
 import numpy as np
 from rich.table import Table
 
 from impact_observer.check.findings import times
+from impact_observer.check.forced_motion import forced_motion
 from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_findings import findings
 from impact_observer.draw.text_tables import console, facts_table, plain_table
 from impact_observer.model import Forcing, System
 from impact_observer.model.grounds import MovingFrame
+from impact_observer.states import Vector
 
 _ENDS = 4
 """Rows shown at either end of a long table."""
@@ -35,6 +37,8 @@ _ENDS = 4
 def for_json(checked: ModelCheck) -> dict[str, object]:
     """What ``--json`` prints; SI units, contacts by name, None for what is not decided."""
     system = checked.system
+
+    motion = forced_motion(system)
 
     def names(contacts: Iterable[int]) -> list[str]:
         return [system.contact_names[i] for i in contacts]
@@ -67,8 +71,16 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
                 "gap": c.gap,
                 "restitution": c.curve.document if c.curve else c.restitution,
                 "effective_mass": mass,
+                "gap_under_load": rest,
+                "swing": swing,
+                "swing_speed": speed,
             }
-            for c, mass in zip(system.contacts, checked.effective_mass.tolist(), strict=True)
+            for c, mass, rest, swing, speed in zip(
+                system.contacts,
+                checked.effective_mass.tolist(),
+                *map(_finite, (motion.rest, motion.swing, motion.speed)),
+                strict=True,
+            )
         ],
         "redundant": [names(contacts) for contacts in checked.redundant.sets],
         "redundant_decided": checked.redundant.decided,
@@ -83,6 +95,11 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
         ],
         "findings": [finding._asdict() for finding in findings(checked)],
     }
+
+
+def _finite(values: Vector) -> list[float | None]:
+    """The values; None for what is not known, or grows without bound."""
+    return [value if isfinite(value) else None for value in values.tolist()]
 
 
 def print_check(checked: ModelCheck) -> None:
@@ -169,16 +186,19 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
     ]
     yield _table(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
     if contacts := checked.system.contacts:
+        motion = forced_motion(checked.system)
+        known = (checked.effective_mass, motion.rest, motion.swing, motion.speed)
         rows = [
             (
                 c.name,
                 f"{c.gap:g}",
                 c.curve.text if c.curve else f"{c.restitution:g}",
-                f"{mass:.4g}",
+                *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact),
             )
-            for c, mass in zip(contacts, checked.effective_mass, strict=True)
+            for c, of_contact in zip(contacts, np.transpose(known).tolist(), strict=True)
         ]
-        yield _table(("contact", "gap", "restitution", "effective mass"), rows)
+        headings = ("contact", "gap", "restitution", "effective mass")
+        yield _table((*headings, "gap under load", "swing", "at speed"), rows)
 
 
 def _table(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:

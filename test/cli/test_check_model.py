@@ -90,8 +90,58 @@ def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[s
     assert ["force", "on", "x2", "4", "2.5", "0.397887"] in words
     assert ["1", "1.9544", "0.311052"] in words
     assert ["2", "5.115", "0.814077", "0.02558", "7.639"] in words
-    assert ["stop", "0.5", "0.7", "1"] in words
+    assert ["stop", "0.5", "0.7", "1", "0.5", "1.135", "2.837"] in words
     assert [line[0] for line in words[-4:]] == ["ok", "ok", "ok", "enough"]
+
+
+def hammer(limit: float = 0.5, frequency: float = 2.5) -> str:
+    """A model of elements with two numbers that may be of a wrong unit."""
+    return (
+        "name: hammer\nbodies: [{name: x, mass: 1}]\n"
+        "springs: [{between: [ground, x], stiffness: 10, damping: 0.1}]\n"
+        f"forces: [{{body: x, amplitude: 4, frequency: {frequency}}}]\n"
+        f"stops: [{{name: anvil, body: x, limit: {limit}, side: above, restitution: 0.7}}]\n"
+        "initial_state: {position: [0], velocity: [0]}\n"
+    )
+
+
+FORCES = "constant and harmonic forces move its gap of 500 m by 1.06 at most"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (hammer(limit=500), f"warning anvil is hardly ever reached: {FORCES}."),
+        (hammer(frequency=0.5), "note The excitation of 0.5 rad/s is far below the lowest mode."),
+        (hammer(frequency=0.5), "If 0.5 was meant in Hz, write 3.142; if in revolutions a"),
+        (hammer(frequency=150), "note The excitation of 150 rad/s is far above the highest mode."),
+        (hammer(frequency=150), "write 942.5; if in revolutions a minute, 15.71."),
+    ],
+)
+def test_numbers_of_another_unit_are_named_by_what_follows_from_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+) -> None:
+    """A force of 4 N at 2.5 rad/s moves 1 kg on 10 N/m by 4/|10 - 6.25 + 0.25i| = 1.064 m."""
+    assert said in printed(capsys, written(tmp_path, text))
+    good = printed(capsys, written(tmp_path, hammer()))
+    assert "anvil 0.5 0.7 1 0.5 1.064 2.661" in good
+    assert "warning" not in good
+    assert "far" not in good
+
+
+def test_a_table_in_millimetres_or_hertz_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One shakes too little to lift the ball, the other faster than any machine."""
+    text = Path(shared("config") / "ball_on_table.yaml").read_text(encoding="utf-8")
+    slow = text.replace("62.83185307179586", "10")
+    assert slow != text
+    said = printed(capsys, written(tmp_path, slow))
+    assert "What rests on plate never leaves it: constant forces press it on by 9.81 m/s^2" in said
+    assert "shake it by 0.3 m/s^2 only" in said
+    large = text.replace("amplitude: 0.003", "amplitude: 3").replace("[0.02]", "[20]")
+    said = printed(capsys, written(tmp_path, large))
+    assert "Without impacts the gap of plate changes at up to 188 m/s" in said
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
@@ -150,7 +200,15 @@ def test_json_has_all_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     mode = {"natural_frequency": 1, "damped_frequency": 1, "damping_ratio": 0, "decay": 0}
     assert found.pop("modes") == [pytest.approx(mode)] * 2
     wall, ramp = found.pop("contacts")
-    assert wall == {"name": "wall[1]", "gap": 1, "restitution": 1, "effective_mass": 1}
+    assert wall == {
+        "name": "wall[1]",
+        "gap": 1,
+        "restitution": 1,
+        "effective_mass": 1,
+        "gap_under_load": 1,
+        "swing": None,  # at a resonance
+        "swing_speed": None,
+    }
     assert ramp["effective_mass"] == pytest.approx(1 / 1.000096)
     assert found.pop("undamped_frequencies") == pytest.approx([1, 1])
     assert found == {

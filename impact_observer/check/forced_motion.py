@@ -1,0 +1,131 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far constant loads and excitations move the gaps of a model, as if nothing ever hit.
+
+Of the steady motion without contacts: ``K q_0 = f_0``, and for each harmonic
+``(K - omega^2 M + i omega C) q_k = f_k``. Grounds that move are part of the forcing; a drive turns
+at its nominal frequency.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.model import System
+from impact_observer.states import Vector, frozen
+
+_RIGID = 1e-12
+"""Eigenvalue that counts as zero, relative to the largest."""
+_NEVER = 10.0
+"""A gap so many times larger than what moves it is never reached."""
+_FAST = 100.0
+"""Contact speed that hardly any machine has, m/s."""
+_BOUNDLESS = 1e9
+"""Amplitude that counts as a resonance without damping, m."""
+_ABOVE, _BELOW = 10.0, 0.2
+"""Ratio of an excitation's frequency to the highest and to the lowest mode's that is odd."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForcedMotion:
+    """What the gaps do without impacts and friction; NaN where the model does not say it.
+
+    Attributes:
+        rest: gap under the constant loads, shape (m,), m.
+        sag: its distance to the gap without any load, shape (m,), m.
+        swing: amplitude of the excitations, at most, shape (m,), m; infinite at a resonance.
+        speed: amplitude of its rate, at most, shape (m,), m/s.
+        pull: acceleration by which constant loads close the gap of a body without springs, m/s^2,
+            shape (m,); zero elsewhere.
+        shake: amplitude of the excitations' acceleration there, shape (m,), m/s^2.
+        slowest: lowest frequency of a mode, rad/s; NaN where one is rigid.
+        fastest: the highest one; NaN where all are.
+    """
+
+    rest: Vector
+    sag: Vector
+    swing: Vector
+    speed: Vector
+    pull: Vector
+    shake: Vector
+    slowest: float
+    fastest: float
+
+    def never_reached(self) -> list[int]:
+        """Contacts whose gap is far larger than what moves it."""
+        reach = np.abs(self.sag) + self.swing
+        return np.flatnonzero((self.swing > 0) & (self.rest > _NEVER * reach)).tolist()
+
+    def never_left(self) -> list[int]:
+        """Contacts on which a body without springs rests for good once it has come to rest."""
+        pressed = (self.pull > 0) & (self.shake > 0) & (self.shake < self.pull)
+        return np.flatnonzero(pressed).tolist()
+
+    def too_fast(self) -> list[int]:
+        """Contacts whose speed is that of no machine."""
+        return np.flatnonzero((self.speed > _FAST) & np.isfinite(self.speed)).tolist()
+
+    def odd_frequencies(self, system: System) -> list[tuple[float, str]]:
+        """Frequencies of excitations far from all modes (rad/s), and how they are."""
+        odd = list[tuple[float, str]]()
+        for each in np.unique(system.forcing.frequency).tolist():
+            if each > _ABOVE * self.fastest:
+                odd.append((each, "above the highest"))
+            if each < _BELOW * self.slowest:
+                odd.append((each, "below the lowest"))
+        return odd
+
+
+def forced_motion(system: System) -> ForcedMotion:
+    """The steady motion of a system without contacts."""
+    squares, shapes = linalg.eigh(system.K, system.M)
+    rigid = squares <= _RIGID * max(float(squares[-1]), 0.0)
+    elastic = np.sqrt(squares[~rigid])
+    slowest, fastest = (elastic[0], elastic[-1]) if elastic.size else (math.nan, math.nan)
+    slowest = math.nan if rigid.any() else slowest
+    nothing = np.full(system.m, math.nan)
+    forcing, W = system.forcing, system.W
+    live = system.live
+    if forcing.sampled is not None or (live and (live.inputs or live.grounds)):
+        return ForcedMotion(*[nothing] * 6, float(slowest), float(fastest))
+    modal = shapes[:, ~rigid] / elastic**2
+    sag = W.T @ modal @ (shapes[:, ~rigid].T @ forcing.constant)
+    free = shapes[:, rigid]
+    floats = np.any(np.abs(W.T @ free) > _RIGID, axis=1)
+    pull = -W.T @ free @ (free.T @ forcing.constant)
+    swing, speed, shake = np.zeros((3, system.m))
+    for omega, force in zip(forcing.frequency, forcing.cosine - 1j * forcing.sine, strict=True):
+        stiffness = system.K - omega**2 * system.M + 1j * omega * system.C
+        try:
+            amplitude = np.abs(W.T @ np.linalg.solve(stiffness, force))
+        except np.linalg.LinAlgError:
+            amplitude = np.full(system.m, math.inf)
+        amplitude[amplitude > _BOUNDLESS] = math.inf
+        swing, speed = swing + amplitude, speed + omega * amplitude
+        shake = shake + np.abs(W.T @ free @ (free.T @ force))
+    rest = np.where(floats, math.nan, sag + system.q_r)
+    alone = floats & (not elastic.size)
+    return ForcedMotion(
+        rest=frozen(rest),
+        sag=frozen(sag),
+        swing=frozen(swing),
+        speed=frozen(speed),
+        pull=frozen(np.where(alone, pull, 0.0)),
+        shake=frozen(np.where(alone, shake, 0.0)),
+        slowest=float(slowest),
+        fastest=float(fastest),
+    )
