@@ -23,6 +23,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.model import System
@@ -68,16 +69,16 @@ class ForcedMotion:
     def never_reached(self) -> list[int]:
         """Contacts whose gap is far larger than what moves it."""
         reach = np.abs(self.sag) + self.swing
-        return np.flatnonzero((self.swing > 0) & (self.rest > _NEVER * reach)).tolist()
+        return _where((self.swing > 0) & (self.rest > _NEVER * reach))
 
     def never_left(self) -> list[int]:
         """Contacts on which a body without springs rests for good once it has come to rest."""
         pressed = (self.pull > 0) & (self.shake > 0) & (self.shake < self.pull)
-        return np.flatnonzero(pressed).tolist()
+        return _where(pressed)
 
     def too_fast(self) -> list[int]:
         """Contacts whose speed is that of no machine."""
-        return np.flatnonzero((self.speed > _FAST) & np.isfinite(self.speed)).tolist()
+        return _where((self.speed > _FAST) & np.isfinite(self.speed))
 
     def odd_frequencies(self, system: System) -> list[tuple[float, str]]:
         """Frequencies of excitations far from all modes (rad/s), and how they are."""
@@ -88,6 +89,11 @@ class ForcedMotion:
             if each < _BELOW * self.slowest:
                 odd.append((each, "below the lowest"))
         return odd
+
+
+def _where(true: NDArray[np.bool_]) -> list[int]:
+    """The indices of what is true."""
+    return [int(i) for i in np.flatnonzero(true)]
 
 
 def forced_motion(system: System) -> ForcedMotion:
@@ -101,7 +107,16 @@ def forced_motion(system: System) -> ForcedMotion:
     forcing, W = system.forcing, system.W
     live = system.live
     if forcing.sampled is not None or (live and (live.inputs or live.grounds)):
-        return ForcedMotion(*[nothing] * 6, float(slowest), float(fastest))
+        return ForcedMotion(
+            rest=nothing,
+            sag=nothing,
+            swing=nothing,
+            speed=nothing,
+            pull=nothing,
+            shake=nothing,
+            slowest=float(slowest),
+            fastest=float(fastest),
+        )
     modal = shapes[:, ~rigid] / elastic**2
     sag = W.T @ modal @ (shapes[:, ~rigid].T @ forcing.constant)
     free = shapes[:, rigid]
