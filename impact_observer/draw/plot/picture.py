@@ -25,7 +25,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from impact_observer.draw.pictures import Style, styles
-from impact_observer.draw.plot.series import PlotContent, Series
+from impact_observer.draw.plot.series import DENSE, PlotContent, Series
 from impact_observer.events import Ruling
 from impact_observer.states import Vector
 
@@ -43,6 +43,12 @@ MOST_ROWS = 8
 """Most rows of marks; where there are more, the contacts of an estimate share one."""
 BAND = 2.0
 """Half the width of a band, in standard deviations."""
+_TAIL = 5.0
+"""Percentage of values at either end that do not count where an estimate has no band."""
+_NARROW = 0.25
+"""Width of a band, over that of the motion, up to which an estimate is known."""
+_FARTHER = 2.0
+"""Range of all lines over that of what is known, above which they are cut off."""
 _MARGIN = 0.06
 """Space above and below the curves, over their range."""
 _TRUTH: Style = {"color": "0.75", "linewidth": 3.2}
@@ -54,8 +60,6 @@ _SPARSE: Style = {
     "markevery": 1,
 }
 """How the truth is drawn where its samples are too few for a line."""
-_DENSE = 3
-"""Samples of an estimate for one of the truth, from which on these are too few for a line."""
 _IMPACT: Style = {"marker": "|", "color": "0.2", "markersize": 7}
 MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
     None: ("impact", _IMPACT),
@@ -88,9 +92,9 @@ def styles_of(series: Sequence[Series]) -> list[Style]:
 
 def _with_dots(series: Sequence[Series]) -> list[Style]:
     """``styles_of`` series, but dots for a truth with few samples beside an estimate."""
-    most = max((len(each.values) for each in series), default=0)
+    most = max((each.samples for each in series), default=0)
     return [
-        style if each.law or len(each.values) * _DENSE > most else _SPARSE
+        style if each.law or each.samples * DENSE > most else _SPARSE
         for each, style in zip(series, styles_of(series), strict=True)
     ]
 
@@ -159,7 +163,6 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
 
 def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style]) -> None:
     """One quantity of all series, with bands of deviations, within the range of the lines."""
-    low, high = np.inf, -np.inf
     count = len(recording.series)
     for k, (each, style) in enumerate(zip(recording.series, drawn, strict=True)):
         t, y, deviation = (a[:, column] for a in (each.seconds, each.values, each.deviations))
@@ -176,12 +179,40 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
                 linewidth=0,
                 zorder=1,
             )
-        low, high = min(low, float(y.min())), max(high, float(y.max()))
     for dots in recording.dots.get(recording.quantities[column].name, ()):
         axes.plot(dots.seconds, dots.values, **_DOTS)
+    low, high, cut_off = limits(recording, column)
+    if cut_off:
+        where: Style = {"transform": axes.transAxes, "ha": "right", "va": "top"}
+        axes.text(0.99, 0.97, cut_off, fontsize="x-small", color="0.35", **where)
     room = _MARGIN * (high - low) or 0.5 * max(abs(high), 1e-9)
     axes.set_ylim(low - room, high + room)
     axes.grid(visible=True, which="major", color="0.92")
+
+
+def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
+    """The range of an axis, and in words what it cuts off: a long way from a wrong start.
+
+    It is that of all lines, unless they go twice as far as the truth and what is known of the
+    estimates: those of their values whose band is narrow beside the motion, or where estimates
+    have no band beside a truth, all but a twentieth at either end.
+    """
+    parts, whole = list[Vector](), list[Vector]()
+    for each in recording.series:
+        y, deviation = each.values[:, column], each.deviations[:, column]
+        spread = np.percentile(y, [_TAIL, 100 - _TAIL])
+        known = BAND * deviation <= _NARROW * (spread[1] - spread[0])
+        if np.count_nonzero(known) < y.size / 2:
+            known = np.ones(y.size, dtype=np.bool_)
+            if each.law and not recording.series[0].law and not np.isfinite(deviation).any():
+                known = (spread[0] <= y) & (y <= spread[1])
+        parts.append(y[known])
+        whole.append(y)
+    low, high = (float(f(np.concatenate(parts))) for f in (np.min, np.max))
+    least, largest = (float(f(np.concatenate(whole))) for f in (np.min, np.max))
+    if largest - least <= _FARTHER * (high - low):
+        return least, largest, ""
+    return low, high, f"cut off: {least:.3g} to {largest:.3g}"
 
 
 def _draw_marks(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.draw.estimates import chosen_observers, labels_by_law
+from impact_observer.draw.plot.between_samples import FreeMotion, with_states_between
 from impact_observer.draw.plot.impact_marks import Mark, impact_marks
 from impact_observer.draw.plot.quantities import (
     Quantity,
@@ -40,6 +41,7 @@ from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, states_of
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
+from impact_observer.observer.event_outcomes import EventOutcomes
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, text
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -49,6 +51,8 @@ MOST_COORDINATES = 8
 """Most coordinates that are drawn unless quantities are named."""
 MOST_SAMPLES = 8192
 """Most samples of a curve that are kept; of longer ones the extremes."""
+DENSE = 3
+"""Samples of an estimate for one of the truth, from which on these are too few for a line."""
 MOST_DOTS = 4000
 """Most samples of a sensor that are drawn."""
 TRUTH = "truth"
@@ -64,7 +68,8 @@ class Series:
         seconds: since the epoch, ascending in each column, shape (N, k).
         values: of k quantities, shape (N, k).
         deviations: standard deviations, shape (N, k); NaN where there are none.
-        samples: how many were read; more than N where the series is thinned.
+        samples: how many were read; more than N where the series is thinned, fewer where states
+            were put in between.
     """
 
     label: str
@@ -160,15 +165,20 @@ def read_recording(
     system = system and with_recorded(reader, system, epoch)
     low = epoch + from_seconds(start)
     high = MAX_STAMP if duration is None else low + from_seconds(duration)
+    counts = {topic: reader.topics[topic].count for topic in topics}
+    reported = np.unique(np.array([each.stamp for each in events], dtype=np.int64))
+    free = None if system is None or system.guides else FreeMotion(system, epoch)
     curves = {
         topic: _Curve(
             shown,
-            outcomes_in(reader, topic, events).reported if prefix else None,
+            outcomes_in(reader, topic, events) if prefix else None,
+            None if counts[topic] * DENSE <= max(counts.values()) else reported,
             lambda stamps: _gap_motion(system, stamps - epoch),
+            free,
         )
         for topic, prefix in topics.items()
     }
-    done, total = 0, sum(reader.topics[topic].count for topic in topics)
+    done, total = 0, sum(counts.values())
     for topic, block in reader.blocks(topics, names, covariance=True):
         curves[topic].add(block, (block.stamps >= low) & (block.stamps <= high))
         progress(done := done + block.stamps.size, total)
@@ -285,34 +295,46 @@ class _Curve:
     def __init__(
         self,
         quantities: Sequence[Quantity],
-        received: Stamps | None,
+        outcomes: EventOutcomes | None,
+        reported: Stamps | None,
         motion: Callable[[Stamps], Matrix | None],
+        free: FreeMotion | None = None,
     ) -> None:
-        """Collect ``quantities``; ``received`` are the stamps of events that an estimate used.
+        """Collect ``quantities`` of the truth, or with ``outcomes`` of an estimate.
 
+        ``reported`` are the stamps of all events (ns); None to put no states between samples.
         ``motion`` is what moving grounds add to the gaps at stamps; see ``values_of``.
+        ``free``: see ``with_states_between``.
         """
         self.count = 0
         self._motion = motion
+        self._free = free
         self.law = ""
         self._quantities = quantities
-        self._received = received
+        self._outcomes = outcomes
+        self._jumps = outcomes.instants if outcomes and reported is not None else reported
         self._kept: list[tuple[Stamps, Matrix, Matrix]] = []
 
     def add(self, block: JointStates, rows: NDArray[np.bool_]) -> None:
         """Add the states of some rows of a block."""
         if isinstance(block, ObserverStates):
             self.law = block.law or self.law
-            if self._received is not None and block.last_event.any():
-                rows = rows & arrived(block.stamps, block.last_event, self._received)
-        x, motion = np.hstack([block.q[rows], block.u[rows]]), self._motion(block.stamps[rows])
-        values = values_of(self._quantities, x, motion)
+            if self._outcomes is not None and block.last_event.any():
+                used = self._outcomes.reported
+                rows = rows & arrived(block.stamps, block.last_event, used)
+        own = block.stamps[rows]
+        x = np.hstack([block.q[rows], block.u[rows]])
+        stamps = own
+        if self._jumps is not None:
+            stamps, x = with_states_between(own, x, self._jumps, self._free)
+        values = values_of(self._quantities, x, self._motion(stamps))
         deviations = np.full(values.shape, np.nan)
         if isinstance(block, ObserverStates) and block.covariance.size:
-            deviations = deviations_of(self._quantities, block.covariance[rows])
-        stamps = np.broadcast_to(block.stamps[rows, None], values.shape)
-        self.count += len(values)
-        self._kept.append((stamps, values, deviations))
+            at_samples = deviations_of(self._quantities, block.covariance[rows])
+            for k, column in enumerate(at_samples.T):
+                deviations[:, k] = np.interp(stamps, own, column) if own.size else column
+        self.count += own.size
+        self._kept.append((np.broadcast_to(stamps[:, None], values.shape), values, deviations))
         while sum(len(stamps) for stamps, *_ in self._kept) > MOST_SAMPLES:
             self._kept = [_extremes(*self._joined())]
 

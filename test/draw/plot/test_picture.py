@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
@@ -106,10 +107,39 @@ def test_truth_with_few_samples_is_dots_as_lines_between_them_would_be_wrong() -
         seconds=truth.seconds[::4],
         values=truth.values[::4],
         deviations=truth.deviations[::4],
+        samples=truth.samples // 4,
     )
     drawn = recording_picture(replace(dense, series=(few, estimate))).axes[0].get_lines()
     assert (drawn[0].get_linestyle(), drawn[0].get_marker()) == ("None", "o")
     assert drawn[1].get_linestyle() != "None"
+
+
+def test_a_long_way_from_a_wrong_start_is_cut_off_and_said() -> None:
+    """Where the band is wide, or without one in a twentieth; the truth is always inside."""
+    t = np.linspace(0.0, 10.0, 101)[:, None]
+    motion, wrong = np.cos(7 * t), 50 * np.exp(-4 * t)
+    quantities = tuple(quantities_of(["x"], None).values())[:1]
+
+    def axes_of(estimate: np.ndarray, deviation: np.ndarray, *, truth: bool = True) -> Axes:
+        none = np.full(t.shape, np.nan)
+        drawn = [Series("truth", "", t, motion, none, 101)] if truth else []
+        drawn.append(Series("law", "law", t, estimate, deviation, 101))
+        content = PlotContent("rig", quantities, tuple(drawn), {}, 0.0, 10.0)
+        return recording_picture(content).axes[0]
+
+    none = np.full(t.shape, np.nan)
+    known = [axes_of(motion + wrong, wrong, truth=each) for each in (True, False)]
+    for axes in (*known, axes_of(motion + wrong, none)):
+        low, high = axes.get_ylim()
+        assert -1.6 < low < -1
+        assert 1 < high < 8
+        (said,) = [each.get_text() for each in axes.texts]
+        assert said.startswith("cut off: -")
+        assert said.endswith(" to 51")
+    for truth in (False, True):
+        axes = axes_of(motion if truth else motion + wrong, none, truth=truth)
+        assert [*axes.texts] == []
+        assert axes.get_ylim()[1] > np.max(motion if truth else motion + wrong)
 
 
 def test_many_rows_of_marks_become_one_an_estimate() -> None:

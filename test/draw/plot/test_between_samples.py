@@ -1,0 +1,90 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""States between samples: a smooth motion is drawn smoothly, and jumps stay jumps."""
+
+import numpy as np
+import pytest
+
+from impact_observer.draw.plot.between_samples import (
+    MOST,
+    PARTS,
+    FreeMotion,
+    with_states_between,
+)
+from impact_observer.model import read_model
+from impact_observer.states import Matrix, Stamps
+
+OMEGA = 2 * np.pi * 23
+
+
+def sampled(rate: float, count: int = 60) -> tuple[Stamps, Matrix]:
+    """A vibration of 23 Hz: its states."""
+    stamps = (1e9 * (1 + np.arange(count) / rate)).astype(np.int64)
+    return stamps, exact(stamps)
+
+
+def exact(stamps: Stamps) -> Matrix:
+    """The states of the vibration."""
+    phase = OMEGA * (stamps - 1e9) / 1e9
+    return np.column_stack([np.cos(phase), -OMEGA * np.sin(phase)])
+
+
+NO_JUMPS = np.array([], dtype=np.int64)
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0])
+def test_a_vibration_of_four_samples_a_period_is_smooth(rate: float) -> None:
+    """Within the bound of Hermite's cubic, ``(omega dt)^4 / 384``; all samples stay."""
+    stamps, x = sampled(rate)
+    at, states = with_states_between(stamps, x, NO_JUMPS)
+    assert at.size == PARTS * (stamps.size - 1) + 1
+    error = np.abs(states - exact(at))
+    assert error[:, 0].max() <= (OMEGA / rate) ** 4 / 384
+    assert error[:, 0].max() < 0.02
+    assert error[:, 1].max() < 0.12 * OMEGA
+    np.testing.assert_array_equal(states[np.isin(at, stamps)], x)
+
+
+def test_a_ball_has_its_kink_at_the_impact_between_two_samples() -> None:
+    """The model's motion: down to the floor with one velocity, up with another."""
+    fall, g, eps = 0.437, 9.81, 0.8
+
+    def ball(seconds: np.ndarray) -> Matrix:
+        up = seconds >= fall
+        t = np.where(up, seconds - fall, seconds)
+        speed = eps * g * fall
+        q = np.where(up, speed * t - g / 2 * t**2, g / 2 * (fall**2 - t**2))
+        return np.column_stack([q, np.where(up, speed - g * t, -g * t)])
+
+    stamps = (1e9 + 1e8 * np.arange(8)).astype(np.int64)
+    x = ball(np.arange(8) / 10)
+    jump = np.array([1_437_000_000])
+    free = FreeMotion(read_model("bouncing_ball").system, 1_000_000_000)
+    at, states = with_states_between(stamps, x, jump, free)
+    np.testing.assert_allclose(states, ball(at / 1e9 - 1 + 1e-12), atol=1e-7)
+    assert np.count_nonzero((at > stamps[4]) & (at < stamps[5])) == PARTS
+    assert states[:, 0].min() < 1e-7
+    late = jump + 60_000_000
+    at, _ = with_states_between(stamps, x, late, free)
+    assert np.count_nonzero((at > stamps[4]) & (at < stamps[5])) == 0
+
+
+@pytest.mark.parametrize(("rate", "count"), [(40.0, 60), (1000.0, MOST + 1), (100.0, 2)])
+def test_samples_that_are_too_few_or_enough_stay_as_they_are(rate: float, count: int) -> None:
+    """Two a period do not say how it moves between them."""
+    stamps, x = sampled(rate, count)
+    at, states = with_states_between(stamps, x, NO_JUMPS)
+    np.testing.assert_array_equal(at, stamps)
+    np.testing.assert_array_equal(states, x)
