@@ -175,7 +175,11 @@ class Options:
 
     law: str = option("geometric", "law by which events correct the replicas")
     initial_state: str = option(
-        "zero", "q1,..,qn,u1,..,un, random:SEED or zero", flag="initial", metavar="STATE"
+        "zero",
+        "q1,..,qn,u1,..,un; or random:SEED, normal with deviations of 1 m and 1 m/s; or"
+        " drawn:SEED, with those of initial_deviation; or zero",
+        flag="initial",
+        metavar="STATE",
     )
     initial_deviation: str = option(
         "1",

@@ -32,8 +32,12 @@ from impact_observer.options import AUTO, VERDICTS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from impact_observer.model import System
     from impact_observer.observer import Observer
+    from impact_observer.options import Options
 
+_SMALL = 0.1
+"""Suggested deviation of a position below which one of 1 m is far outside the rig, m."""
 _UNDETERMINED = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
@@ -79,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
         observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
         measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
         odd = doubts(reader, read.system, has_covariance=observer.law.has_covariance)
-        for line in (*measured.problems, *unused_lines(observer), *odd):
+        start = far_start(read.system, chosen)
+        for line in (*measured.problems, *unused_lines(observer), *odd, *start):
             progress.line(f"warning: {line}")
 
         def show(done: int, total: int) -> None:
@@ -133,6 +138,20 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
         yield f"{law.name} uses no measurements: nothing is made of {names}"
+
+
+def far_start(system: "System", options: "Options") -> "Iterator[str]":
+    """A line where the initial state is drawn far outside the rig."""
+    from impact_observer.estimation.uncertainty import suggested_deviation
+
+    suggested = suggested_deviation(system)
+    random = options.initial_state.strip().startswith("random:")
+    if random and suggested and float(suggested.split(",")[0]) < _SMALL:
+        yield (
+            f"--initial {options.initial_state} is drawn with deviations of 1 {system.unit} and 1"
+            f" {system.speed_unit}, far outside this rig; --deviation {suggested} --initial"
+            f" drawn:{options.initial_state.partition(':')[2]} is of its size"
+        )
 
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":

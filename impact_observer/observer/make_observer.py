@@ -67,7 +67,7 @@ def make_observer(
     return Observer(
         system,
         law(system, uncertainty),
-        *initial_state(options.initial_state, system),
+        *initial_state(options.initial_state, system, options.initial_deviation),
         epoch=options.epoch,
         history=options.history,
         ensemble=options.ensemble,
@@ -98,10 +98,12 @@ def _unknown_parameters(
     return unknowns
 
 
-def initial_state(text: str, system: System) -> tuple[Vector, Vector]:
-    """Read ``q1,..,qn,u1,..,un``, ``random:SEED`` or ``zero``.
+def initial_state(text: str, system: System, deviation: str = "1") -> tuple[Vector, Vector]:
+    """Read ``q1,..,qn,u1,..,un``, ``random:SEED``, ``drawn:SEED`` or ``zero``.
 
-    ``random:SEED`` is ``numpy.random.default_rng(SEED).normal(size=2n)``, q then u.
+    ``random:SEED`` is ``numpy.random.default_rng(SEED).normal(size=2n)``, q then u, in SI units
+    whatever the size of the rig; ``drawn:SEED`` is that times the ``deviation``, which is text as
+    ``deviation_of`` reads it.
 
     Returns:
         Position and velocity, shape (n,) each.
@@ -113,17 +115,19 @@ def initial_state(text: str, system: System) -> tuple[Vector, Vector]:
     kind, _, seed = text.strip().partition(":")
     if kind == "zero" and not seed:
         x = np.zeros(2 * n)
-    elif kind == "random":
+    elif kind in {"random", "drawn"}:
         if not (seed.isascii() and seed.isdigit()):
-            raise UsageError(f"initial state {text!r}: expected random:SEED, SEED a whole number")
+            raise UsageError(f"initial state {text!r}: expected {kind}:SEED, SEED a whole number")
         x = np.random.default_rng(int(seed)).normal(size=2 * n)
+        x = x * deviation_of(deviation, system) if kind == "drawn" else x
     else:
         order = "q1,..,qn,u1,..,un"
         try:
             x = np.array([float(part) for part in text.split(",")])
         except ValueError:
             raise UsageError(
-                f"initial state {text!r}: expected zero, random:SEED or {2 * n} numbers {order}"
+                f"initial state {text!r}: expected zero, random:SEED, drawn:SEED or"
+                f" {2 * n} numbers {order}"
             ) from None
         if x.size != 2 * n:
             raise UsageError(

@@ -88,7 +88,7 @@ class ObserverNode(Node):
         _check_lag(options, {"lag": lag})
         model = read_model(values.text("model"))
         system = model.system
-        self._initial = initial_state(options.initial_state, system)
+        self._initial = initial_state(options.initial_state, system, options.initial_deviation)
         sensors = read_measurements(values.text("measurements"))
         self._observer = make_observer(system, options, model.elements, measurements=sensors)
         self._serializer = EstimateSerializer(system.coordinates)

@@ -284,7 +284,8 @@ class _Run:
     def _prior(self, law: TracedLaw, epoch: int) -> GaussianState:
         """What is declared of the start."""
         system = law.system
-        x = np.concatenate(initial_state(self._options.initial_state, system))
+        given = self._options
+        x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))
         (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
         return law.prior(x, law.uncertainty.root(system.n))
 

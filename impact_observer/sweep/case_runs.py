@@ -138,7 +138,9 @@ def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
     first = cases[0]
     run, system, events = _sensed(first)
     model = _parsed(first.variant.text).system
-    others = [np.concatenate(initial_state(each.initial_state, model)) for each in cases[1:]]
+    deviation = first.options.initial_deviation
+    starts = (initial_state(each.initial_state, model, deviation) for each in cases[1:])
+    others = [np.concatenate(each) for each in starts]
     options = replace(first.options, ensemble=len(cases))
     observer = make_observer(model, options, others=np.array(others))
     assert isinstance(observer.law, ReplicaLaw), "only these have batches"

@@ -29,6 +29,7 @@ from impact_observer.model import read_model
 from impact_observer.observer import Observer, initial_state, law_named
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
+from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S, grid
 
 EPOCH = 1_000_000_000
@@ -284,6 +285,21 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
     assert len(errors) == 1
     assert "its events say 1.000000000 s" in errors[0]
     assert not output.exists()
+
+
+def test_a_random_start_far_outside_a_small_rig_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the deviation that suits it, and the start that is drawn with it."""
+    text = shared("config").joinpath("two_mass.yaml").read_text(encoding="utf-8")
+    small = text.replace("gap: 0.5", "gap: 0.005").replace("[0.1, -0.2]", "[0, 0]")
+    model, bag = tmp_path / "small.yaml", str(tmp_path / "bag")
+    model.write_text(small, encoding="utf-8")
+    assert main(["simulate", str(model), "--duration", "1", "-o", bag]) == 0
+    observed = ["observe", bag, "-o", str(tmp_path / "out"), "--initial"]
+    assert main([*observed, "random:1"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "far outside this rig; --deviation 0.01,0.01,0.04,0.04 --initial drawn:1" in said
 
 
 def test_compare_without_estimates_names_the_remedy(
