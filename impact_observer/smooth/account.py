@@ -198,7 +198,8 @@ def account_of(
     law.forget()
     received = []
     nothing = np.empty(0, dtype=np.int64)
-    for each in replay_batches(observer, events, nothing, rejects=True, samples=samples):
+    made = replay_batches(observer, events, nothing, rejects=True, by_stamps=True, samples=samples)
+    for each in made:
         assert isinstance(each, Verdict), "no estimates are asked for"
         received.append(each)
         progress(len(law.traces))

@@ -35,7 +35,7 @@ from impact_observer.smooth.account import EventAccount, TracedLaw, account_of, 
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.backward import Retracing
 from impact_observer.smooth.smoothed_motion import NO_DOUBT, Doubt, SmoothedMotion
-from impact_observer.smooth.smoother import Smoothed, smooth
+from impact_observer.smooth.smoother import OTHER, Smoothed, smooth
 from impact_observer.stamps import MAX_STAMP, Elapsed
 
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -49,8 +49,6 @@ _RETRACED = 4
 """Moments from which the motion is followed back."""
 _UNLIKELY = 0.003
 """Odds of another account below which it is not told."""
-_OTHER = 3.0
-"""Deviations by which its first state must differ."""
 _SURE, _WIDER = 3.0, (0.0, 0.1, 0.3)
 """Standard deviations with which filters of other accounts begin, relative to those of the
 smoothed start and to those that are declared.
@@ -147,17 +145,17 @@ def _evidence(trial: _Trial) -> float:
 
 
 def _doubt(best: _Trial, trials: Sequence[_Trial]) -> Doubt:
-    """The likeliest other account of the events whose first state is another."""
-    z, size = best.smoothed.first, 2 * best.law.system.n
-    found = NO_DOUBT
+    """The likeliest other account of the events, or motion by it, whose first state is another."""
+    found, rival = NO_DOUBT, best.smoothed.rival
+    if rival.odds > _UNLIKELY:
+        until = best.account.moments[rival.until].change.stamp
+        found = Doubt(rival.odds, rival.far, until, is_motion=True)
     for each in trials:
         odds = math.exp(min(_evidence(each) - _evidence(best), 0.0))
         if each is best or not each.smoothed.is_settled or odds <= max(found.odds, _UNLIKELY):
             continue
-        other = each.smoothed.first
-        moved = np.abs(other.mean - z.mean) / np.hypot(other.deviations, z.deviations)
-        far = float(np.max(moved[:size]))
-        if far > _OTHER:
+        far = best.smoothed.distance(each.smoothed)
+        if far > OTHER:
             found = Doubt(odds, far, _same_from(best.account, each.account))
     return found
 
@@ -200,10 +198,10 @@ class _Run:
         of filters that begin about the smoothed start, until none is likelier.
         """
         few = self._events[:_SEARCHED]
-        best, doubt = self._tried(few), NO_DOUBT
+        best = self._tried(few)
         if not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)
-            doubt = _doubt(best, self._trials)
+        doubt = _doubt(best, self._trials)
         if len(self._events) > len(few):
             best = self._tried(self._events, best.smoothed)
         start = start_of(self._events, best.epoch)

@@ -60,23 +60,33 @@ _FAR = 5.0
 
 
 class Doubt(NamedTuple):
-    """Another account of the first events, which is nearly as likely.
+    """Another account of the first events, or motion that explains them, nearly as likely.
 
     Attributes:
-        odds: of that one to the account that is taken; 0 for none.
+        odds: of that one to the one that is taken; 0 for none.
         far: by how much its first state differs, in standard deviations.
-        until: stamp from which on both are the same, ns.
+        until: stamp from which on both accounts are the same, or of the last event that both
+            motions explain, ns.
+        is_motion: whether it is another motion by the same account.
     """
 
     odds: float = 0.0
     far: float = 0.0
     until: int = 0
+    is_motion: bool = False
 
     @property
     def text(self) -> str:
         """The warning; empty where there is none."""
         if not self.odds:
             return ""
+        if self.is_motion:
+            return (
+                f"where guides rub another motion explains the events up to"
+                f" {stamp_text(self.until)} s: it is {self.odds:.2g} times as likely, and begins"
+                f" {self.far:.2g} deviations from here; declare the start (--initial,"
+                " --deviation); see docs/smoothing.md"
+            )
         return (
             f"another account of the events before {stamp_text(self.until)} s is {self.odds:.2g}"
             f" times as likely, and begins {self.far:.2g} deviations from here; see"

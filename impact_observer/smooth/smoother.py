@@ -50,10 +50,16 @@ _MOST_STARTS = 3
 """Most filters after the first from whose path a motion with friction is smoothed."""
 _FEW_MOMENTS = 2
 """Moments for each number of the state that tell whether its start is plausible."""
-_PLAUSIBLE, _AGREES = 0.2, 0.1
-"""Chance of a start, and change by another linearisation, with which no others are tried."""
+_SETTLING, _AGREES = 1.0, 0.1
+"""Change by another linearisation below which a motion has settled: any, and with friction."""
+OTHER = 3.0
+"""Deviations by which the first state of another motion differs."""
 _MORE = 2.0
 """How much smaller than the declared deviation of a coordinate its smoothed one is then."""
+_PLAUSIBLE, _ENOUGH = 0.2, 100.0
+"""Chance of a motion, and how much smaller all of its deviations are than the declared ones, with
+which no other is tried: another would hardly explain as exact events as well.
+"""
 _AWAY, _NEARER = 1.5, 1 / 6
 """Distance of these from the declared start, in its deviations, and what of its deviations they
 have: a half, divided by ``Arc.predicted``'s factor.
@@ -70,6 +76,20 @@ _IN_MEMORY = 2**23
 """Most numbers that are kept in memory."""
 
 
+class Rival(NamedTuple):
+    """Another motion that explains the first of the same events.
+
+    Attributes:
+        odds: of it to the one that is taken; 0 for none.
+        far: by how much its first state differs, in standard deviations.
+        until: index of the last of these events' moments.
+    """
+
+    odds: float = 0.0
+    far: float = 0.0
+    until: int = 0
+
+
 class Smoothed(NamedTuple):
     """The smoothed motion.
 
@@ -82,6 +102,7 @@ class Smoothed(NamedTuple):
         chance: that a true motion explains the events less well.
         change: that another linearisation would make, in standard deviations.
         rounds: linearisations.
+        rival: the likeliest other motion that was found, where guides rub.
     """
 
     arc: Arc
@@ -92,17 +113,28 @@ class Smoothed(NamedTuple):
     chance: float
     change: float
     rounds: int
+    rival: Rival = Rival()
 
     @property
     def is_settled(self) -> bool:
-        """Whether another linearisation would change it by less than its deviations."""
-        return self.change < 1.0
+        """Whether another linearisation would change it by less than its deviations.
+
+        By much less where guides rub: there wrong motions settle slowly.
+        """
+        return self.change < (_AGREES if self.arc.filter.system.guides else _SETTLING)
 
     def is_better(self, other: "Smoothed") -> bool:
         """Whether it explains the same events better than another motion."""
         if self.is_settled != other.is_settled:
             return self.is_settled
         return self.evidence > other.evidence + _LIKELIER
+
+    def distance(self, other: "Smoothed") -> float:
+        """Of the first state from another's, the largest of its numbers, in deviations."""
+        size = 2 * self.arc.filter.system.n
+        moved = np.abs(other.first.mean - self.first.mean)[:size]
+        both = np.hypot(other.first.deviations, self.first.deviations)[:size]
+        return float(np.max(moved / np.maximum(both, STILL)))
 
     def instant(self, k: int) -> tuple[float, float]:
         """By how much the ``k``-th moment was before its stamp, and the deviation of that, s."""
@@ -161,39 +193,57 @@ def smooth(
     ``progress`` is called with the number of linearisations done, and the most that may be.
     """
     best = _gated(_settled(arc, arc.predicted(), progress), progress)
-    if arc.filter.system.guides:
-        best = _elsewhere(best, progress)
-    for _ in range(_MOST_STARTS if arc.filter.system.guides else 0):
+    if not arc.filter.system.guides:
+        return best
+    best, tried = _elsewhere(best, progress)
+    for _ in range(_MOST_STARTS):
         again = _gated(_settled(arc, arc.predicted(best.first), progress), progress)
         if not again.is_better(best):
             break
         best = again
-    return best
+    return best._replace(rival=_rival(best, tried))
 
 
-def _elsewhere(best: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
-    """The likeliest motion of filters that begin elsewhere, unless ``best`` begins plausibly.
+def _elsewhere(
+    best: Smoothed, progress: Callable[[int, int], None]
+) -> tuple[Smoothed, list[Smoothed]]:
+    """The likeliest motion of filters that begin elsewhere, and all that explain the first events.
 
     They begin as far from the declared start as that may be wrong, along each axis of which the
     events say more; the first moments tell.
     """
     arc, size = best.arc, 2 * best.arc.filter.system.n
     few = arc.beginning(_FEW_MOMENTS * size)
-    begin = first = best if few is arc else _settled(few, few.predicted(), progress)
-    shifts = _AWAY * arc.first.deviations[:size]
-    shifts[arc.first.deviations[:size] < _MORE * begin.first.deviations[:size]] = 0.0
+    first = best if few is arc else _settled(few, few.predicted(), progress)
+    shifts, tried = _AWAY * arc.first.deviations[:size], [first]
+    ratio = arc.first.deviations[:size] / np.maximum(first.first.deviations[:size], STILL)
+    shifts[ratio < _MORE] = 0.0
+    if first.chance > _PLAUSIBLE and first.is_settled and np.min(ratio) > _ENOUGH:
+        return best, tried
     for i, sign in itertools.product(np.flatnonzero(shifts).tolist(), (1, -1)):
-        if begin.chance > _PLAUSIBLE and begin.change <= _AGREES:
-            break
         mean = arc.first.mean.copy()
         mean[i] += sign * shifts[i]
-        other = _settled(few, few.predicted(Normal(mean, _NEARER * arc.first.root)), progress)
-        begin = other if other.is_better(begin) else begin
-    if begin is first:
-        return best
-    found = begin if few is arc else _settled(arc, arc.predicted(begin.first), progress)
-    found = _gated(found, progress)
-    return found if found.is_better(best) else best
+        tried.append(
+            _settled(few, few.predicted(Normal(mean, _NEARER * arc.first.root)), progress)
+        )
+    begin = max(tried, key=lambda each: (each.is_settled, each.evidence))
+    if begin.is_better(first):
+        found = begin if few is arc else _settled(arc, arc.predicted(begin.first), progress)
+        found = _gated(found, progress)
+        best = found if found.is_better(best) else best
+    return best, tried
+
+
+def _rival(best: Smoothed, tried: Sequence[Smoothed]) -> Rival:
+    """The likeliest of those ``tried`` that begins elsewhere than the best."""
+    most = max((each.evidence for each in tried if each.is_settled), default=math.inf)
+    found = Rival()
+    for each in tried:
+        far = best.distance(each)
+        if each.change < _SETTLING and far > OTHER:
+            odds = math.exp(min(each.evidence - most, 0.0))
+            found = max(found, Rival(odds, far, len(each.arc.moments) - 1))
+    return found
 
 
 def _gated(found: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:

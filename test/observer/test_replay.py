@@ -31,7 +31,7 @@ from impact_observer.events import (
     Verdict,
     final_rulings,
 )
-from impact_observer.observer import Observer, replay
+from impact_observer.observer import Observer, replay, replay_batches
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
@@ -60,6 +60,28 @@ def replayed(events: list[ImpactEvent]) -> tuple[Observer, list[Estimate], list[
 def bits(estimate: Estimate) -> tuple[bytes, bytes, int]:
     """An estimate, by its bits."""
     return estimate.q.tobytes(), estimate.u.tobytes(), estimate.stamp
+
+
+def test_events_in_order_of_stamps_are_never_late_and_end_in_the_same_state() -> None:
+    """Bit for bit, though numbers 2 and 3 have changed places."""
+    events = [
+        event(0.500, "c1", sequence=1),
+        event(1.003, "c2", sequence=2),
+        event(1.001, "c1", sequence=3),
+        event(1.300, "c2", sequence=4),
+    ]
+    nothing, ends, late = (
+        np.empty(0, dtype=np.int64),
+        set[tuple[bytes, bytes, int]](),
+        list[bool](),
+    )
+    for by_stamps in (False, True):
+        found = watcher()
+        made = [*replay_batches(found, events, nothing, by_stamps=by_stamps)]
+        late.append(any(isinstance(each, Verdict) and each.revises for each in made))
+        ends.add(bits(found.estimate(int(STAMPS[-1]))))
+    assert len(ends) == 1
+    assert not late[1]
 
 
 def test_verdicts_name_no_missing_event_that_the_recording_contains() -> None:

@@ -156,7 +156,7 @@ def test_states_are_those_of_conditioning_on_all_events(
     seconds = 4.0 if name == "without rebound" else 12.0
     events = recording(model.system, x, seconds, SensorModel(jitter=JITTER))
     samples = encoded(model.system, x, seconds, rate) if rate else []
-    options = about(x, DEVIATION if model.system.guides else 0.1, **learned)
+    options = about(x, DEVIATION / 4 if model.system.guides else 0.1, **learned)
     arc, path, *_ = smoothed(model.system, events, options, samples).smoothed
     assert any(node.group for node in arc.nodes(path)) == bool(rate)
     steps = [arc.step(path, node) for node in arc.nodes(path)]
@@ -270,6 +270,24 @@ def test_a_rubbing_guide_is_found_from_a_start_that_is_wrong_by_a_decimetre() ->
     assert np.all(np.abs(found.mean - x) < 4 * found.deviations)
     assert np.all(found.deviations < 0.06)
     assert not motion.misfit
+
+
+@pytest.mark.slow
+def test_another_motion_with_friction_that_is_nearly_as_likely_is_warned_of() -> None:
+    """The start is wrong by 0.3; a motion explains the six stamps, but it is another one."""
+    model = sample("rubbing_guide")
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 12.0, SensorModel(jitter=JITTER), 8)
+    wrong = x + np.random.default_rng(8).normal(scale=0.3, size=x.size)
+    motion = smoothed(model.system, events, about(wrong, 0.3))
+    found = motion.smoothed.first
+    assert np.any(np.abs(found.mean - x) > 10 * found.deviations)
+    assert not motion.misfit
+    text, until = motion.early_doubt
+    assert text.startswith("where guides rub another motion explains the events up to ")
+    assert 0.003 < motion.doubt.odds <= 1.0
+    assert until == max(each.stamp for each in events)
+    assert not states(motion, [1.0])[0].synchronized
 
 
 @pytest.mark.slow
