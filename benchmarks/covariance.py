@@ -316,7 +316,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"\n{name}: V / V0 after 60 s, jitter 1 ms, {seeds} starts")
         for law, clock in ((MinimumVariance, JITTER), (MinimumVariance, 0.0), (Geometric, 0.0)):
             ratios = jitter(name, law, clock, seeds)
-            declared = "declared" if clock else "not declared"
+            declared = "declared" if clock else "declared exact"
             print(
                 f"{law.name:>18}, {declared:12} median {np.median(ratios):8.1e}"
                 f"   worst {np.max(ratios):8.1e}"
