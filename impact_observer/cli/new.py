@@ -75,14 +75,15 @@ def run(args: argparse.Namespace) -> int:
     model, sensors, launch = files
     deviation = rig.deviation
     option = f" --deviation {deviation}" if deviation else ""
+    observed = "--initial drawn:1 --law minimum-variance"
     parameter = f" -p initial_deviation:={deviation}" if deviation else ""
-    epoch = " epoch:=NANOSECONDS" if rig.needs_epoch else ""
+    epoch = " epoch:=NANOSECONDS" if rig.asks_for_epoch else ""
     say(f"""
 Next, with a simulation in the place of the rig, then with its sensors. In a clone ./dev run stands
 for impact-observer, and the nodes lie in .venv/bin:
 
     impact-observer simulate {model} --duration 30 -o {args.name}_bag
-    impact-observer observe {args.name}_bag --law minimum-variance{option} -o {args.name}_estimate
+    impact-observer observe {args.name}_bag {observed}{option} -o {args.name}_estimate
     detector --ros-args -p sources:={sensors}{epoch and f" -p{epoch}"}
     observer --ros-args -p model:={model} -p law:=minimum-variance{parameter}
     ros2 launch {launch}{epoch}    # both nodes, where there is ROS 2 Jazzy""")

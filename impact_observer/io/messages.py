@@ -264,6 +264,10 @@ class Messages:
         error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), empty, empty)
         return self.estimate_error(error)
 
+    def pulse(self, stamp: int) -> AnyMessage:
+        """An index pulse of a drive."""
+        return self._header("Header", stamp)
+
     def _header(self, kind: str, stamp: int) -> AnyMessage:
         """A header with a stamp, which must not be 0."""
         _check_stamp(f"{kind}.header.stamp", stamp)

@@ -15,6 +15,7 @@
 """Recordings: a plant's run written to a bag, and what is read from a bag: model, events."""
 
 import heapq
+import math
 import shutil
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -38,6 +39,7 @@ from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.sender_runs import in_order
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
+from impact_observer.stamps import NS_PER_S, from_seconds
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 """What ``write_run`` writes, and ``observe_bag`` copies."""
@@ -59,6 +61,14 @@ def published_model(
     if sensor.faults:
         provenance["sensor"] = sensor.faults
     return model.text(provenance)
+
+
+def _index_pulses(system: System, epoch: int, last: int) -> Iterator[int]:
+    """Stamps (ns) at which the drive of a system, if any, has turned at its nominal speed."""
+    if system.live is not None and system.live.nominal:
+        period = math.tau / system.live.nominal
+        turns = range(int((last - epoch) / NS_PER_S / period) + 1)
+        yield from (epoch + from_seconds(k * period) for k in turns)
 
 
 @contextmanager
@@ -125,7 +135,8 @@ def write_run(
 ) -> int:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
-    The log time of an event is that of its reception, that of a state its stamp.
+    The log time of an event is that of its reception, that of a state its stamp. Where forces turn
+    with a drive, its index pulses are written too.
 
     Args:
         path: the bag to make.
@@ -170,8 +181,16 @@ def write_run(
             )
             for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
         )
+        pulses = [
+            (stamp, interfaces.PHASE_REFERENCE.topic, make.pulse(stamp))
+            for stamp in _index_pulses(model.system, run.epoch, last)
+        ]
+        if pulses:
+            writer.declare(interfaces.PHASE_REFERENCE.topic)
         # At equal stamps the event is first: the state there is the one after it.
-        for stamp, topic, message in heapq.merge(events, states, samples, key=itemgetter(0)):
+        for stamp, topic, message in heapq.merge(
+            events, states, samples, pulses, key=itemgetter(0)
+        ):
             writer.write(topic, stamp, message)
     return len(received)
 

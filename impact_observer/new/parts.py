@@ -105,8 +105,8 @@ def _spring(given: list[str]) -> Item:
 
 
 def _force(given: list[str]) -> Item:
-    body, *values = _fields(given, 2, 4)
-    keys = ("constant",) if len(values) == 1 else ("amplitude", "frequency", "phase")
+    body, *values = _fields(given, 2, 5)
+    keys = ("constant",) if len(values) == 1 else ("amplitude", "frequency", "phase", "order")
     return {"body": _name(body), **dict(zip(keys, map(_number, values), strict=False))}
 
 
@@ -145,9 +145,10 @@ SPRING = PartKind(
 )
 FORCE = PartKind(
     "force",
-    ("BODY,AMPLITUDE,FREQUENCY[,PHASE]", "BODY,CONSTANT"),
+    ("BODY,AMPLITUDE,FREQUENCY[,PHASE[,ORDER]]", "BODY,CONSTANT"),
     "x1,4,2.5",
-    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s, rad; or a constant, N",
+    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s, rad; with ORDER it turns so often in a"
+    " revolution of a drive with index pulses; or a constant, N",
     _force,
 )
 STOP = PartKind(

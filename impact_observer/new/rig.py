@@ -47,6 +47,7 @@ grounds:{ground}
 # Stiffness in N/m, damping in Ns/m. `ground` does not move.
 springs:{spring}
 # amplitude cos(frequency t + phase), in N, rad/s and rad, t from the epoch; or constant, in N.
+# With an order it turns with a drive, whose index pulses arrive on phase_reference.
 forces:{force}
 # side: where the stop is, so that a body stays below a stop `above`. Between two bodies a and b
 # the gap is q_b - q_a + gap.
@@ -161,6 +162,11 @@ class NewRig:
         return bool(self.items(GROUND)) or any("frequency" in each for each in self.items(FORCE))
 
     @property
+    def asks_for_epoch(self) -> bool:
+        """Whether the epoch must be given: no index pulse of a drive says it."""
+        return self.needs_epoch and not any("order" in each for each in self.items(FORCE))
+
+    @property
     def deviation(self) -> str:
         """Of the initial state, where the default is of another size than the rig; else empty."""
         return suggested_deviation(self.model().system)
@@ -196,7 +202,7 @@ class NewRig:
 
     def launch_text(self) -> str:
         """The launch file."""
-        epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.needs_epoch else ("", "")
+        epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.asks_for_epoch else ("", "")
         suggested = self.deviation
         deviation = f'\n        "initial_deviation": "{suggested}",' if suggested else ""
         return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark, deviation=deviation)

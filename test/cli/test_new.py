@@ -25,6 +25,7 @@ import pytest
 
 from impact_observer.cli.main import main
 from impact_observer.io import BagReader
+from impact_observer.io.live_inputs import read_pulse
 from impact_observer.io.recordings import events_in
 from impact_observer.model import read_model
 from impact_observer.plant import Plant, simulate
@@ -101,6 +102,22 @@ def test_a_new_rig_moves_and_hits(name: str, parts: str, impacts: int) -> None:
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, np.array([EPOCH, 3 * EPOCH]))
     assert len(run.impacts) >= impacts
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_drive_has_an_order_and_its_pulses_are_simulated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One pulse a revolution from the epoch on, which an observer uses; no epoch is asked for."""
+    parts = "--mass h,2 --spring ground,h,2000,8 --force h,60,28,0,2 --stop a,h,above,0.01,0.6"
+    assert main(["new", "drill", *parts.split()]) == 0
+    assert "epoch" not in capsys.readouterr().out
+    assert main(["simulate", "drill.yaml", "--duration", "2", "-o", "bag"]) == 0
+    with BagReader(Path("bag")) as bag:
+        pulses = [read_pulse(message) for _, message in bag.messages("/phase_reference")]
+    turns = np.arange(int(2 / (2 * np.pi / 14)) + 1)
+    np.testing.assert_allclose(pulses, EPOCH + turns * 2 * np.pi / 14 * 1e9, atol=1)
+    assert main(["observe", "bag", "--initial", "drawn:1", "-o", "estimates"]) == 0
 
 
 @pytest.mark.slow
