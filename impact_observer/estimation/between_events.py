@@ -105,15 +105,16 @@ class BetweenEvents:
         if len(hypotheses) == 1 and not (dips := self._dips(t, s, hypotheses))[0]:
             return tuple(self._flown(t, s, hypotheses, dips))
         found: list[Hypothesis] = []
-        waiting, flights = deque([(t, s, hypotheses)]), 0
+        waiting, flights, most = deque([(t, s, hypotheses)]), 0, -math.inf
         while waiting:
             t, s, group = waiting.popleft()
             flights += 1
             dips = self._dips(t, s, group)
-            found += self._flown(t, s, group, dips)
-            most = max(path.weight for path in found)
+            flown = [*self._flown(t, s, group, dips)]
+            found += flown
+            most = max(most, *(path.weight for path in flown))
             for h, some in zip(group, dips, strict=True):
-                if flights + len(waiting) < _MOST_FLIGHTS:
+                if some and flights + len(waiting) < _MOST_FLIGHTS:
                     waiting += self._inserted(h, some, t, s, most + self._least(h))
         if len(found) == 1:
             return tuple(found)

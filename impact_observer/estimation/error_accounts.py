@@ -138,7 +138,8 @@ class ErrorAccounts:
         if kind is ErrorKind.RESTITUTION and not h.kicks.size:
             return 0.0
         w = self._system.W[:, here.hit[0]]
-        return float(np.linalg.norm(w @ self._root(h, kind)[: w.size]))
+        seen = w.dot(self._root(h, kind)[: w.size])
+        return math.sqrt(seen.dot(seen))
 
     def _largest(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         rate = self._moving.rate_of(here.t, h.state.x, here.before)

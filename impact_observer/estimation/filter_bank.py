@@ -384,8 +384,10 @@ class FilterBank:
         if len(made) <= 1:
             return [*made]
         found: dict[object, Hypothesis] = {}
+        known: dict[int, object] = {}  # hypotheses share notes
         for h in made:
-            decisions = (note.decision for note in h.notes[-self._scan :])
+            notes = h.notes[-self._scan :]
+            decisions = [known.get(id(n)) or known.setdefault(id(n), n.decision) for n in notes]
             inserted = tuple((each.contact, each.kind) for each in h.missed)
             same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             if same not in found or found[same].weight < h.weight:

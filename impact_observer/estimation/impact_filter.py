@@ -223,7 +223,11 @@ class ImpactFilter:
                 self.predict(t, state, level).prior(s)
                 for state, level in zip(states, levels, strict=True)
             ]
-        found, moving = [], self.members.given.moving
+        found, moving = list[GaussianState](), self.members.given.moving
+        gaps = None if any(state.closed for state in states) else self.gaps((), s)
+        if gaps is not None and moving.is_short(s):
+            flown = gaps.flown(t, s, states, np.array(levels), self._declared.model_error)
+            return [GaussianState(*each) for each in flown]
         shared: dict[Contacts, tuple[Vector, Vector, Matrix]] = {}
         for state, level in zip(states, levels, strict=True):
             closed, x = state.closed, state.x

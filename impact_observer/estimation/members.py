@@ -75,23 +75,27 @@ class MovingSystem:
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
 
-    def __init__(self, system: System, inverse: Matrix | None = None) -> None:
+    def __init__(self, system: System, like: "MovingSystem | None" = None) -> None:
         """Each phase is prepared when it is first needed.
 
-        Where the ``inverse`` of the masses is given, shape (n, n), short motions without contact
-        are the kernel's, which is cheaper for a system that few are asked of.
+        Where a system ``like`` it is given, which has the same masses, short motions without
+        contact are the kernel's: that is cheaper for a system of which few are asked.
         """
         self.system = system
         self.guided = bool(system.guides)
         self.is_plain = not self.guided and system.forcing.sampled is None
-        self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
+        like = like if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
+        self._inverse = None if like is None else like.phase(()).inverse
         self.rates = lru_cache(KEPT)(self._rates_of)
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
+        if like is not None and like.system.forcing is system.forcing:
+            self.forces = like.forces
         self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
+        self._transition = lru_cache(KEPT)(lambda closed, s: self.phase(closed).transition(s))
 
     @cached_property
     def phases(self) -> Phases:
@@ -209,7 +213,7 @@ class MovingSystem:
         """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""
         phase = self.phase(closed)
         if self.system.n < _MANY or self.system.forcing.sampled is not None:
-            return np.asarray(phase.transition(s).dot(columns))
+            return np.asarray(self._transition(closed, s).dot(columns))
         rest = phase.start(0.0, np.zeros(len(columns))).state(s)
         moved = [phase.start(0.0, x).state(s) - rest for x in columns.T]
         return np.column_stack(moved)
@@ -524,7 +528,10 @@ class Members:
 
         All else moves by ``bound_correction``, whose arguments these are.
         """
-        found = z + self.bound_correction(z[rows], root, rows)
+        theta = z[rows]
+        if np.all((self.low <= theta) & (theta <= self.high)):
+            return z
+        found = z + self.bound_correction(theta, root, rows)
         found[rows] = self.bounded(found[rows])  # as the sum is rounded
         return np.asarray(found)
 
@@ -570,5 +577,5 @@ class Members:
         theta[: self.moving] = values
         if np.array_equal(theta, self._nominal):
             return MovingSystem(self.family.system)
-        inverse = None if any(self._weighs) else self.motion(self._nominal).phase(()).inverse
-        return MovingSystem(self.family.near(theta), inverse)
+        like = None if any(self._weighs) else self.motion(self._nominal)
+        return MovingSystem(self.family.near(theta), like)

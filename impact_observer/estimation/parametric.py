@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from impact_observer.states import Matrix, Vector
 
@@ -87,7 +88,8 @@ class Sensitivity(NamedTuple):
                 crossed = (both - plus[j].value) - (plus[k].value - centre.value)
                 second[j, k] = second[k, j] = crossed
         second /= np.multiply.outer(steps, steps)[:, :, None]
-        return cls(first + np.tensordot(theta - near, second, axes=1), mixed, second)
+        first += (theta - near).dot(second.reshape(p, -1)).reshape(p, count)
+        return cls(first, mixed, second)
 
     def added(self, root: Matrix, steps: Matrix) -> tuple[Matrix, Matrix]:
         """The error that the parameters add to ``linear @ root``.
@@ -101,7 +103,7 @@ class Sensitivity(NamedTuple):
             Added to the first columns, shape (k, p); and further columns, of noise.
         """
         p = len(steps)
-        mixed = np.tensordot(steps.T, self.mixed, axes=1)
+        mixed = steps.T.dot(self.mixed.reshape(p, -1)).reshape(self.mixed.shape)
         curved = np.einsum("ic,ijk,jd->cdk", steps, self.second, steps)
         across = mixed @ root[:, :p]
         noise = [each @ root[:, p:] for each in mixed]
@@ -115,5 +117,9 @@ class Sensitivity(NamedTuple):
 
 def leading_triangular(root: Matrix, rows: slice) -> Matrix:
     """The same covariance's square root in which ``rows`` are lower triangular in front."""
-    turn, _ = np.linalg.qr(root[rows].T, mode="complete")
-    return np.asarray(root @ turn)
+    # LAPACK's routines themselves: of small matrices checks cost more than they do.
+    reflectors, scales, *_ = linalg.lapack.dgeqrf(root[rows].T)
+    found: Matrix = linalg.lapack.dormqr(
+        "R", "N", reflectors[:, : scales.size], scales, root, 64 * len(root)
+    )[0]
+    return found

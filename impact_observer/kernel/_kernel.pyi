@@ -138,6 +138,14 @@ class Gaps:
         states: Sequence[tuple[object, ...]],
         levels: Vector,
     ) -> list[list[tuple[int, float, float, float, float, float, bool, float]]]: ...
+    def flown(
+        self,
+        t: float,
+        s: float,
+        states: Sequence[tuple[object, ...]],
+        levels: Vector,
+        declared: float,
+    ) -> list[State]: ...
     def followed(
         self,
         t: float,

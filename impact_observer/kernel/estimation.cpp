@@ -227,6 +227,21 @@ py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& s
     return each_state;
 }
 
+py::list flown(const Gaps& gaps, double t, double s, const py::sequence& states,
+               const Array& levels, double declared) {
+    duration_of(gaps, t, s);
+    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
+    const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
+    positive(declared, "declared");
+    const Matrix Phi = gaps.motion.transition(s);
+    Matrix diffused;
+    return stepped(given, [&](const Prior& prior) {
+        const double own = level[std::size_t(&prior - given.priors.data())];
+        const Vector x = gaps.motion.flown(t, Vector(prior.x.data, prior.x.data + Phi.rows), s);
+        return gaps.after(prior, x, Phi, s, s > 0 ? std::hypot(declared, own) : 0.0, diffused);
+    });
+}
+
 py::object followed(const Gaps& gaps, double t, double s, const py::sequence& states,
                     const Array& levels, double declared, const Array& row, double rest,
                     double value, double noise, double gate, bool searches) {
@@ -341,6 +356,8 @@ void bind_estimation(py::module_& module) {
              py::arg("levels"),
              "Where gaps are negative, for each state: contact, above, below,\n"
              "deepest, depth, unlikely, over, began; see Dip in gaps.hpp.")
+        .def("flown", &flown, py::arg("t"), py::arg("s"), py::arg("states"), py::arg("levels"),
+             py::arg("declared"), "States s seconds after t, with white accelerations.")
         .def("followed", &followed, py::arg("t"), py::arg("s"), py::arg("states"),
              py::arg("levels"), py::arg("declared"), py::arg("row"), py::arg("rest"),
              py::arg("value"), py::arg("noise"), py::arg("gate"), py::arg("searches").noconvert(),

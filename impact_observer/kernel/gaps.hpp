@@ -190,12 +190,22 @@ class Gaps {
                 if (!dips(steps, prior, levels[b]).empty()) return {};
             }
             const double level = std::hypot(declared, levels[b]);
-            if (level > 0 && diffused.rows == 0) diffused = motion.diffusion(s);
-            Matrix root = carried(Phi, prior.root);
-            if (level > 0) root = with_noise(root, diffused, level);
-            found.push_back(updated(sample, x, prior.constants, std::move(root),
-                                    carried(Phi, prior.differences)));
+            found.push_back(updated(sample, after(prior, x, Phi, s, level, diffused)));
         }
+        return found;
+    }
+
+    // A state s seconds later, at x, with white accelerations of this level; `diffused` is made
+    // once.
+    Posterior after(const Prior& prior, const Vector& x, const Matrix& Phi, double s, double level,
+                    Matrix& diffused) const {
+        Posterior found{Matrix(1, x.size()), Matrix(1, prior.constants.size()),
+                        carried(Phi, prior.root), carried(Phi, prior.differences)};
+        found.x.data = x;
+        std::copy(prior.constants.data, prior.constants.data + prior.constants.size(),
+                  found.constants.row(0));
+        if (level > 0 && diffused.rows == 0) diffused = motion.diffusion(s);
+        if (level > 0) found.root = with_noise(found.root, diffused, level);
         return found;
     }
 
@@ -247,9 +257,11 @@ class Gaps {
 
     // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
     // Factorization methods for discrete sequential estimation, 1977, chapter II).
-    static Followed updated(const Sample& sample, const Vector& x, const View& constants,
-                            Matrix root, Matrix differences) {
-        const std::size_t size = x.size(), d = root.rows, c = root.columns;
+    static Followed updated(const Sample& sample, Posterior prior) {
+        Followed found{std::move(prior), 0, 0, 0, 0};
+        Matrix &x = found.state.x, &root = found.state.root;
+        Matrix& differences = found.state.differences;
+        const std::size_t size = x.columns, d = root.rows, c = root.columns;
         Vector columns(c), others(differences.columns);
         for (std::size_t i = 0; i < size; ++i) {
             if (sample.row[i] == 0.0) continue;
@@ -258,27 +270,21 @@ class Gaps {
         }
         const double spread = dot(columns.data(), columns.data(), c);
         const double variance = spread + sample.noise, share = sample.noise / variance;
-        Followed found;
-        found.innovation = sample.value - (dot(sample.row.data(), x.data(), size) + sample.rest);
+        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
         found.normalised = std::abs(found.innovation) / std::sqrt(variance);
         const double least = std::min(found.normalised, sample.gate);
         found.density = -(least * least + std::log(variance)) / 2;
         found.residual = least * least * variance * share * share + spread * share;
-        found.state.x = Matrix(1, size), found.state.constants = Matrix(1, d - size);
-        std::copy(x.begin(), x.end(), found.state.x.row(0));
-        std::copy(constants.data, constants.data + d - size, found.state.constants.row(0));
         if (!(found.normalised > sample.gate)) {
             const double shrink = variance + std::sqrt(variance * sample.noise);
             for (std::size_t i = 0; i < d; ++i) {
                 const double towards = dot(root.row(i), columns.data(), c);
                 const double change = towards / variance * found.innovation;
-                (i < size ? found.state.x.row(0)[i] : found.state.constants.row(0)[i - size]) +=
-                    change;
+                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
                 add(-towards / shrink, columns.data(), root.row(i), c);
                 add(-towards / variance, others.data(), differences.row(i), others.size());
             }
         }
-        found.state.root = std::move(root), found.state.differences = std::move(differences);
         return found;
     }
 

@@ -176,9 +176,11 @@ class ParametricFamily:
 
     def force_changes(self, values: Vector, t: float) -> Matrix:
         """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
+        found = np.zeros((self.size, self.system.n))
+        if all(parts.keys().isdisjoint({"amplitude", "phase"}) for _, parts in self._effects):
+            return found
         coefficients, forcing = self.at(values), self.system.forcing
         wave = np.exp(1j * (forcing.frequency * t + coefficients.phase))
-        found = np.zeros((self.size, self.system.n))
         for j, each in enumerate(self.parameters):
             turn = (each.effect.amplitude + 1j * coefficients.amplitude * each.effect.phase) * wave
             found[j] = turn.real @ forcing.cosine + turn.imag @ forcing.sine

@@ -201,12 +201,12 @@ def test_the_covariance_is_that_of_many_draws() -> None:
     for y in Y + random.normal(size=(40_000, 6)) @ root.T:
         e, x = 0.0, y
         for _ in range(6):
-            x = motion.flown(t, y, -e)
+            x = motion.moved(t, y, -e)[0]
             e += float((w @ x[:n] + SWAYING.q_r[0]) / (w @ x[n:]))
         if abs(e) > 8 * clock:
             continue
         x[n:] -= 1.6 * w * (w @ x[n:]) / (w @ w)
-        draws.append(motion.flown(t - e, x, e))
+        draws.append(motion.moved(t - e, x, e)[0])
         weights.append(math.exp(-((e / clock) ** 2) / 2))
     density = sum(weights) / 40_000 / (clock * math.sqrt(2 * math.pi))
     mean = np.average(draws, axis=0, weights=weights)

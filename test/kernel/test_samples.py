@@ -84,14 +84,19 @@ def test_a_followed_state_is_predicted_and_corrected_as_in_the_textbook(
     expected = [float(row @ x) + rest for x, _ in before]
     value = expected[0] + 0.5
     levels = np.array([0.0, level])
-    made = free(model).given.free_gaps.followed(
-        t, s, states, levels, 0.0, row, rest, value, noise, gate, True
-    )
+    gaps = free(model).given.free_gaps
+    made = gaps.followed(t, s, states, levels, 0.0, row, rest, value, noise, gate, True)
     assert made is not None
-    for each, (x, map_), added, found in zip(states, before, levels, made, strict=True):
+    priors = gaps.flown(t, s, states, levels, 0.0)
+    each_one = zip(states, before, levels, priors, made, strict=True)
+    for each, (x, map_), added, prior, found in each_one:
         Phi = linalg.block_diag(map_, np.eye(1))
         P = Phi @ each.root @ each.root.T @ Phi.T
         P[:size, :size] += added**2 * noise_of(model, s)
+        tolerance = 1e-9 * (1 + np.max(np.abs(P)))
+        np.testing.assert_allclose(prior[2] @ prior[2].T, P, atol=tolerance)
+        np.testing.assert_allclose(np.append(*prior[:2]), np.append(x, each.constants), atol=1e-9)
+        np.testing.assert_allclose(prior[3], Phi @ each.differences, atol=tolerance)
         H = np.append(row, 0.0)
         S, e = float(H @ P @ H) + noise, value - (float(row @ x) + rest)
         is_used = abs(e) <= gate * np.sqrt(S)
@@ -101,10 +106,9 @@ def test_a_followed_state_is_predicted_and_corrected_as_in_the_textbook(
         others = Phi @ each.differences
         others = others - np.outer(gain, H @ others)
         x_found, constants, root, differences, innovation, normalised, density, _ = found
-        scale = 1e-9 * (1 + np.max(np.abs(P)))
-        np.testing.assert_allclose(np.append(x_found, constants), wanted, atol=scale)
-        np.testing.assert_allclose(root @ root.T, after, atol=scale)
-        np.testing.assert_allclose(differences, others, atol=scale)
+        np.testing.assert_allclose(np.append(x_found, constants), wanted, atol=tolerance)
+        np.testing.assert_allclose(root @ root.T, after, atol=tolerance)
+        np.testing.assert_allclose(differences, others, atol=tolerance)
         assert innovation == pytest.approx(e, abs=1e-9)
         assert normalised == pytest.approx(abs(e) / np.sqrt(S), rel=1e-8)
         least = min(normalised, gate)
