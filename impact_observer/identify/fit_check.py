@@ -19,7 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_observer.identify.identification import Identification
-from impact_observer.identify.residuals import REJECTED, lags_of, probability_of_size, whiteness
+from impact_observer.identify.residuals import (
+    REJECTED,
+    independence,
+    lags_of,
+    probability_of_size,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +71,7 @@ def check_fit(found: Identification) -> FitCheck:
         size = probability_of_size(shifts, found.clock, found.freedom)
     return FitCheck(
         size=size,
-        white=whiteness(shifts),
+        white=independence(shifts),
         lags=lags_of(shifts),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),

@@ -66,11 +66,14 @@ def _inside(found: Identification) -> str:
         ahead = first - max((second - first) // 10, 1)
         epoch = text(ahead).rstrip("0").rstrip(".")
         remedy = f"repeat import or detect with --epoch {epoch}, shortly before it"
-    return (
-        f"the initial state is inside the stop {names[0]!r}: it holds"
-        f" {seconds_between(episode.start, first):.3g} s before the first impact, where the rig"
-        f" moved otherwise; {remedy}"
+    ahead_of_first = seconds_between(episode.start, first)
+    where = (
+        f"inside the stop {names[0]!r}: it holds {ahead_of_first:.3g} s before the first impact,"
+        " where the rig moved otherwise"
+        if ahead_of_first
+        else f"on the stop {names[0]!r}, as good as inside"
     )
+    return f"the initial state is {where}; {remedy}"
 
 
 def _initial_errors(found: Identification) -> Vector:

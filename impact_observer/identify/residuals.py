@@ -87,6 +87,15 @@ def whiteness(shifts: Vector) -> float:
     return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))
 
 
+def independence(shifts: Vector) -> float:
+    """``whiteness`` of shifts of stamps, s; 1 where they are the rounding of the stamps.
+
+    That of a periodic motion repeats itself, and says nothing against the model.
+    """
+    is_rounding = np.sum(shifts**2) <= shifts.size * (2.0 * ROUNDED) ** 2
+    return 1.0 if is_rounding else whiteness(shifts)
+
+
 def widening(solution: Solution, clock: float | None) -> float:
     """Factor of the standard errors: 1 where white errors of the clock explain the shifts.
 
@@ -100,7 +109,7 @@ def widening(solution: Solution, clock: float | None) -> float:
     """
     shifts, least = solution.shifts, max(clock or 0.0, ROUNDED)
     size = probability_of_size(shifts, least, solution.freedom)
-    if size >= REJECTED and whiteness(shifts) >= REJECTED:
+    if size >= REJECTED and independence(shifts) >= REJECTED:
         return 1.0
     rms = max(solution.rms, ROUNDED)
     excess = 1.0 if clock is None else max(rms / least, 1.0)

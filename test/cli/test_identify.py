@@ -213,6 +213,19 @@ def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]
     assert not Path("ball.yaml").exists()
 
 
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixture[str]) -> None:
+    """As in a table whose first time is 0."""
+    rows = "0.0\n0.812\n1.462\n1.982\n2.398\n2.731\n"
+    Path("bounces.csv").write_text(rows, encoding="utf-8")
+    assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    words = ["identify", "bag", "--free", "restitution", "--clock-error", "0.001"]
+    assert main(words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "first impact. But the initial state is on the stop 'floor', as good as" in said
+    assert "repeat import or detect with --epoch" in said
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors(

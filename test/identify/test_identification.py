@@ -31,6 +31,7 @@ from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_picture import fit_picture
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.model_edit import changes
+from impact_observer.identify.residuals import independence, whiteness
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
@@ -193,6 +194,14 @@ def test_what_another_initial_state_hides_is_named_before_fitting(guess: float, 
 
 
 @pytest.mark.slow
+def test_rounding_of_stamps_that_repeats_itself_is_no_error_of_the_model() -> None:
+    """A periodic motion has periodic rounding; the same shifts a thousand times larger count."""
+    shifts = 4e-10 * np.sign(np.sin(np.arange(200) / 3))
+    assert whiteness(shifts) < 1e-3
+    assert independence(shifts) == 1.0
+    assert independence(1e3 * shifts) < 1e-3
+
+
 def test_a_short_recording_of_another_model_does_not_fit() -> None:
     """Rejecting impacts leaves fewer than there are unknowns; a longer one would not help."""
     model = sample("two_mass").system
