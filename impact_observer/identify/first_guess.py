@@ -37,6 +37,8 @@ _FEW = 12
 """The same where the search begins near the answer."""
 _PRIOR_WEIGHT = 0.03
 """Weight of the prior on the parameters in the first search, m for an error of their size."""
+_START_WEIGHT = 1e-6
+"""Weight of a start of zero, m for 1 m or m/s: what moves no gap stays small."""
 _FAR = 3.0
 """Distance of a model's own impacts from the stamps, in times between two, that is too far."""
 _FIRST = 8
@@ -118,7 +120,8 @@ def _least_gaps(
         np.concatenate([np.full(2 * n, end), bound])
         for end, bound in zip((-np.inf, np.inf), family.bounds, strict=True)
     )
-    pull = prior * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
+    sizes = np.concatenate([np.full(2 * n, _START_WEIGHT), prior / family.sizes])
+    pull = np.diag(sizes)[0 if problem.near is None else 2 * n :]
     given = np.concatenate([np.zeros(2 * n), family.nominal])
     # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)

@@ -57,7 +57,9 @@ _SUSPICIOUS = 0.01
 _EXCESS = 1.5
 """Error of stamps over a declared one above which outliers are searched."""
 _LOST = 0.02
-"""Error of stamps, relative to the time between two, above which nothing is explained."""
+"""Error of stamps, relative to the time between two, above which nothing is explained, unless it
+is as declared.
+"""
 _STILL = 1e-9
 """Contact speed of no motion, m/s."""
 _WRONG = 0.03
@@ -411,6 +413,6 @@ def _identification(
         singular=frozen(found.singular / found.singular[0]),
         undetermined=combinations_of(problem, np.hstack([found.undetermined, weak])),
         converged=solution.converged
-        and solution.rms <= _LOST * problem.interval
+        and solution.rms <= max(_LOST * problem.interval, _EXCESS * (clock or 0.0))
         and solution.counted.size >= _ACCEPTED * (solution.counted.size + recording.outliers),
     )

@@ -35,7 +35,9 @@ from impact_observer.identify.residuals import independence, whiteness
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
+from impact_observer.options import Options
 from impact_observer.plant import Run, SensorModel, simulate_sensor
+from impact_observer.smooth import smoothed_runs
 from impact_observer.stamps import from_seconds
 
 Array = NDArray[np.float64]
@@ -363,6 +365,31 @@ def test_the_picture_shows_every_contact() -> None:
         "right",
         "2 standard deviations",
     ]
+
+
+@pytest.mark.slow
+def test_a_strongly_damped_mode_is_no_obstacle_and_the_smoother_finds_the_same() -> None:
+    """It decays at 400 1/s: no impact tells of its start; double hits are as short as 17 ms."""
+    text = sample("two_mass").text()
+    model = replace(
+        parse_model(text, "damped").system, C=np.array([[200.1, -200.0], [-200.0, 200.0]])
+    )
+    made = run(model, [0.1, -0.2], [0.5, 0.0], seconds=30.0, rate=1.0)
+    sensor, last = SensorModel(jitter=1e-3), int(made.stamps[-1])
+    received = simulate_sensor(sensor, model, made.switchings, epoch=EPOCH, last=last, seed=1)
+    events = [each.event for each in received]
+    off = replace(model, K=1.03 * model.K)
+    found = identify(parametric_family(off, ["stiffness-scale"]), events, clock=1e-3)
+    assert found.converged
+    assert np.max(np.abs(found.start)) < 3.0
+    assert abs(found.values[0] - 1 / 1.03) < 4 * found.errors[0]
+    options = Options(
+        law="minimum-variance", clock_error=1e-3, estimate_parameters=("stiffness-scale",)
+    )
+    (motion,) = smoothed_runs(off, events, options)
+    ((_, value, deviation),) = motion.parameters
+    assert abs(value - found.values[0]) < deviation
+    assert found.errors[0] < 1.2 * deviation
 
 
 @pytest.mark.slow
