@@ -162,8 +162,9 @@ class ImpactLaw:
         P = list(pressed)
         B, W = self._B[:, P], self.system.W[:, P]
         rebound = 1.0 + (self._eps if restitution is None else restitution)[P]
-        if len(P) == 1:
-            return np.eye(len(W)) - np.outer(self._stopped[P[0]] * rebound, W)
+        if len(P) == 1:  # divided last: along one coordinate it is zero where nothing rebounds
+            x, w = self._Minv_W[:, P[0]], W[:, 0]
+            return np.asarray(np.eye(len(W)) - np.outer(x * rebound, w) / w.dot(x))
         share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
         return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
 
