@@ -369,7 +369,7 @@ def test_the_picture_shows_every_contact() -> None:
 
 @pytest.mark.slow
 def test_a_strongly_damped_mode_is_no_obstacle_and_the_smoother_finds_the_same() -> None:
-    """It decays at 400 1/s, so no impact depends on its start; some hits are 17 ms apart."""
+    """It decays at 400 1/s, so no impact depends on its start; hits follow after 17 ms."""
     text = sample("two_mass").text()
     model = replace(
         parse_model(text, "damped").system, C=np.array([[200.1, -200.0], [-200.0, 200.0]])
