@@ -255,6 +255,7 @@ def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) 
         found = distances(watcher, plant)
     except ImpactLawError:
         assume(False)
+        return
     bounds = [watcher.estimate(int(stamp)).bound for stamp in plant.stamps]
     size = 1e-9 * (1 + bounds[0])
     assert all(v <= bound + size for v, bound in zip(found, bounds, strict=True))

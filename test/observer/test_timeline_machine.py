@@ -172,5 +172,7 @@ class TimelineMachine(RuleBasedStateMachine):
 
 def test_any_steps_lead_to_the_states_of_the_reference() -> None:
     """Of a timeline that was given events in any order, cut and begun again."""
-    run_state_machine_as_test(TimelineMachine, settings=examples(24))
+    run_state_machine_as_test(  # type: ignore[no-untyped-call]
+        TimelineMachine, settings=examples(24)
+    )
     assert TimelineMachine.checked > 100

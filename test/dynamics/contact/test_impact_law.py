@@ -175,6 +175,7 @@ def test_velocity_jump_does_not_raise_the_distance_of_two_solutions(data: st.Dat
         gap = law.velocity_after(one, active) - law.velocity_after(two, active)
     except ImpactLawError:
         assume(False)
+        return
     before = (one - two) @ model.M @ (one - two)
     assert gap @ model.M @ gap <= before + 1e-9 * (1 + before)
 
