@@ -21,6 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 from rich.table import Table
+from scipy.optimize import approx_fprime
 
 from impact_observer import __version__
 from impact_observer.draw.text_tables import plain_table, print_report
@@ -41,6 +42,10 @@ _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
 _OTHER = 100.0
 """Shifts, in declared clock errors, above which the times may be another rig's or unit's."""
+_LARGEST_CLOCK = 0.1
+"""Shifts above which no clock makes them, s."""
+_OF_INTERVALS = 0.02
+"""The same, in median times between impacts."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
@@ -81,6 +86,27 @@ def _initial_errors(found: Identification) -> Vector:
     return np.asarray(np.sqrt(np.diag(found.covariance))[: found.start.size])
 
 
+def _turning_point(found: Identification) -> tuple[float, float] | None:
+    """Where a body that flies alone turns, and its standard error: ``q - u^2 / 2a``.
+
+    None where something else moves, or pulls than a constant force.
+    """
+    family, n = found.family, found.family.system.n
+    system = family.system_at(found.values)
+    moved = system.depends_on_time or system.guides or system.live is not None
+    if n > 1 or moved or system.K.any() or system.C.any() or not system.forcing.constant.any():
+        return None
+
+    def height(x: Vector) -> float:
+        a = system.forcing.constant.item() / family.at(x[2:]).M.item()
+        return float(x[0] - x[1] ** 2 / (2.0 * a))
+
+    at = np.concatenate([_initial_state(found), found.values])
+    slope = approx_fprime(at, height)
+    covariance = found.covariance[: at.size, : at.size]
+    return height(at), float(np.sqrt(slope @ covariance @ slope))
+
+
 def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
     """What ``--json`` prints; SI units."""
     family, recording = found.family, found.recording
@@ -110,7 +136,13 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "singular_values": found.singular.tolist(),
         "initial_state": _initial_state(found).tolist(),
         "initial_state_error": _initial_errors(found).tolist() if found.converged else None,
+        "initial_state_covariance": (
+            found.covariance[: found.start.size, : found.start.size].tolist()
+            if found.converged
+            else None
+        ),
         "initial_state_seconds": recording.start,
+        "turning_point": _turning_point(found) if found.converged else None,
         "clock_error": float(found.clock),
         "clock_error_declared": found.declared,
         "clock_error_with_all_accepted": found.accepted,
@@ -158,7 +190,7 @@ def _verdict(found: Identification) -> Iterator[str]:
             " values; they have no standard errors. Begin with other values, or free other"
             f" parameters (docs/misfit.md).{_about_time(found.family.system)}"
         )
-    if found.declared and found.rms > _OTHER * found.clock:
+    if found.declared and found.rms > _OTHER * found.clock and not _may_be_a_clock(found):
         yield (
             f"WARNING: the shifts of the stamps, {found.rms:.3g} s rms, are no errors of a clock"
             f" with {found.clock:.3g} s: is the model that of the rig, and --time-unit that of"
@@ -166,6 +198,12 @@ def _verdict(found: Identification) -> Iterator[str]:
         )
     if found.converged and found.held_back and not found.held_back.carries_over:
         yield "WARNING: the model does not carry over to the impacts that were held back."
+
+
+def _may_be_a_clock(found: Identification) -> bool:
+    """Whether the shifts are small enough for errors of some clock."""
+    between = float(np.median(np.diff(found.stamps))) if found.stamps.size > 1 else 0.0
+    return found.rms <= min(_LARGEST_CLOCK, _OF_INTERVALS * between)
 
 
 def _parameter_table(found: Identification) -> Table:
@@ -189,6 +227,9 @@ def _parameter_table(found: Identification) -> Table:
     for (name, unit), value, error in states:
         own = f"{error:.2g}" if found.converged else ""
         table.add_row(name, "", f"{value:.10g}", own, unit)
+    if found.converged and (turn := _turning_point(found)):
+        (name,), (value, error) = system.coordinates, turn
+        table.add_row(f"{name} where it turns", "", f"{value:.10g}", f"{error:.2g}", system.unit)
     return table
 
 
@@ -207,7 +248,8 @@ def _about_fit(found: Identification) -> Iterator[str]:
     yield f"{len(found.shifts)} stamps {off}{declared}."
     yield from map(_about_sensor, found.sensors)
     impacts = len(found.shifts) + len(found.recording.rejected)
-    if found.declared and found.doubted >= _MANY * impacts:
+    many = found.doubted >= _MANY * impacts
+    if found.declared and many and _may_be_a_clock(found):
         yield (
             f"WARNING: --clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
             f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"
