@@ -153,7 +153,8 @@ class CsvFile:
             with self._path.open(encoding="utf-8-sig", newline="") as file:
                 yield from self._records(file)
         except UnicodeDecodeError:
-            raise UsageError(f"{self._path}: is no text in UTF-8; save it as CSV UTF-8") from None
+            remedy = "save it as CSV UTF-8; a sound (WAV) is for impact-observer detect"
+            raise UsageError(f"{self._path}: is no text in UTF-8; {remedy}") from None
         except OSError as error:
             raise UsageError(f"{self._path}: cannot be read: {error.strerror}") from None
 
