@@ -236,8 +236,8 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
         found = ", ".join(reader.topics) or "none"
         raise UnfitBagError(
             f"{reader.path}: has no impacts; expected {interfaces.IMPACT_EVENT} on"
-            f" {interfaces.IMPACTS.topic}, topics in the bag: {found}; impact-observer detect makes"
-            " them of a sensor's signal"
+            f" {interfaces.IMPACTS.topic}, topics in the bag: {found}; impact-observer detect"
+            " makes them of a sensor's signal"
         )
     return in_order(reader.events(topic))
 
