@@ -78,7 +78,7 @@ def test_identify_takes_model_and_impacts_of_the_selected_rig(
         assert said in alone
         assert main(["identify", str(rigs), *CHECK, "--namespace", model]) == 1
         assert capsys.readouterr().err == alone
-    assert main(["identify", str(rigs), *CHECK]) == 1
+    assert main(["identify", str(rigs), *CHECK]) == 2
     assert "name the one meant with --namespace" in capsys.readouterr().err
 
 
