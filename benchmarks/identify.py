@@ -332,6 +332,11 @@ def _normalised(
             yield z * found.widened, z
 
 
+def _learned(last: Estimate, unknowns: UnknownParameters) -> list[tuple[str, float, float]]:
+    """Those of an estimate's parameters that are the model's, in the order of ``unknowns``."""
+    return [each for each in last.parameters if each[0] in unknowns.family.names]
+
+
 def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, object]:
     """A row of the fourth table."""
     true = read_model(name).system
@@ -346,14 +351,14 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
         plain.append(_ended(name, _observer(true, start, declared), events)[0])
         V, last = _ended(name, _observer(true, start, learns), events)
         learning.append(V)
-        ratios.append([each[2] for each in last.parameters] / least)
+        ratios.append([each[2] for each in _learned(last, right)] / least)
         off = np.clip(rng.normal(size=right.family.size), -2, 2) * right.deviations
         model = right.family.system_at(right.family.nominal + off)
         learns = replace(declared, unknowns=UnknownParameters.named(model, [free]))
         V, last = _ended(name, _observer(model, start, learns), events)
         wrong.append(V)
         for (_, value, deviation), given, by in zip(
-            last.parameters, right.family.nominal.tolist(), off.tolist(), strict=True
+            _learned(last, right), right.family.nominal.tolist(), off.tolist(), strict=True
         ):
             true_value = given / (given + by) if "scale" in free else given
             squares.append(((value - true_value) / deviation) ** 2)
