@@ -24,13 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from impact_observer.check.undamped_modes import UndampedModes
 from impact_observer.model import System
 from impact_observer.states import Vector, frozen
 
-_RIGID = 1e-12
-"""Eigenvalue that counts as zero, relative to the largest."""
+_MOVED = 1e-12
+"""Change of a gap by a rigid-body mode that counts as none."""
 _NEVER = 10.0
 """A gap so many times larger than what moves it is never reached."""
 _FAST = 100.0
@@ -98,11 +98,10 @@ def _where(true: NDArray[np.bool_]) -> list[int]:
 
 def forced_motion(system: System) -> ForcedMotion:
     """The steady motion of a system without contacts."""
-    squares, shapes = linalg.eigh(system.K, system.M)
-    rigid = squares <= _RIGID * max(float(squares[-1]), 0.0)
-    elastic = np.sqrt(squares[~rigid])
+    modes = UndampedModes.of(system)
+    elastic, free = np.sqrt(modes.squares), modes.rigid
     slowest, fastest = (elastic[0], elastic[-1]) if elastic.size else (math.nan, math.nan)
-    slowest = math.nan if rigid.any() else slowest
+    slowest = math.nan if free.size else slowest
     nothing = np.full(system.m, math.nan)
     forcing, W = system.forcing, system.W
     live = system.live
@@ -117,11 +116,9 @@ def forced_motion(system: System) -> ForcedMotion:
             slowest=float(slowest),
             fastest=float(fastest),
         )
-    modal = shapes[:, ~rigid] / elastic**2
-    sag = W.T @ modal @ (shapes[:, ~rigid].T @ forcing.constant)
-    free = shapes[:, rigid]
-    floats = np.any(np.abs(W.T @ free) > _RIGID, axis=1)
-    pull = -W.T @ free @ (free.T @ forcing.constant)
+    sag = W.T @ (modes.elastic / elastic**2) @ (modes.elastic.T @ forcing.constant)
+    floats = np.any(np.abs(W.T @ free) > _MOVED, axis=1)
+    pull = -modes.gap_acceleration(system)
     swing, speed, shake = np.zeros((3, system.m))
     for omega, force in zip(forcing.frequency, forcing.cosine - 1j * forcing.sine, strict=True):
         stiffness = system.K - omega**2 * system.M + 1j * omega * system.C

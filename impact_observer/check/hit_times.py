@@ -20,8 +20,8 @@ from collections.abc import Iterable, Iterator
 from itertools import islice
 
 import numpy as np
-from scipy import linalg
 
+from impact_observer.check.undamped_modes import UndampedModes
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
@@ -37,8 +37,6 @@ _PERIODS = 30.0
 """Periods of the slowest motion that may pass between two impacts, as a rule."""
 _SPEED = 30.0
 """Fastest speed at which a flight under a constant force may begin, as a rule, m/s."""
-_RIGID = 1e-12
-"""Eigenvalue that counts as zero, relative to the largest."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _ENOUGH = 5000
 """First events of a bag that are looked at."""
@@ -142,14 +140,12 @@ def longest_interval(system: System) -> float:
     """
     if system.live is not None or system.forcing.sampled is not None:
         return math.inf
-    squares, shapes = linalg.eigh(system.K, system.M)
-    rigid = squares <= _RIGID * max(float(squares[-1]), 0.0)
-    frequencies = [*np.sqrt(squares[~rigid]), *system.forcing.frequency]
+    modes = UndampedModes.of(system)
+    frequencies = [*np.sqrt(modes.squares), *system.forcing.frequency]
     periods = [2 * math.pi / each for each in frequencies if each > 0]
     longest = _PERIODS * max(periods, default=0.0)
-    if rigid.any():
-        free = shapes[:, rigid]
-        pull = np.abs(system.W.T @ free @ (free.T @ system.forcing.constant))
+    if modes.rigid.size:
+        pull = np.abs(modes.gap_acceleration(system))
         if not np.any(pull > 0):
             return math.inf
         longest = max(longest, 2 * _SPEED / float(np.max(pull)))

@@ -36,13 +36,12 @@ from impact_observer.check.impact_expansion import (
     growth,
     is_nonexpansive,
 )
+from impact_observer.check.undamped_modes import UndampedModes
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
 __all__ = ["ModelCheck", "check_model", "expansive_sets", "is_nonexpansive"]
 
-_RIGID = 1e-12
-"""``omega^2`` that counts as zero, relative to the stiffest mode's; as for position jumps."""
 _ROUNDING = 1e-14
 """Real or imaginary part that counts as zero, relative to the largest eigenvalue, times 2n."""
 _EQUAL = 1e-8
@@ -169,11 +168,11 @@ class _Spectrum:
 
     def __init__(self, system: System) -> None:
         self._system = system
-        stiffness, self._shapes = linalg.eigh(system.K, system.M)
-        self._r = int(np.sum(stiffness <= _RIGID * max(float(stiffness[-1]), 0.0)))
-        stiffness[: self._r] = 0.0
-        self.undamped: Vector = np.sqrt(stiffness)
-        self.rigid: Matrix = self._shapes[:, : self._r]
+        modes = UndampedModes.of(system)
+        self._shapes = np.hstack([modes.rigid, modes.elastic])
+        self.rigid: Matrix = modes.rigid
+        self._r = modes.rigid.shape[1]
+        self.undamped: Vector = np.sqrt(np.append(np.zeros(self._r), modes.squares))
         values, vectors = linalg.eig(self._matrix())
         zero = _ROUNDING * len(values) * float(np.max(np.abs(values)))
         real = np.where(np.abs(values.real) <= zero, 0.0, np.minimum(values.real, 0.0))

@@ -1,0 +1,51 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The modes of a model without damping and contacts, elastic and rigid."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+_RIGID = 1e-12
+"""``omega^2`` that counts as zero, relative to the stiffest mode's; as for position jumps."""
+
+
+class UndampedModes(NamedTuple):
+    """Modes of ``K`` and ``M``, orthonormal in ``M``.
+
+    Attributes:
+        squares: squared frequencies of the elastic ones, ascending, rad^2/s^2.
+        elastic: their shapes, a column each.
+        rigid: shapes of the rigid-body modes, a column each, shape (n, r).
+    """
+
+    squares: Vector
+    elastic: Matrix
+    rigid: Matrix
+
+    @classmethod
+    def of(cls, system: System) -> "UndampedModes":
+        """Those of ``system``."""
+        squares, shapes = linalg.eigh(system.K, system.M)
+        r = int(np.sum(squares <= _RIGID * max(float(squares[-1]), 0.0)))
+        return cls(squares[r:], shapes[:, r:], shapes[:, :r])
+
+    def gap_acceleration(self, system: System) -> Vector:
+        """By constant loads in rigid-body motion, shape (m,), m/s^2; positive where one opens."""
+        return np.asarray(system.W.T @ self.rigid @ (self.rigid.T @ system.forcing.constant))
