@@ -30,6 +30,10 @@ MAX_STAMP = (2**31 - 1) * NS_PER_S + (NS_PER_S - 1)
 """The last stamp that ``builtin_interfaces/Time`` can carry (int32 seconds)."""
 MOST_SAMPLES = 100_000_000
 """Largest number of samples in a grid."""
+_LEAST_EPOCH = NS_PER_S // 1000
+"""Below this an epoch is not the stamp of a clock, ns."""
+_LONG = 365 * 86_400 * NS_PER_S
+"""Time from an epoch to an impact beyond which they are of different clocks or units, ns."""
 
 
 class Instant(NamedTuple):
@@ -140,3 +144,27 @@ def text(stamp: int) -> str:
     sign = "-" if stamp < 0 else ""
     whole, part = divmod(abs(stamp), NS_PER_S)
     return f"{sign}{whole}.{part:09d}"
+
+
+def odd_epoch(epoch: int, stamp: int, what: str = "an impact at") -> str:
+    """Why an epoch is hardly that of an impact, such as one in another unit; empty where it is.
+
+    Args:
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 for unknown, which is not odd.
+        stamp: of the impact, ns.
+        what: has the stamp, if it is no impact.
+    """
+    if not epoch:
+        return ""
+    if epoch < _LEAST_EPOCH:
+        where = "less than 1 ms after time zero"
+    elif epoch - stamp > NS_PER_S:
+        where = f"{seconds_between(stamp, epoch):.3g} s after {what} {text(stamp)} s"
+    elif stamp - epoch > _LONG:
+        where = f"{(stamp - epoch) / _LONG:.3g} years before {what} {text(stamp)} s"
+    else:
+        return ""
+    return (
+        f"epoch {text(epoch)} s is {where}; nodes take it in ns, commands in s:"
+        " is it in another unit, or of another clock?"
+    )

@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.stamps import NS_PER_S, Elapsed
+from impact_observer.stamps import NS_PER_S, Elapsed, odd_epoch
 
 DAY = 86_400 * NS_PER_S
 
@@ -52,3 +52,15 @@ def test_elapsed_times_that_differ_by_less_than_a_float_shows_are_not_equal() ->
     one, other = Elapsed(DAY), Elapsed(DAY, 1e-13)
     assert float(one) == float(other)
     assert one != other
+
+
+def test_an_epoch_in_another_unit_than_the_stamps_is_odd() -> None:
+    """Of the clock of a machine, and of a simulation that begins at 1 s; later use is not odd."""
+    begin = 1_760_000_000 * NS_PER_S
+    for wrong in (1, begin // 10**9, begin // 10**6, begin // 10**3):
+        assert "in another unit" in odd_epoch(wrong, begin + DAY)
+    simulated = NS_PER_S
+    assert "1 ms" in odd_epoch(1, simulated)
+    assert "999 s after an impact at 1.0" in odd_epoch(1000 * NS_PER_S, simulated)
+    for right, stamp in ((0, begin), (begin, begin + 300 * DAY), (simulated, simulated + DAY)):
+        assert odd_epoch(right, stamp) == ""

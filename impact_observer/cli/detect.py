@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
             found = _found(counts)
             progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
         progress.line(f"{args.output}: {result.events} events")
+        for line in result.doubts:
+            progress.line(f"warning: {line}")
         if result.problems:
             progress.line(f"note: {'; '.join(result.problems)}")
     return 0

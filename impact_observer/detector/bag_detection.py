@@ -42,6 +42,7 @@ class BagDetection:
         counts: of each one.
         events: how many events were written.
         problems: what was not found or not copied, a line each.
+        doubts: what was declared and is hardly meant, a line each.
         rows: of a signal, 0 of a bag.
         seconds: from the first of them to the last.
     """
@@ -50,19 +51,28 @@ class BagDetection:
     counts: list[SensorCounts]
     events: int = 0
     problems: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
 
-    def finish(self, path: Path, detector: Detector) -> None:
-        """Count what the ``detector`` has found in ``path``.
+    def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
+        """Count what the ``detector`` has found in ``path``, whose ``model`` may be known.
 
         Raises:
             BagError: no impact.
         """
         self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
+        self.doubts += detector.doubts
+        if model is not None and model.system.depends_on_time and not detector.epoch:
+            self.doubts.append(
+                f"no epoch, and the forcing of {model.system.name} depends on time: an observer"
+                " needs it; give --epoch, or record the pulses of the drive on"
+                f" {interfaces.PHASE_REFERENCE.topic}"
+            )
         self.problems += [line for k in range(len(self.sources)) if (line := detector.problem(k))]
         if not any(counts.impacts for counts in self.counts):
-            raise BagError(f"{path}: no impact found; {'; '.join(self.problems)}")
+            why = "; ".join(self.problems + detector.doubts)
+            raise BagError(f"{path}: no impact found; {why}")
 
 
 def detect_bag(
@@ -95,14 +105,16 @@ def detect_bag(
     """
     types = {topic: info.type for topic, info in reader.topics.items()}
     found, problems = present(reader.path, types, sources)
+    known = model
     if model is not None or reader.model_text() is not None:
-        check_contacts(model or model_of(reader), found)
+        known = model or model_of(reader)
+        check_contacts(known, found)
     detector = Detector(found, epoch=epoch or first_pulse(reader))
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
         _run(reader, writer, detector, copied=copied, progress=progress)
-        result.finish(reader.path, detector)
+        result.finish(reader.path, detector, known)
     return result
 
 

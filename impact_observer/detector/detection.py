@@ -31,7 +31,7 @@ from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
-from impact_observer.stamps import MAX_STAMP, from_seconds
+from impact_observer.stamps import MAX_STAMP, from_seconds, odd_epoch
 
 _SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
@@ -89,6 +89,7 @@ class Detector:
         counts: one for each source.
         episode: how often it was restarted.
         epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
+        first_event: stamp of the first event, ns; 0 before it.
     """
 
     def __init__(self, sources: Iterable[Source] = (), *, epoch: int = 0) -> None:
@@ -102,6 +103,7 @@ class Detector:
         self.counts: list[SensorCounts] = []
         self.episode = 0
         self.epoch = epoch
+        self.first_event = 0
         self._sensors: list[Sensor] = []
         self._paths: list[FieldPath] = []
         self._newest: list[int] = []
@@ -160,6 +162,17 @@ class Detector:
         self._now = max(self._now, now)
         return detections
 
+    @property
+    def epoch_doubt(self) -> str:
+        """Why the epoch is hardly meant; empty where it may be, and before the first event."""
+        return odd_epoch(self.epoch, self.first_event) if self.first_event else ""
+
+    @property
+    def doubts(self) -> list[str]:
+        """What was declared and is hardly meant, such as times in another unit; a line each."""
+        lines = [f"{each.contact}: {each.doubt}" for each in self.sources if each.doubt]
+        return [*lines, self.epoch_doubt] if self.epoch_doubt else lines
+
     def problem(self, index: int) -> str:
         """Why a source has no events, or what was left out; empty if nothing is wrong."""
         source, counts = self.sources[index], self.counts[index]
@@ -213,6 +226,7 @@ class Detector:
             counts.closings += kind is Kind.CLOSE
             counts.openings += kind is Kind.OPEN
             counts.last_event = stamp
+            self.first_event = self.first_event or stamp
             self._sequence += 1
             switched = (Switch(source.contact, kind),)
             event = ImpactEvent(stamp, switched, self._sequence, self.episode, self.epoch)

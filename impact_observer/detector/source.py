@@ -40,6 +40,8 @@ _DEFAULT_KINDS = {
 _IMU_BASELINE = 1.0
 """Default ``baseline`` of an accelerometer, s. It removes gravity, and an impact of some
 milliseconds changes the mean by less than a percent of its peak."""
+_USUAL = 1.0
+"""The longest latency or dead time of a sensor as a rule, s."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
     SWITCH: {
@@ -131,6 +133,13 @@ class Source:
     def wrong(self, key: str, problem: str) -> UsageError:
         """The error that names the file, the ``key`` and the ``problem``."""
         return UsageError(" ".join(f"{self.origin}{key}: {problem}".split()))
+
+    @property
+    def doubt(self) -> str:
+        """What looks like another unit than seconds; empty where nothing does."""
+        times = {key: getattr(self, key) for key in ("latency", "dead_time")}
+        long = [f"{key} {s:g} s" for key, s in times.items() if s is not None and s > _USUAL]
+        return f"{' and '.join(long)}: more than a second; was it given in ms?" if long else ""
 
     def path(self) -> tuple[str | int, ...]:
         """The parts of ``field``.

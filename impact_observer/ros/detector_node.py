@@ -65,6 +65,7 @@ class DetectorNode(Node):
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._last_counts: dict[int, tuple[int, int]] = {}
         self._unstamped = 0
+        self._doubts: list[str] = []
         self._make = ros_messages()
         self._impacts = self.create_publisher(
             message_class(interfaces.IMPACTS.type),
@@ -189,7 +190,11 @@ class DetectorNode(Node):
         self._detector.restart()
 
     def _diagnose(self) -> None:
-        """Publish the state of each sensor to ``/diagnostics``."""
+        """Publish the state of each sensor to ``/diagnostics``; log what is hardly meant, once."""
+        doubts, self._doubts = self._doubts, self._detector.doubts
+        for line in self._doubts:
+            if line not in doubts:
+                self.get_logger().warning(printable(line))
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         array.status = [
@@ -210,6 +215,8 @@ class DetectorNode(Node):
         now_unusable = counts.invalid + counts.out_of_order
         self._last_counts[index] = (counts.messages, now_unusable)
         level, message = DiagnosticStatus.OK, f"{counts.impacts} impacts"
+        if doubt := source.doubt or self._detector.epoch_doubt:
+            level, message = DiagnosticStatus.WARN, doubt
         if now_unusable > unusable or not counts.messages:
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
         if self._unstamped and not self._now():

@@ -27,6 +27,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import UnsetError, UsageError
+from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, end_with_parent, run
@@ -162,13 +163,41 @@ def _how_to_set(name: str, args: Sequence[str]) -> str:
 
 
 def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
-    """Warn of misspelt parameters, which ROS ignores."""
+    """Warn of misspelt parameters, which ROS ignores: in the log and on ``/diagnostics``."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from rclpy.clock import Clock, ClockType
+
+    from impact_observer.ros.qos import qos_profile
+    from impact_observer.ros.statuses import diagnostic_status
+
+    if not (lines := list(_unknown_parameters(node, args))):
+        return
+    for line in lines:
+        node.get_logger().warning(printable(line))
+    name = f"{node.get_fully_qualified_name()}: parameters"
+    status = diagnostic_status(
+        name, DiagnosticStatus.WARN, "; ".join(lines), {}, hardware=node.get_name()
+    )
+    publisher = node.create_publisher(
+        DiagnosticArray, "/diagnostics", qos_profile(DIAGNOSTIC_ARRAYS.quality)
+    )
+
+    def repeat() -> None:
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(array)
+
+    node.create_timer(1.0, repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def _unknown_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:
+    """A line for each parameter that the arguments give and ``node`` has not declared."""
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
             declared = sorted(node.get_parameters_by_prefix(""))
             near = get_close_matches(name, declared, 1)
             remedy = f"did you mean {near[0]}?" if near else f"expected {', '.join(declared)}"
-            node.get_logger().warning(printable(f"parameter {name} does not exist; {remedy}"))
+            yield f"parameter {name} does not exist and is ignored; {remedy}"
 
 
 def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:

@@ -27,7 +27,7 @@ from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.stamps import NS_PER_S
+from impact_observer.stamps import NS_PER_S, odd_epoch
 from impact_observer.states import Estimate
 
 _STALE = 60 * NS_PER_S
@@ -49,6 +49,7 @@ class ObserverDiagnostics:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
+        odd_epoch: why the epoch is hardly meant; empty where it may be.
         behind: how far the observer is behind, and the remedy; empty where it keeps up.
         inputs: the node's samples of live forces and grounds, if there are any.
         input_timeout: how old they may be, s.
@@ -58,7 +59,7 @@ class ObserverDiagnostics:
         """Report on the ``observer`` of a node, called by its full name."""
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
-        self.mismatch = self.behind = ""
+        self.mismatch = self.behind = self.odd_epoch = ""
         self.inputs: LiveIntake | None = None
         self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
@@ -105,6 +106,13 @@ class ObserverDiagnostics:
         if was_behind:
             return "" if self.behind else "the observer has caught up with the events"
         return self.behind
+
+    def note_epoch(self) -> str:
+        """Compare the epoch with the last impact; a warning to be logged when it becomes odd."""
+        observer, was_odd = self._observer, bool(self.odd_epoch)
+        last = observer.last_event
+        self.odd_epoch = odd_epoch(observer.epoch, last) if last else ""
+        return "" if was_odd else self.odd_epoch
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
         """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
@@ -172,7 +180,14 @@ class ObserverDiagnostics:
             return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
         new = self._new_faults()
         silent = self.inputs.silent(now, self.input_timeout) if self.inputs else ""
-        faults = (self.behind, self._clock_fault(now), silent, _doubt(last), ", ".join(new))
+        faults = (
+            self.behind,
+            self.odd_epoch,
+            self._clock_fault(now),
+            silent,
+            _doubt(last),
+            ", ".join(new),
+        )
         fault = next(filter(None, faults), "") or self._refusals()
         if fault:
             return DiagnosticStatus.WARN, fault

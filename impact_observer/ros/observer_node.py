@@ -429,6 +429,8 @@ class ObserverNode(Node):
         self._lines.restore()
         if news := self._diagnostics.note_backlog(*self._intake.backlog()):
             (self._lines.warning if self._diagnostics.behind else self._lines.info)(news)
+        if news := self._diagnostics.note_epoch():
+            self._lines.warning(news)
         now = self._now()
         self._observer.forget_silence(now)
         status = [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]

@@ -44,7 +44,7 @@ from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.plant_sensors import PlantSensors
 from impact_observer.ros.qos import qos_profile
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, odd_epoch
 from impact_observer.states import Vector
 
 _LOOK_AHEAD = NS_PER_S
@@ -130,7 +130,7 @@ class PlantNode(Node):
         introduce(self, f"model {self._model.system.name}, {how}", waits)
 
     def _check_time_source(self) -> None:
-        """Refuse two owners of the time, or a pace that other nodes could not follow."""
+        """Refuse two owners of the time, a pace or an epoch that others could not follow."""
         simulated = self.get_parameter("use_sim_time").value
         if self._owns_clock and simulated:
             raise UsageError(
@@ -140,6 +140,11 @@ class PlantNode(Node):
             raise UsageError(
                 f"parameter realtime_factor: {self._factor:g} needs publish_clock: true"
             )
+
+        epoch = self._wanted_epoch
+        now = 0 if self._owns_clock else int(self.get_clock().now().nanoseconds)
+        if odd := odd_epoch(epoch, max(epoch, now), "the clock,"):
+            raise UsageError(f"parameter epoch: {odd}")
 
     def _publisher(self, interface: interfaces.Interface, topic: str) -> Publisher:
         return self.create_publisher(

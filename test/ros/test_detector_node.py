@@ -56,7 +56,7 @@ from impact_observer.stamps import NS_PER_S
 
 pytestmark = pytest.mark.ros
 
-EPOCH = 5_000_000_000
+EPOCH = (int(time.time()) - 5) * NS_PER_S  # near the clock, as that of a rig
 BEST_EFFORT = Quality(reliable=False, depth=1000)
 SOURCES = """sources:
 - {contact: stop, topic: switch}
@@ -221,6 +221,24 @@ def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
     rig.spinner.until(
         lambda: any(s.message.startswith("wall: 1 messages not usable") for s in rig.diagnostics)
     )
+
+
+def test_an_epoch_or_a_latency_in_another_unit_is_a_warning(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """In the diagnostics: 1 s given as 1, which is 1 ns, and 2 ms given as 2, which is 2 s."""
+    assert ros_environment
+    sources = tmp_path / "rig.yaml"
+    entries = "{contact: stop, topic: switch}, {contact: wall, topic: hit, latency: 2}"
+    sources.write_text(f"sources: [{entries}]", encoding="utf-8")
+    with spinning(ros_arguments({"sources": sources, "epoch": 1})) as spinner:
+        rig = make_rig(spinner)
+        rig.sensor(Bool, "hit", STATES).publish(Bool(data=False))
+        spinner.until(lambda: "latency 2 s: more than a second" in rig.diagnosis("wall").message)
+        assert rig.diagnosis("wall").level == DiagnosticStatus.WARN
+        rig.sensor(Bool, "switch", STATES).publish(Bool(data=True))
+        spinner.until(lambda: "epoch 0.000000001 s" in rig.diagnosis("stop").message)
+        assert rig.diagnosis("stop").level == DiagnosticStatus.WARN
 
 
 def test_a_clock_that_jumps_back_is_a_new_episode(

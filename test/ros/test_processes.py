@@ -24,7 +24,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import ContactSwitch, EstimateError, ImpactEvent, ObserverState
 from processes import interrupt, refusal, ros_arguments, running_node, spinning
 from sensor_msgs.msg import JointState
@@ -196,6 +196,8 @@ def test_a_signal_ends_a_node_with_exit_code_0(
             "parameter duration: expected a double",
         ),
         ("observer", {"model": "two_mass", "use_sim_time": "banana"}, "use_sim_time"),
+        ("plant", {"model": "two_mass", "epoch": 1}, "epoch 0.000000001 s is less than 1 ms"),
+        ("plant", {"model": "two_mass", "epoch": 10**9}, "years before the clock, "),
         ("monitor", {"model": "two_mass", "law": 3}, "parameter law: expected a string"),
     ],
 )
@@ -214,7 +216,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     assert expected in line
 
 
-def test_misspelt_parameters_give_a_warning(
+def test_misspelt_parameters_give_a_warning_in_log_and_diagnostics(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """ROS itself ignores them, on the command line and in files, also beside an empty list."""
@@ -227,11 +229,20 @@ def test_misspelt_parameters_give_a_warning(
         running_node("observer", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
-        spinner.until(lambda: "observer" in spinner.probe.get_node_names())
-        spinner.settle()
+        statuses: dict[str, DiagnosticStatus] = {}
+        spinner.probe.create_subscription(
+            DiagnosticArray,
+            "/diagnostics",
+            lambda array: statuses.update({each.name: each for each in array.status}),
+            qos_profile(STATES),
+        )
+        spinner.until(lambda: "/observer: parameters" in statuses)
         code, errors = interrupt(process)
     assert code == 0
+    status = statuses["/observer: parameters"]
+    assert status.level == DiagnosticStatus.WARN
+    assert "parameter lwa does not exist and is ignored; did you mean law?" in status.message
     unknown = re.findall(r"parameter (\S+) does not exist", errors)
     assert unknown == ["lwa", "rat", "sensor.jitter"]
-    meant = re.findall(r"parameter (\S+) does not exist; did you mean (\w+)\?", errors)
+    meant = re.findall(r"parameter (\S+) does not exist and .* did you mean (\w+)\?", errors)
     assert meant == [("lwa", "law"), ("rat", "rate")]
