@@ -27,6 +27,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from impact_observer.events import ImpactEvent, Kind, Switch
     from impact_observer.model import Model, System, parse_model, read_model
     from impact_observer.observer import Observer, law_named
     from impact_observer.observer.make_observer import make_observer
@@ -38,10 +39,13 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _HOME = {
+    "ImpactEvent": "events",
+    "Kind": "events",
     "Model": "model",
     "Observer": "observer",
     "Options": "options",
     "Plant": "plant",
+    "Switch": "events",
     "System": "model",
     "grid": "stamps",
     "law_named": "observer",
@@ -54,10 +58,13 @@ _HOME = {
 """Where each public name is defined."""
 
 __all__ = [
+    "ImpactEvent",
+    "Kind",
     "Model",
     "Observer",
     "Options",
     "Plant",
+    "Switch",
     "System",
     "__version__",
     "grid",

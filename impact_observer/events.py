@@ -22,6 +22,9 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple, TypeAlias
 
+from impact_observer.errors import UsageError
+from impact_observer.stamps import whole_stamp
+
 Contacts: TypeAlias = tuple[int, ...]
 """Indices of contacts in their system, ascending."""
 
@@ -55,6 +58,9 @@ class ImpactEvent:
         sequence: +1 a message; 0 when the sender does not count.
         episode: +1 at every reset of the sender.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 when unknown to the sender.
+
+    Raises:
+        UsageError: a stamp that is no integer, or ``switches`` that are none.
     """
 
     stamp: int
@@ -62,6 +68,17 @@ class ImpactEvent:
     sequence: int = 0
     episode: int = 0
     epoch: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the types: a caller of one's own may give seconds, or a contact's name."""
+        for name in ("stamp", "epoch"):
+            if type(value := getattr(self, name)) is not int:
+                object.__setattr__(self, name, whole_stamp(value, name))
+        if not all(type(each) is Switch for each in self.switches):
+            raise UsageError(
+                f"switches: {self.switches!r} found; expected a tuple of Switch, such as"
+                " (Switch('stop'),)"
+            )
 
 
 class Ruling(IntEnum):

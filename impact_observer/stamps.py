@@ -18,6 +18,7 @@ A *stamp* is an ``int`` of nanoseconds, as in ROS messages and bags. The plant's
 times are more precise, so it keeps an :class:`Instant`: a stamp and a float remainder.
 """
 
+from operator import index
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ from impact_observer.errors import UsageError
 NS_PER_S = 1_000_000_000
 MAX_STAMP = (2**31 - 1) * NS_PER_S + (NS_PER_S - 1)
 """The last stamp that ``builtin_interfaces/Time`` can carry (int32 seconds)."""
+_WHOLE = "expected whole nanoseconds, an int"
+_EXAMPLE = "round(1e9 * seconds)"
 MOST_SAMPLES = 100_000_000
 """Largest number of samples in a grid."""
 _LEAST_EPOCH = NS_PER_S // 1000
@@ -106,6 +109,30 @@ class Elapsed(float):
     __hash__ = float.__hash__
 
 
+def whole_stamp(stamp: object, name: str = "stamp") -> int:
+    """A ``stamp`` of any integer type as an int, ns.
+
+    Raises:
+        UsageError: it is no integer, such as seconds as a float; the line has its ``name``.
+    """
+    try:
+        return index(stamp)  # type: ignore[arg-type]
+    except TypeError:
+        raise UsageError(f"{name}: {stamp!r} found; {_WHOLE}, such as {_EXAMPLE}") from None
+
+
+def whole_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """An array of stamps of any integer type, ns, of the same shape.
+
+    Raises:
+        UsageError: they are no integers, such as seconds as floats.
+    """
+    found = np.asarray(stamps)
+    if found.size and found.dtype.kind not in "iu":
+        raise UsageError(f"stamps: {found.dtype} found; {_WHOLE}, such as {_EXAMPLE}")
+    return found.astype(np.int64, copy=False)
+
+
 def seconds_between(start: int, stop: int) -> float:
     """Seconds from stamp ``start`` to stamp ``stop``: integers are subtracted first."""
     return (stop - start) / NS_PER_S
@@ -118,8 +145,10 @@ def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
     ``stop < start``.
 
     Raises:
-        UsageError: more samples than memory holds, or stamps that no message can carry.
+        UsageError: more samples than memory holds, stamps that no message can carry, or that are
+            no integers.
     """
+    start, stop = whole_stamp(start, "start"), whole_stamp(stop, "stop")
     if stop < start:
         return np.empty(0, dtype=np.int64)
     if stop > MAX_STAMP:

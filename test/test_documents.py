@@ -78,17 +78,6 @@ def test_every_page_is_in_the_reading_order() -> None:
     assert pages == set(re.findall(r"\]\(([\w]+\.md)\)", index))
 
 
-def test_the_example_in_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    """It prints the estimate beside the truth, and they agree."""
-    (code,) = blocks(COMMAND_PAGE, "python")
-    exec(compile(code, "commands.md", "exec"), {})
-    estimate, truth = re.findall(r"\[([^]]*)\]", capsys.readouterr().out)
-    difference = [
-        abs(float(a) - float(b)) for a, b in zip(estimate.split(), truth.split(), strict=True)
-    ]
-    assert max(difference) < 0.01
-
-
 def test_the_example_of_the_page_of_sweeps_runs() -> None:
     """It makes outcomes that have figures."""
     code = blocks((ROOT / "docs" / "sweep.md").read_text(), "python")[1]

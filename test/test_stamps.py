@@ -17,10 +17,22 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
+from impact_observer import (
+    ImpactEvent,
+    Plant,
+    Switch,
+    grid,
+    make_observer,
+    read_model,
+    replay,
+    simulate,
+)
+from impact_observer.errors import UsageError
 from impact_observer.stamps import NS_PER_S, Elapsed, odd_epoch
 
 DAY = 86_400 * NS_PER_S
@@ -64,3 +76,28 @@ def test_an_epoch_in_another_unit_than_the_stamps_is_odd() -> None:
     assert "999 s after an impact at 1.0" in odd_epoch(1000 * NS_PER_S, simulated)
     for right, stamp in ((0, begin), (begin, begin + 300 * DAY), (simulated, simulated + DAY)):
         assert odd_epoch(right, stamp) == ""
+
+
+def test_seconds_given_as_stamps_are_one_line_that_says_what_is_expected() -> None:
+    """In events, epochs, estimates, grids and runs; integers of numpy are stamps."""
+    model = read_model("two_mass")
+    plant = Plant(model.system, *model.initial_state(), epoch=NS_PER_S)
+    observer = make_observer(model.system)
+    stop = (Switch("stop"),)
+    for wrong in (
+        lambda: ImpactEvent(1.5, stop),  # type: ignore[arg-type]
+        lambda: ImpactEvent(NS_PER_S, stop, epoch=1.0),  # type: ignore[arg-type]
+        lambda: observer.estimate(1.5),  # type: ignore[arg-type]
+        lambda: grid(0.0, 1.0, 10.0),  # type: ignore[arg-type]
+        lambda: Plant(model.system, *model.initial_state(), epoch=1.0),  # type: ignore[arg-type]
+        lambda: simulate(plant, np.array([1.5])),
+        lambda: list(replay(observer, [], np.array([1.5]))),
+    ):
+        with pytest.raises(
+            UsageError, match=r"expected whole nanoseconds, an int, such as"
+        ) as why:
+            wrong()
+        assert "\n" not in str(why.value)
+    with pytest.raises(UsageError, match=r"expected a tuple of Switch"):
+        ImpactEvent(NS_PER_S, ("stop",))  # type: ignore[arg-type]
+    assert type(ImpactEvent(np.int64(NS_PER_S), stop).stamp) is int

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stories import ROOT, Run, Save, section, steps
+from stories import ROOT, Python, Run, Save, section, steps
 
 from impact_observer.cli.main import main
 
@@ -92,6 +92,21 @@ def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) ->
         assert short in {numbers.sub(r"\1", each) for each in said}, line
     assert "Full rank after 4 impacts" in " ".join(said)
     assert "The model fits." in said
+
+
+@pytest.mark.slow
+def test_the_python_of_the_api_page_prints_what_the_page_says(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Events of one's own, a simulation, an identification: one program."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    names: dict[str, object] = {}
+    for step in steps(page):
+        assert isinstance(step, Python)
+        exec(step.text, names)
+    wanted = re.findall(r"^```text\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert len(wanted) == 3
+    assert capsys.readouterr().out == "".join(wanted)
 
 
 @pytest.mark.ros

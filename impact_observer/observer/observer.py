@@ -49,7 +49,7 @@ from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, initial_entry
 from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
-from impact_observer.stamps import from_seconds, text
+from impact_observer.stamps import from_seconds, text, whole_stamp, whole_stamps
 from impact_observer.states import (
     Estimate,
     Estimates,
@@ -162,7 +162,7 @@ class Observer:
         self._lasts = from_seconds(float(np.max(system.contact_time, initial=0.0)))
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
-        self.given_epoch = epoch
+        self.given_epoch = whole_stamp(epoch, "epoch")
         self.remarks: Counter[Remark] = Counter()
         self._notices: list[str] = []
         self.restart()
@@ -451,7 +451,7 @@ class Observer:
                 forcing depends on time and its epoch is unknown.
         """
         self._follow()
-        return self._run.estimate(stamp)
+        return self._run.estimate(whole_stamp(stamp))
 
     def obstacle(self, stamp: int) -> str:
         """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
@@ -460,7 +460,7 @@ class Observer:
             UsageError: as ``estimate``.
         """
         self._follow()
-        return self._run.obstacle(stamp)
+        return self._run.obstacle(whole_stamp(stamp))
 
     def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
@@ -472,7 +472,7 @@ class Observer:
             UsageError: as ``estimate``.
         """
         self._follow()
-        return self._run.estimates(stamps, only_states=only_states)
+        return self._run.estimates(whole_stamps(stamps), only_states=only_states)
 
     def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
         """States (q, u) of all replicas, shape (2n, samples, N).
@@ -506,7 +506,7 @@ class Observer:
         if (timeline := self._run.timeline) is None:
             self._initial, self._root = x, root
         else:
-            stamp = max(stamp, timeline.start.stamp)
+            stamp = max(whole_stamp(stamp), timeline.start.stamp)
             now = timeline.at(stamp)
             replicas = spread(x, root, self.ensemble)
             first = self._entry_of(replicas, root, stamp, now.closed, now.latest)

@@ -27,7 +27,7 @@ from impact_observer.observer.event_order import NEAR_NUMBERS, NEAR_STAMPS
 from impact_observer.observer.observer import Observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import Placed, Weighed, placed
-from impact_observer.stamps import MAX_STAMP
+from impact_observer.stamps import MAX_STAMP, whole_stamps
 from impact_observer.states import Estimate, Estimates, Stamps
 
 _BATCH = 4096
@@ -76,6 +76,7 @@ def replay_batches(
     the same; but verdicts may report numbers as missing then. What becomes of the ``samples`` of
     sensors, in order of stamps, is in ``observer.samples``.
     """
+    stamps = whole_stamps(stamps)
     errors: list[DynamicsError] | None = [] if rejects else None
     pending = _in_order_of_sending(placed(events, observer.given_epoch), by_stamps)[::-1]
     waiting = [*samples][::-1]

@@ -37,7 +37,7 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import LOW, AccumulationDetector, ZenoCutoff
-from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text
+from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text, whole_stamp
 from impact_observer.states import Stamps, Vector
 
 _INSTANT = 1e-4
@@ -78,6 +78,7 @@ class Plant:
             UsageError: a state of the wrong size, not finite, or inside a stop.
             ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
+        epoch = whole_stamp(epoch, "epoch")
         if live is None:
             refused(system, "a plant without signals")
         else:

@@ -23,6 +23,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.plant.master import Master
 from impact_observer.plant.switching import Switching
+from impact_observer.stamps import whole_stamps
 from impact_observer.states import Stamps, Vector
 
 
@@ -74,6 +75,7 @@ def simulate(
         ImpactLawError: the impact law has no solution.
         DynamicsError: the forcing ends before the last stamp.
     """
+    stamps = whole_stamps(stamps)
     states = np.empty((stamps.size, 2 * plant.system.n))
     switchings: list[Switching] = []
     events: list[ImpactEvent] = []

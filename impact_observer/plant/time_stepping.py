@@ -28,7 +28,7 @@ from impact_observer.model import System
 from impact_observer.model.live_signals import refused
 from impact_observer.model.system import refuse_contact_time
 from impact_observer.plant.switching import Switching, switches
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, whole_stamp
 from impact_observer.states import Stamps, Vector
 
 
@@ -86,7 +86,7 @@ class TimeSteppingPlant:
         refuse_contact_time(system, "the integrator moreau")
         q, u = system.checked_start(position, velocity)
         self.system = system
-        self.epoch = epoch
+        self.epoch = epoch = whole_stamp(epoch, "epoch")
         if system.guides:
             raise UsageError(
                 f"friction: guide {system.guides[0].name!r} rubs, which the integrator moreau does"
