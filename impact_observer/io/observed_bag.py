@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.events import (
     DECIDING,
     ImpactEvent,
@@ -51,6 +51,8 @@ from impact_observer.states import Estimates, Stamps
 
 MOST_ESTIMATES = 10_000_000
 """Estimates that ``observe`` makes unless more are asked for: those of a day at 100 Hz."""
+_MOST_NAMES = 5
+"""Contacts that an error names."""
 _MOST_FIXED = 256
 """Bytes of an estimate's two messages besides names and numbers of its coordinates, about."""
 
@@ -87,9 +89,11 @@ def observe_bag(
         The number of estimates, and how many final verdicts there are of each kind.
 
     Raises:
-        UsageError, BagError: the bags cannot be used as asked.
+        UsageError, BagError: the bags cannot be used as asked: also where no event names a contact
+            of the system, and where none was applied. Then no bag is left.
     """
     events = events_from(reader, epoch)
+    _check_events(reader, events, observer.system, epoch)
     stamps = sample_stamps(reader, events, rate, epoch)
     has_covariance = observer.law.has_covariance
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
@@ -117,8 +121,32 @@ def observe_bag(
         made = messages.of(_with_samples(items, observer, loud))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
-    rulings = count_rulings(messages.final, {event.stamp for event in events})
+        rulings = count_rulings(messages.final, {event.stamp for event in events})
+        if rulings and not rulings[Ruling.APPLIED]:
+            raise BagError(
+                f"{reader.path}: none of its {sum(rulings.values())} impacts and releases was"
+                f" applied; the first: {messages.refusal}"
+            )
     return messages.estimates, +(messages.others + rulings)
+
+
+def _check_events(
+    reader: BagReader, events: Sequence[ImpactEvent], system: System, epoch: int
+) -> None:
+    """Raise UnfitBagError where nothing could be estimated from the events of a bag."""
+    if not events and not epoch:
+        raise UnfitBagError(
+            f"{reader.path}: no impact in it, so that nothing is estimated; expected impacts, or"
+            " the --epoch at which the initial state holds"
+        )
+    named = {switch.contact for event in events for switch in event.switches}
+    if named and named.isdisjoint(system.contact_names):
+        some, own = sorted(named)[:_MOST_NAMES], system.contact_names[:_MOST_NAMES]
+        raise UnfitBagError(
+            f"{reader.path}: its impacts are of {', '.join(some)}; expected contacts of the model"
+            f" {system.name}: {', '.join(own) or 'it has none'}; name the model of this rig with"
+            " --model"
+        )
 
 
 def _with_samples(
@@ -229,6 +257,7 @@ class _ObserverMessages:
         self.estimates = 0
         self.others = Counter[Ruling]()  # of verdicts that do not decide on an event
         self.final: dict[tuple[int, int, str], Ruling] = {}
+        self.refusal = ""  # what became of the first event that was not applied
         self._serialize = writer.serialized
         self._names = names
         self._progress = progress
@@ -244,6 +273,9 @@ class _ObserverMessages:
                 topic = interfaces.OBSERVER_VERDICTS.topic
                 yield log_time, topic, serialize(topic, make.verdict(item))
                 self.final |= final_rulings([item])
+                if not self.refusal and item.ruling is not Ruling.APPLIED:
+                    name = item.ruling.name.lower().replace("_", " ")
+                    self.refusal = f"{name}, {item.reason}" if item.reason else name
                 self.others[item.ruling] += item.ruling not in DECIDING
                 continue
             if isinstance(item, MeasurementVerdict):

@@ -23,6 +23,7 @@ from faulty_bags import GOOD, MAKE, STOP, S, event_message, model, state, write
 from impact_observer.check import event_checks as event_check
 from impact_observer.check.bag_check import check_bag
 from impact_observer.check.event_checks import EventCheck
+from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.observed_bag import observe_bag
@@ -46,7 +47,10 @@ def observed() -> bool:
         observer = make_observer(
             system_of(reader, None), Options("kinematic", epoch=epoch, ensemble=1)
         )
-        _, rulings = observe_bag(reader, observer, Path("out"), epoch=epoch)
+        try:
+            _, rulings = observe_bag(reader, observer, Path("out"), epoch=epoch)
+        except BagError:
+            return False
     return rulings[Ruling.APPLIED] > 0
 
 
