@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
 _SECURITY = "ROS_SECURITY_ENABLE"
-_CLOCK_PATIENCE = 5.0
-"""How often it is seen whether simulated time has begun, s."""
+_LOOK_PERIOD = 5.0
+"""How often it is seen whether simulated time has begun, and which nodes there are, s."""
 _SIGNAL_PERIOD = 0.1
 """Longest time until a signal is noticed, s."""
 
@@ -88,7 +88,7 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
         # the executor makes a new timer for each.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(_SIGNAL_PERIOD, lambda: None, clock=steady)
-        node.create_timer(_CLOCK_PATIENCE, partial(_warn_of_no_clock, node), clock=steady)
+        node.create_timer(_LOOK_PERIOD, partial(_warn_of_surroundings, node), clock=steady)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
@@ -109,8 +109,15 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
         faulthandler.cancel_dump_traceback_later()
 
 
-def _warn_of_no_clock(node: "Node") -> None:
-    """Warn of simulated time that has not begun; until then there are no stamps."""
+def _warn_of_surroundings(node: "Node") -> None:
+    """Warn of simulated time that has not begun, and of another node of the same name."""
+    own = (node.get_name(), node.get_namespace())
+    if (count := node.get_node_names_and_namespaces().count(own)) > 1:
+        node.get_logger().warning(
+            f"{count} nodes are called {node.get_fully_qualified_name()}: their messages are"
+            " merged; start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID",
+            throttle_duration_sec=30.0,
+        )
     clock = node.get_clock()
     if node.get_parameter("use_sim_time").value and clock.now().nanoseconds == 0:
         node.get_logger().warning(

@@ -18,6 +18,7 @@ An event passes through ``_on_impact``, ``EventIntake``, ``_apply`` and ``_publi
 """
 
 import math
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -69,6 +70,8 @@ _POLL_PERIOD = 0.05
 """How long live samples wait at most, s; they are taken before every estimate, too."""
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
+_LONGEST = 100
+"""Characters of a reason that are logged; its verdict has all of them."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=0.01)
 """How long to wait for subscribers within a backlog."""
 
@@ -307,12 +310,15 @@ class ObserverNode(Node):
 
     def _log(self, verdict: Verdict) -> None:
         """Log a verdict other than a plain application."""
-        ruling = verdict.ruling.name.lower()
-        line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {verdict.reason}"
+        ruling, reason = verdict.ruling.name.lower(), verdict.reason
+        short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} ..."
+        line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {short}"
+        first = re.split(r"[:;,]", re.sub(r"[\d.e+-]*\d", "N", reason), maxsplit=1)[0]
+        kind = f"{verdict.contact}: {ruling}, {first}"
         if verdict.ruling is not Ruling.APPLIED:
-            self._lines.warning(line)
-        elif verdict.reason:
-            self._lines.info(line)
+            self._lines.warning(line, kind)
+        elif reason:
+            self._lines.info(line, kind)
 
     def _on_timer(self) -> None:
         """Publish the estimates that are due, and take events that have arrived meanwhile."""
@@ -360,11 +366,10 @@ class ObserverNode(Node):
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
         if news := self._misfit_news.of(estimate):
-            # Two places: rclpy refuses another severity from the same one.
             if estimate.misfit:
-                self.get_logger().warning(printable(news))
+                self._lines.warning(news, "misfit")
             else:
-                self.get_logger().info(printable(news))
+                self._lines.info(news, "end of a misfit")
         self._warn_of_held_forces(stamp)
         self._last = estimate
 

@@ -24,7 +24,7 @@ from rclpy.node import Node
 
 from impact_observer.errors import UsageError
 from impact_observer.options import Option
-from impact_observer.ros import parameters
+from impact_observer.ros import node_process, parameters
 from impact_observer.ros.session import require_ros, spin_once
 
 
@@ -100,3 +100,20 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
         "monitor: ROS_SECURITY_ENABLE is true, but no secure node can be made: "
     )
     assert line.endswith("; docs/security.md says what it needs")
+
+
+@pytest.mark.ros
+def test_a_node_that_has_the_name_of_another_one_says_so(
+    ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Their topics are the same, so what they publish would be merged unnoticed."""
+    assert ros_environment
+    with spinning() as spinner:
+        spinner.add(Node("observer"))
+        node_process._warn_of_surroundings(spinner.nodes[-1])
+        assert "are called" not in "".join(capfd.readouterr())
+        spinner.add(Node("observer"))
+        names = spinner.probe.get_node_names
+        spinner.until(lambda: names().count("observer") == 2)
+        node_process._warn_of_surroundings(spinner.nodes[-1])
+        assert "2 nodes are called /observer: their messages" in "".join(capfd.readouterr())

@@ -14,6 +14,7 @@
 
 """What ``watch`` shows: a pure function from a snapshot to something that rich can print."""
 
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -51,6 +52,7 @@ _MARGIN = 7
 """Columns at the left of a chart."""
 _LEVELS = ("ok", "warning", "error", "stale")
 _STYLES = ("", "bold yellow", "bold red", "bold red")
+_ROUNDING = 2.0**-52
 _CHART_STYLE = "cyan"
 
 
@@ -113,13 +115,31 @@ def line(whole: Snapshot) -> str:
     for each in whole.observers:
         words = [f"V {_distance(each, whole, brief=True)}"]
         if each.convergence.now is not None and each.convergence.now >= 0:
-            words.append(f"convergence {each.convergence.now:.2e} J")
+            words.append(f"convergence {_energy(each.convergence.now, each)}")
         if each.synchronized:
             words.append("synchronized")
+        elif each.obstacle:
+            words.append(f"not synchronized: {each.obstacle}")
         if each.health is not None and each.health[0]:
             words.append(_health(each))
         parts.append(f"{each.name.lstrip('/')}: {', '.join(words)}")
+    if whole.merged:
+        parts.append(f"warning: {_mixture(whole)}")
     return "; ".join(parts if whole.observers else [*parts, "no estimate yet"])
+
+
+def _mixture(whole: Snapshot) -> str:
+    """That what is shown comes from several nodes."""
+    return (
+        f"several nodes publish {', '.join(whole.merged)}, and what is shown is a mixture: start"
+        " one with another name (-r __node:=NAME), or on another ROS_DOMAIN_ID"
+    )
+
+
+def _energy(value: float, seen: ObserverSnapshot) -> str:
+    """A V distance, J; 0 where it is only what the numbers of the state are rounded by."""
+    largest = max((abs(each.estimate) for each in seen.lines), default=0.0)
+    return "0 J" if value < (_ROUNDING * largest) ** 2 else f"{value:.2e} J"
 
 
 def _head(whole: Snapshot, style: ScreenStyle) -> list[RenderableType]:
@@ -135,6 +155,9 @@ def _head(whole: Snapshot, style: ScreenStyle) -> list[RenderableType]:
     if not whole.truth:
         first.append("no truth")
     texts = [_cut(each, "bold") for each in _packed(first, style.width)]
+    if whole.merged:
+        rows = textwrap.wrap(_mixture(whole), style.width, max_lines=3)
+        texts += [_cut(each, "bold yellow") for each in rows]
     low = style.height is not None and style.height < _LOW
     flows = list(_packed(map(_flow, whole.flows), style.width - 4 * low))
     if low and len(flows) > 1:
@@ -287,7 +310,7 @@ def _own_error(seen: ObserverSnapshot, width: int, levels: str) -> list[str]:
         agreed = ", synchronized" if seen.synchronized else ", not synchronized"
         agreed = "" if seen.obstacle else agreed
         words = (
-            f"convergence  {convergence.now:.2e} J{agreed}"
+            f"convergence  {_energy(convergence.now, seen)}{agreed}"
             if convergence.now >= 0
             else "one replica"
         )
@@ -318,12 +341,12 @@ def _distance(seen: ObserverSnapshot, whole: Snapshot, *, brief: bool = False) -
             return "unknown: no estimate yet"
         return "unknown: no monitor, and no model of the plant's; give --model"
     if brief:
-        return f"{seen.distance.now:.2e} J"
+        return _energy(seen.distance.now, seen)
     span = (
         len(from_first(seen.distance.values)) * seen.distance.seconds / len(seen.distance.values)
     )
     source = " by the monitor" if seen.source == "monitor" else ""
-    return f"{seen.distance.now:.2e} J{source}, last {span:.0f} s"
+    return f"{_energy(seen.distance.now, seen)}{source}, last {span:.0f} s"
 
 
 def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:

@@ -147,6 +147,7 @@ class Snapshot:
         observers: the observers, by name.
         flows: rates of topics that belong to no single observer.
         trouble: the last message that could not be read; empty for none.
+        merged: topics on which several nodes publish, so that what is shown is a mixture.
     """
 
     clock: int
@@ -159,6 +160,7 @@ class Snapshot:
     observers: tuple[ObserverSnapshot, ...] = ()
     flows: tuple[TopicRate, ...] = ()
     trouble: str = ""
+    merged: tuple[str, ...] = ()
 
     @property
     def is_empty(self) -> bool:

@@ -130,6 +130,7 @@ class TopicListener:
         self._impacts = 0
         self._last_impact: tuple[int, str] | None = None
         self._unreadable = ""
+        self._merged = set[str]()
         for each in named or ():
             self._observer(each.prefix)
         self._handlers: dict[Interface, Callable[[str, Any], None]] = {
@@ -179,6 +180,11 @@ class TopicListener:
             self._unreadable = f"{topic}: {str(error) or type(error).__name__}"
         self._arrivals.setdefault(topic, Arrivals()).add(arrived, latency)
 
+    def note_publishers(self, topic: str, count: int) -> None:
+        """So many nodes publish on a wanted topic; of a plant or an observer it should be one."""
+        is_shared = interface(topic) in {interfaces.SIMULATED_CLOCK, interfaces.DIAGNOSTIC_ARRAYS}
+        (self._merged.add if count > 1 and not is_shared else self._merged.discard)(topic)
+
     def snapshot(self, now: float, wall: int) -> Snapshot:
         """Everything at one moment.
 
@@ -206,6 +212,7 @@ class TopicListener:
                 for topic in sorted(self._arrivals.keys() - owned)
             ),
             trouble=self._unreadable,
+            merged=tuple(sorted(self._merged)),
         )
 
     def _can_take(self, kind: Interface) -> bool:

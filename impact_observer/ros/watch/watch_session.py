@@ -54,7 +54,9 @@ class Watcher:
         self.discover()
 
     def discover(self) -> None:
-        """Subscribe to the topics that have appeared since the last call."""
+        """Subscribe to the topics that have appeared since the last call; count publishers."""
+        for topic in self._subscriptions:
+            self._listener.note_publishers(topic, self._node.count_publishers(topic))
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self._subscriptions or not self._listener.wants(topic, types[0]):
                 continue

@@ -275,6 +275,16 @@ def test_what_is_not_there_is_said(
     assert words in printed(shown, ScreenStyle(100, 40))
 
 
+def test_topics_of_several_nodes_are_named() -> None:
+    """In the head of the screen, with the remedy."""
+    found = printed(replace(both(), merged=("/observer/state",)), ScreenStyle(100))
+    words = " ".join(found.split())
+    assert "several nodes publish /observer/state, and what is shown is a mixture" in words
+    for width, height in ((40, 20), (60, 30)):
+        found = printed(replace(both(), merged=("/a/state",) * 9), ScreenStyle(width, height))
+        assert len(found.splitlines()) <= height
+
+
 def test_a_frozen_screen_says_so() -> None:
     """And how to go on; where no keys are read none are named."""
     assert "FROZEN: space goes on   q ends" in printed(
@@ -350,6 +360,11 @@ def test_one_line_has_the_same_figures() -> None:
     )
     assert line(Snapshot(0)) == "nothing received yet: neither a plant nor an observer"
     assert line(replace(both(), observers=())).endswith("(stop); no estimate yet")
+    waiting = replace(FILTER, synchronized=False, obstacle="covariance too wide")
+    waiting = replace(waiting, distance=EstimateHistory(3e-314), convergence=EstimateHistory(0.0))
+    seen = line(replace(both(), observers=(waiting,), merged=("/observer/state",)))
+    assert "V 0 J, convergence 0 J, not synchronized: covariance too wide" in seen
+    assert "warning: several nodes publish /observer/state, and what is shown is a mix" in seen
     unknown = replace(
         both(), truth=False, observers=(replace(FILTER, distance=EstimateHistory()),)
     )

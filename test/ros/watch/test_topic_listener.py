@@ -201,6 +201,16 @@ def test_sensors_of_an_observer_are_shown_with_what_is_wrong_with_them() -> None
     assert panel == "sensor  encoder: no sample yet"
 
 
+def test_topics_of_several_nodes_are_noted_until_one_is_left() -> None:
+    """But for the clock and the diagnostics, which all share."""
+    listener = TopicListener()
+    for topic in ("/observer/state", "/diagnostics", "/clock"):
+        listener.note_publishers(topic, 2)
+    assert listener.snapshot(0.0, EPOCH).merged == ("/observer/state",)
+    listener.note_publishers("/observer/state", 1)
+    assert listener.snapshot(0.0, EPOCH).merged == ()
+
+
 def test_only_wanted_observers_are_received() -> None:
     """With their monitors; the plant always; foreign topics and types never."""
     listener = TopicListener(["observer_a"])
