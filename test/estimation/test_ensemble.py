@@ -70,7 +70,7 @@ def test_negligible_differences_become_zero() -> None:
 
 
 @pytest.mark.slow
-@examples(60)
+@examples(30)
 @given(st.data())
 def test_replicas_that_separate_at_an_impact_keep_their_speed(data: st.DataObject) -> None:
     """Each jumps as it would alone: those that approach, those that do not, and the estimate."""

@@ -78,7 +78,7 @@ def assert_derivatives(
 
 
 @pytest.mark.slow
-@examples(20)
+@examples(10)
 @given(
     model=systems(max_n=3, contacts=(1, 2)),
     data=st.data(),

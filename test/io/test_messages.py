@@ -193,7 +193,7 @@ MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
 
 
 @pytest.mark.slow
-@examples(300)
+@examples(100)
 @given(maker=MAKERS)
 def test_ros_and_bag_messages_are_the_same_bytes_but_for_padding(
     maker: tuple[str, Callable[[Messages], object]],

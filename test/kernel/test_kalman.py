@@ -91,7 +91,7 @@ def assert_near(found: Array, wanted: Array, error: float) -> None:
 
 @pytest.mark.slow
 @given(case=cases())
-@examples(80)
+@examples(40)
 def test_it_agrees_with_the_general_methods(case: Case) -> None:
     """They carry the joint covariance of instant and state from instant to instant."""
     fit, after = case.in_kernel()

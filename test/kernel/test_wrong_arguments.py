@@ -96,6 +96,6 @@ def test_wrong_arguments_are_errors_and_never_crash() -> None:
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     """At wrong arguments, and in the tests of the kernel that are not slow."""
     environment = sanitized(tmp_path)
-    assert_all_tried(end_of(environment, "kernel_fuzz", "2", "30"))
+    assert_all_tried(end_of(environment, "kernel_fuzz", "2", "15"))
     arguments = ("-p", "kernel_loaded", "-p", "no:cacheprovider", "-q", "-m", "not slow")
     assert " passed" in end_of(environment, "pytest", *arguments, "test/kernel")

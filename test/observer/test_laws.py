@@ -66,7 +66,7 @@ def rounding(*states: Array) -> float:
 
 @pytest.mark.slow
 @CORRECTING
-@examples(40)
+@examples(20)
 @given(st.data())
 def test_distance_of_two_replicas_never_rises_under_any_switching(
     law: type[ReplicaLaw], data: st.DataObject
@@ -104,7 +104,7 @@ def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> li
 
 @pytest.mark.slow
 @CORRECTING
-@examples(15)
+@examples(8)
 @given(st.data())
 def test_distance_of_a_replica_to_its_plant_never_rises(
     law: type[ReplicaLaw], data: st.DataObject

@@ -253,7 +253,7 @@ def test_at_every_impact_it_is_the_dense_least_squares_solution(name: str) -> No
 
 @pytest.mark.parametrize("law", REPLICAS)
 @given(data=st.data())
-@examples(24)
+@examples(12)
 def test_an_exact_sample_removes_what_theory_says(law: str, data: st.DataObject) -> None:
     """V falls by alpha (1 - alpha/2) e^2 z'Pz, and never rises, for any K >= 0."""
     model = data.draw(systems(contacts=(0, 0), forced=False))

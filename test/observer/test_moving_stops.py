@@ -89,7 +89,7 @@ def test_minimum_variance_knows_the_state_after_a_few_impacts() -> None:
 
 
 @pytest.mark.parametrize("kind", ["displacement", "speed"])
-@examples(40)
+@examples(20)
 @given(st.data())
 def test_wrong_motion_of_stops_adds_what_is_proved(kind: str, data: st.DataObject) -> None:
     """An exact identity for ``w``; for ``w'`` a bound, with one restitution of all."""

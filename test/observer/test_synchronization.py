@@ -241,7 +241,7 @@ def test_certified_bound_holds(law: str, seed: int) -> None:
 
 @pytest.mark.slow
 @CERTIFIED
-@examples(15)
+@examples(8)
 @given(st.data())
 def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) -> None:
     """From an initial state within the declared uncertainty."""

@@ -102,7 +102,7 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
 
 @pytest.mark.slow
 @LAWS
-@examples(24)
+@examples(12)
 @given(st.data())
 def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
     """Under any switching, with all of it at once: by less than 1e-9 of the first."""

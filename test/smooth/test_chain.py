@@ -75,7 +75,7 @@ def test_many_measurements_of_a_state_are_as_good_as_a_few(seed: int) -> None:
     assert chains[0].evidence == pytest.approx(chains[1].evidence, rel=1e-9, abs=1e-7)
 
 
-@examples(100)
+@examples(50)
 @given(st.integers(0, 10**6), st.integers(1, 12))
 def test_later_measurements_never_widen_a_state(seed: int, count: int) -> None:
     """``P_s <= P_f``: the smoothed covariance is below that of the measurements until then."""

@@ -78,12 +78,14 @@ def grip(
     """
     system, n = phases.system, x.size // 2
     slow, most = phases.slow_guides(x), system.friction
-    loads = np.where(
-        np.isin(np.arange(most.size), slow), 0.0, -most * np.sign(system.W_T.T @ x[n:])
-    )
+    loads = -most * np.sign(system.W_T.T @ x[n:])
+    loads[list(slow)] = 0.0
+    found = _Found([], [], [], loads)
+    if not (contacts or slow):
+        return found.grip(phases)
     unloaded, at = phases.unloaded(fixed, tuple(loads.tolist())), np.array([t])
     f = unloaded.equations.forcing.derivatives(at, _ORDERS - 1)[:, 0]
-    motion, found = [x[:n], x[n:]], _Found([], [], [], loads)
+    motion = [x[:n], x[n:]]
     for k in range(_ORDERS):
         terms = phases.white(
             np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)

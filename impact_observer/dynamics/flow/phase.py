@@ -256,7 +256,7 @@ class Phases:
 
         Relative to all motion, to its springs and to what friction makes of it in the time scale.
         """
-        system, (q, u) = self.system, np.split(x, 2)
+        system, q, u = self.system, x[: self.system.n], x[self.system.n :]
         lengths = self.lengths[system.m :]
         energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
         rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale

@@ -260,7 +260,7 @@ def guided(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
 
 @pytest.mark.slow
 @LAWS
-@examples(20)
+@examples(10)
 @given(st.data())
 def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
     """Under any switching of contacts, each replica sticking and slipping by itself."""
@@ -280,7 +280,7 @@ def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.Da
 
 @pytest.mark.slow
 @LAWS
-@examples(20)
+@examples(10)
 @given(st.data())
 def test_distance_of_a_replica_to_its_plant_never_rises(
     law: type[ReplicaLaw], data: st.DataObject

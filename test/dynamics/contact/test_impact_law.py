@@ -99,7 +99,7 @@ def test_single_contact_agrees_with_the_law_for_many(data: st.DataObject) -> Non
 
 
 @pytest.mark.slow
-@examples(60)
+@examples(30)
 @given(st.data())
 def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
     """Signs, complementarity and energy, for any number of contacts with a common restitution."""
@@ -109,7 +109,7 @@ def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
 
 
 @pytest.mark.slow
-@examples(60)
+@examples(30)
 @given(st.data())
 def test_law_agrees_with_trying_every_set_of_contacts(data: st.DataObject) -> None:
     """``u+`` is unique; where no set solves the problem there is an error."""
@@ -161,7 +161,7 @@ def test_common_restitution_always_has_a_solution_that_loses_energy(data: st.Dat
 
 
 @pytest.mark.slow
-@examples(60)
+@examples(30)
 @given(st.data())
 def test_velocity_jump_does_not_raise_the_distance_of_two_solutions(data: st.DataObject) -> None:
     """``du^T M du`` cannot grow when ``G - E G E >= 0``, whichever contacts are closed."""

@@ -79,7 +79,7 @@ def test_states_are_those_of_each_instant_alone(kind: str) -> None:
         assert motion.states(s[::-1]).tobytes() == each_alone(motion, s[::-1])
 
 
-@examples(60)
+@examples(30)
 @given(systems(), st.sampled_from(SIZES[:12]), st.floats(1e-9, 1e3))
 def test_states_of_any_system_are_those_of_each_instant_alone(
     model: System, size: int, longest: float

@@ -148,7 +148,7 @@ def drawn(data: st.DataObject, model: System, *, fix: bool) -> tuple[Contacts, C
 @pytest.mark.slow
 @pytest.mark.parametrize("fix", [False, True], ids=["held", "fixed"])
 @pytest.mark.parametrize("rigid", [False, True], ids=["elastic", "rigid"])
-@examples(12)
+@examples(6)
 @given(st.data())
 def test_phase_is_the_integrated_one(fix: bool, rigid: bool, data: st.DataObject) -> None:
     """Any contacts held, others slipping, K singular or not, damped, gyroscopic and forced."""
