@@ -39,6 +39,7 @@ from impact_observer.io.bag_topics import TopicInfo
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.io.recordings import INTEGRATOR
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 from impact_observer.model import System, parse_model
 from impact_observer.stamps import text
@@ -199,7 +200,8 @@ class BagCheck:
         else:
             events = self._events.get(impacts, EventCheck(impacts))
             if impacts not in self._wrong_definitions:
-                yield from events.findings(system)
+                simulated = self._is_simulated(used[interfaces.PLANT_MODEL])
+                yield from events.findings(system, simulated=simulated)
             span = (events.first, events.last) if events.valid else None
         truth = used[interfaces.PLANT_JOINT_STATES]
         if truth is None:
@@ -222,6 +224,13 @@ class BagCheck:
         except ModelError as error:
             found = f"the model it carries is not valid ({error})"
             return None, [Finding(WARNING, topic or "", found, remedy=remedy)]
+
+    def _is_simulated(self, topic: str | None) -> bool:
+        """Whether the model in the bag was published by a simulated plant."""
+        try:
+            return INTEGRATOR in parse_model(self._models.get(topic or "", ""), "").provenance
+        except ModelError:
+            return False
 
     def _no_impacts(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
         """No topic of impacts: what impacts could be made from."""

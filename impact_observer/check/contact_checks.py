@@ -22,6 +22,7 @@ from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences,
 from impact_observer.check.hit_times import FAST, HitTimes, too_slow
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
+from impact_observer.stamps import NS_PER_S
 
 _MOST_NAMES = 1000
 """Most contacts that are counted by name; a damaged bag may name any number."""
@@ -30,6 +31,14 @@ _MOST_LINES = 5
 _CHATTER, _CHATTER_SHARE = 5, 0.1
 """Chatter is at least so many short intervals, and more than such a share of all."""
 
+_SWITCH = (
+    "a switch that is not debounced looks like this (run detect on its signal, with a dead_time),"
+    " and so do hits that die out (CLOSE reports rest)"
+)
+_SIMULATED = (
+    "bounces of a simulation die out like this: let CLOSE report the rest (no --impacts-only, no"
+    f" --missed), or keep the first of each row (--dead-time {FAST / NS_PER_S:g} of simulate)"
+)
 _ALTERNATE = "CLOSE and OPEN in turn"
 CONTACT_FAULTS = {
     "not closed": (
@@ -63,6 +72,7 @@ class _ContactHistory:
         closed: whether the last one closed it.
         at: stamp of the last one, ns.
         hit: stamp of the last hit, ns.
+        hits: impacts and closings.
         intervals: between its hits.
         fast: of them, those shorter than ``FAST``.
         pending: fast ones since the last slow one: if they end in a CLOSE, they are no chatter.
@@ -72,6 +82,7 @@ class _ContactHistory:
     closed: bool = False
     at: int = 0
     hit: int | None = None
+    hits: int = 0
     intervals: int = 0
     fast: int = 0
     pending: int = 0
@@ -83,6 +94,7 @@ class _ContactHistory:
 
     def add_hit(self, stamp: int) -> None:
         """A hit at ``stamp``, ns."""
+        self.hits += 1
         if self.hit is not None and stamp > self.hit:
             self.intervals += 1
             if stamp - self.hit < FAST:
@@ -135,19 +147,18 @@ class ContactCheck:
                 contact.closed, contact.pending = True, 0
         contact.at = event.stamp
 
-    def findings(self, system: System | None) -> Iterator[Finding]:
-        """Chatter, and unknown and silent contacts where a ``system`` is given."""
+    def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
+        """Chatter, and unknown and silent contacts where a ``system`` is given.
+
+        Of a ``simulated`` bag no switch has to be debounced.
+        """
+        remedy = _SIMULATED if simulated else _SWITCH
         for name, contact in self._contacts.items():
             fast = contact.fast + contact.pending
             if fast >= _CHATTER and fast > _CHATTER_SHARE * contact.intervals:
-                yield Finding(
-                    WARNING,
-                    f"{self._topic} {name}",
-                    f"{fast} of {contact.intervals} hits follow another in less than"
-                    f" {FAST / 1e6:g} ms",
-                    remedy="a switch that is not debounced looks like this (run detect on its"
-                    " signal, with a dead_time), and so do hits that die out (CLOSE reports rest)",
-                )
+                found = f"{fast} of {contact.hits} impacts follow another in less than"
+                found += f" {FAST / 1e6:g} ms"
+                yield Finding(WARNING, f"{self._topic} {name}", found, remedy=remedy)
         if system is not None:
             if line := too_slow(self._times, system):
                 yield Finding(WARNING, self._topic, line)

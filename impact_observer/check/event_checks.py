@@ -217,7 +217,7 @@ class EventCheck:
         self.first = min(self.first or event.stamp, event.stamp)
         self.last = max(self.last, event.stamp)
 
-    def findings(self, system: System | None) -> Iterator[Finding]:
+    def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
         """The findings; contacts and epoch are checked where a ``system`` is given."""
         if not self.valid:
             yield Finding(
@@ -237,7 +237,7 @@ class EventCheck:
             yield from self._fault_findings()
             yield from self._run_findings()
             yield from self._clock_findings(system)
-            yield from self._contacts.findings(system)
+            yield from self._contacts.findings(system, simulated=simulated)
 
     def _fault_findings(self) -> Iterator[Finding]:
         epoch = text(min(self._epochs.keys() - {0}, default=0))

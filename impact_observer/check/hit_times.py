@@ -18,15 +18,17 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
 from impact_observer.check.undamped_modes import UndampedModes
+from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
-from impact_observer.stamps import NS_PER_S
+from impact_observer.stamps import NS_PER_S, odd_epoch
 
 FAST = 5_000_000
 """Interval of two hits of one contact below which it may be bouncing, ns: the dead time of a
@@ -35,6 +37,8 @@ _MANY, _SHARE = 50, 0.25
 """Bounces that settle are at least so many fast hits, and more than such a share of all."""
 _PERIODS = 30.0
 """Periods of the slowest motion that may pass between two impacts, as a rule."""
+_HOPELESS = 3.0
+"""Times that, beyond which no filter is tried."""
 _SPEED = 30.0
 """Fastest speed at which a flight under a constant force may begin, as a rule, m/s."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
@@ -48,11 +52,13 @@ class HitTimes:
     Attributes:
         hits: impacts and closings.
         fast: of them, those that follow another of the same contact in less than ``FAST``.
+        odd_epoch: why the epoch of the first is hardly meant; empty where it may be.
     """
 
     def __init__(self, events: Iterable[ImpactEvent] = ()) -> None:
         """Begin with some ``events``."""
         self.hits = self.fast = 0
+        self.odd_epoch = ""
         self._last, self._of_contact = 0, dict[str, int]()
         self._lengths = Counter[int]()
         for each in events:
@@ -63,6 +69,8 @@ class HitTimes:
         hit = [each.contact for each in event.switches if each.kind is not Kind.OPEN]
         if not hit:
             return
+        if not self.hits:
+            self.odd_epoch = odd_epoch(event.epoch, event.stamp)
         if 0 < self._last < event.stamp:
             self._lengths[(event.stamp - self._last).bit_length()] += 1
         for contact in hit:
@@ -85,17 +93,26 @@ class HitTimes:
         return 0.0
 
 
-def doubts(reader: BagReader, system: System, *, has_covariance: bool) -> Iterator[str]:
-    """What is odd in the times of a bag's impacts, and what to do; nothing as a rule.
+def doubts(bag: Path, times: HitTimes, system: System, *, has_covariance: bool) -> Iterator[str]:
+    """What is odd in the times of impacts, and what to do; nothing as a rule.
 
     Args:
-        reader: the bag.
+        bag: that they are of.
+        times: of impacts.
         system: the model.
-        has_covariance: whether a filter is to use them, whose time grows with bounces.
+        has_covariance: whether a filter is to use them, whose time grows with bounces, and with
+            the impacts that it inserts in a long silence.
+
+    Raises:
+        BagError: far more time passes between impacts than the model makes likely, and a filter
+            is to use them.
     """
-    times = first_times(reader)
     if line := too_slow(times, system):
+        if has_covariance and times.median > _HOPELESS * longest_interval(system):
+            raise BagError(f"{bag}: {line} Nothing is estimated: it would take long and be wrong")
         yield line
+    if times.odd_epoch:
+        yield times.odd_epoch
     if has_covariance and (line := settling(times)):
         yield line
 

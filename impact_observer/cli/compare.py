@@ -25,7 +25,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from impact_observer.cli.arguments import (
     add_model,
@@ -43,6 +43,9 @@ from impact_observer.plain_text import say
 if TYPE_CHECKING:
     from impact_observer.compare.bag_comparison import BagComparison
     from impact_observer.options import Options
+
+_MOST_LINES = 5
+"""Contacts with a line of their own that are not the model's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -179,6 +182,7 @@ def compare(
     how = {"truth": truth, "estimates": estimates, "settled": settled, "since": since}
     results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
     labelled = labelled_by_law(results)
+    _warn_of_unknown_contacts(results, sys.stderr if json else sys.stdout)
     if json:
         say(json_module.dumps({k: metrics_of(v) for k, v in labelled.items()}, indent=2))
     else:
@@ -193,6 +197,20 @@ def compare(
         if path is not None and not json:
             say(f"{what}: {path}")
     return 0
+
+
+def _warn_of_unknown_contacts(
+    results: "Sequence[tuple[Path, BagComparison]]", lines: TextIO
+) -> None:
+    """Print a line for each contact that has impacts and is none of the model's."""
+    from impact_observer.check.findings import listed, times
+
+    for bag, result in results:
+        own = result.system.contact_names
+        for name in [each for each in result.impacts if each not in own][:_MOST_LINES]:
+            found = f"{bag}: {times(result.impacts[name].size, 'impact')} of {name}, a contact"
+            found += f" that the model {result.system.name} does not have"
+            say(f"warning: {found}; expected one of {listed(own)}", file=lines)
 
 
 def _compare_one(

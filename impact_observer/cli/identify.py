@@ -157,7 +157,7 @@ def identify(
         BagError: the bag cannot be read, or contains no impact of the model's contacts.
         IdentificationError: too few impacts, or parameters that move no impact.
     """
-    from impact_observer.check.hit_times import doubts
+    from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
     from impact_observer.identify import fit_report
@@ -174,10 +174,7 @@ def identify(
     from impact_observer.model.measurements_file import read_measurements
 
     _check_usage(free, output, plot, check=check, clock=clock_error, initial_state=initial_state)
-    if not 0 <= held_back <= _MOST_HELD_BACK:
-        raise UsageError(
-            f"--held-back: {held_back:g} found; expected a share from 0 to {_MOST_HELD_BACK:g}"
-        )
+    _check_held_back(held_back)
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed = parse_model(*given)
@@ -185,8 +182,9 @@ def identify(
         system = with_recorded(reader, parsed.system, epoch_of(events))
         declared = read_measurements(measurements)
         recorded = samples_in(reader, declared)
-        for problem in (*recorded.problems, *doubts(reader, system, has_covariance=True)):
-            say(f"warning: {problem}", file=sys.stderr if json else sys.stdout)
+        odd = doubts(bag, HitTimes(events), system, has_covariance=True)
+        for line in (*recorded.problems, *odd):
+            say(f"warning: {line}", file=sys.stderr if json else sys.stdout)
     # What arrived live is known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
@@ -226,6 +224,14 @@ def identify(
         save(fit_picture(found, title=f"{name}: instants of the model minus stamps"), plot)
         say(f"picture: {plot}", file=lines)
     return 0 if good else 1
+
+
+def _check_held_back(share: float) -> None:
+    """Raise UsageError where the share of impacts that are held back is too large."""
+    if not 0 <= share <= _MOST_HELD_BACK:
+        raise UsageError(
+            f"--held-back: {share:g} found; expected a share from 0 to {_MOST_HELD_BACK:g}"
+        )
 
 
 def _check_usage(

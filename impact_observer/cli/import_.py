@@ -47,13 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
-    from impact_observer.check.hit_times import doubts
+    from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.io.csv_import import import_csv
-    from impact_observer.io.reader import BagReader
     from impact_observer.model import read_model
 
     model = None if args.model is None else read_model(args.model)
+    hits = HitTimes()
     with Progress() as progress:
 
         def show(rows: int) -> None:
@@ -70,12 +70,12 @@ def run(args: argparse.Namespace) -> int:
             epoch=args.epoch,
             flush=args.flush,
             progress=show,
+            each=hits.add,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
         if model is not None:
-            with BagReader(args.output) as reader:
-                for line in doubts(reader, model.system, has_covariance=False):
-                    progress.line(f"warning: {line}")
+            for line in doubts(args.output, hits, model.system, has_covariance=False):
+                progress.line(f"warning: {line}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0
@@ -92,5 +92,6 @@ def _summary(imported: "Imported") -> str:
     if not (imported.epoch or imported.start):
         epoch += ", as a stamp of 0 is none (--start 1 makes time 0 a stamp)"
     events = f"{times(imported.events, 'event')} of {times(imported.rows, 'row')}"
+    events += f", times in {imported.unit}"
     states = f", {imported.states} true states" if imported.states else ""
     return f"{events}{states}, {span}; {zero}, {epoch}"

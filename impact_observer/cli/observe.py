@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
-    from impact_observer.check.hit_times import doubts
+    from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
     from impact_observer.estimation.misfit import MISFIT
     from impact_observer.events import Remark
@@ -81,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
         measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
-        odd = doubts(reader, read.system, has_covariance=observer.law.has_covariance)
+        has_covariance = observer.law.has_covariance
+        odd = doubts(args.bag, first_times(reader), read.system, has_covariance=has_covariance)
         start = far_start(read.system, chosen)
         for line in (*measured.problems, *unused_lines(observer), *odd, *start):
             progress.line(f"warning: {line}")

@@ -15,6 +15,9 @@
 """Run a plant without ROS: its impacts and its true states go into a bag."""
 
 import argparse
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_bag_output,
@@ -27,6 +30,9 @@ from impact_observer.cli.arguments import (
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
+
+if TYPE_CHECKING:
+    from impact_observer.events import ImpactEvent
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,9 +76,8 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from impact_observer import plant
-    from impact_observer.check.hit_times import first_times, settling
+    from impact_observer.check.hit_times import HitTimes, settling
     from impact_observer.cli.progress import Progress
-    from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import (
         SampleFaults,
@@ -130,16 +135,27 @@ def run(args: argparse.Namespace) -> int:
         )
         if warning := model.system.held_force(duration):
             progress.line(f"warning: {warning}")
-        of_sensor = f", {events} events of a sensor with {', '.join(sensor.faults)}"
+        of_sensor = f", {len(events)} events of a sensor with {', '.join(sensor.faults)}"
+        of_sensor += f": {_counts(events)}"
         progress.line(
-            f"{args.output}: {model.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
+            f"{args.output}: {model.system.name}, {duration:g} s, {_counts(done.events)},"
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
-        with BagReader(args.output) as reader:
-            if line := settling(first_times(reader)):
-                progress.line(f"note: {line}")
+        if line := settling(HitTimes(events)):
+            progress.line(f"note: {line}")
         if not done.switchings and model.system.m:
             gap, contact = done.nearest(model.system)
             progress.line(f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}")
     return 0
+
+
+def _counts(events: "Sequence[ImpactEvent]") -> str:
+    """How many contacts hit and opened, in words."""
+    from impact_observer.events import Kind
+
+    kinds = Counter(switch.kind for event in events for switch in event.switches)
+    words = f"{kinds[Kind.IMPACT] + kinds[Kind.CLOSE]} impacts"
+    if kinds[Kind.CLOSE] or kinds[Kind.OPEN]:
+        words += f" ({kinds[Kind.CLOSE]} of them persistent, {kinds[Kind.OPEN]} releases)"
+    return words

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
-    from impact_observer.check.hit_times import doubts
+    from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
     from impact_observer.io.observed_bag import MOST_ESTIMATES
     from impact_observer.io.reader import BagReader
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = observer_options(args, LAW)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
-        for line in doubts(reader, read.system, has_covariance=True):
+        for line in doubts(args.bag, first_times(reader), read.system, has_covariance=True):
             progress.line(f"warning: {line}")
         found = smooth_bag(
             reader,

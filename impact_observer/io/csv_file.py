@@ -31,8 +31,11 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 
 _UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of time."""
-_TIME = re.compile(r"time(?:[ _]?[\[(]?(?:s|ms|us|ns)[\])]?)?", re.IGNORECASE)
-_LIKE_TIME = {"t", "stamp", "timestamp", "seconds", "sec", "t [s]", "t_s", "t(s)"}
+_TIME = re.compile(
+    r"time(?:[ _]?[\[(]?(?:s|ms|us|ns)[\])]?)?|t(?:[ _]?[\[(]|[ _])(?:s|ms|us|ns)[\])]?",
+    re.IGNORECASE,
+)
+_LIKE_TIME = {"t", "stamp", "timestamp", "seconds", "sec"}
 """Names of columns that may be times."""
 _UNIT = re.compile(r"(?:[ _]?[\[(]|[ _])(s|ms|us|ns)[\])]?|time(s|ms|us|ns)", re.IGNORECASE)
 
@@ -114,6 +117,11 @@ class CsvFile:
         self._header = 0
         self._separator = ","
         self._names: list[str] = []
+
+    @property
+    def unit(self) -> str:
+        """Of time, as the form or the header says, else seconds; known with the first record."""
+        return self._unit or "s"
 
     def in_order(self, read: Callable[[], object] = lambda: None) -> Iterator[CsvRecord]:
         """The rows by time: as they stand, or sorted if the form says so.
@@ -252,12 +260,11 @@ class CsvFile:
         """A time in ns after the file's zero, rounded to the nearest nanosecond."""
         if (number := self.number(cell)) is None:
             self.wrong(self._line, f"{cell!r} found; expected a time as a decimal number")
-        time = number * _UNITS[self._unit or "s"]
+        time = number * _UNITS[self.unit]
         if abs(time) > MAX_STAMP:
-            unit = self._unit or "s"
             problem = (
-                f"time {cell} is too large in {unit}; stamps end at {text(MAX_STAMP)} s: is that"
-                " its unit? --time-unit ms, us or ns"
+                f"time {cell} is too large in {self.unit}; stamps end at {text(MAX_STAMP)} s: is"
+                " that its unit? --time-unit ms, us or ns"
             )
             self.wrong(self._line, problem)
         return round(time)

@@ -51,6 +51,7 @@ class Imported:
         epoch: stamp of ``t = 0`` that the events carry, ns; 0 for unknown.
         first: stamp of the first event, ns.
         last: stamp of the last event, ns.
+        unit: in which the file's times were read: s, ms, us or ns.
         ignored: names of the columns of impacts that were not read.
     """
 
@@ -61,6 +62,7 @@ class Imported:
     epoch: int
     first: int
     last: int
+    unit: str
     ignored: tuple[str, ...]
 
 
@@ -75,6 +77,7 @@ def import_csv(
     epoch: int | None = None,
     flush: float = FLUSH,
     progress: Callable[[int], None] = lambda _: None,
+    each: Callable[[ImpactEvent], None] = lambda _: None,
 ) -> Imported:
     """Write the impact times of a file to a bag, and true states of another one.
 
@@ -91,6 +94,7 @@ def import_csv(
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the files' time zero.
         flush: longest time until a message is on the disk, s.
         progress: called with the number of rows read.
+        each: called with each event.
 
     Raises:
         UsageError: a file has a mistake, something is at ``output`` already, or there is truth
@@ -111,7 +115,7 @@ def import_csv(
     start = start_of(first.time, start)
     zero, last, make = start if epoch is None else epoch, 0, bag_messages()
     rows = _impacts(path, table, chain([first], rows))
-    streams = [_events(path, rows, start, zero)]
+    streams = [_events(path, rows, start, zero, each)]
     if truth is not None:
         streams.append(_states(truth, form, model, start, read))
     counts = Counter[str]()
@@ -136,6 +140,7 @@ def import_csv(
         epoch=zero,
         first=start + first.time,
         last=last,
+        unit=table.unit,
         ignored=table.ignored,
     )
 
@@ -163,15 +168,20 @@ def _impacts(path: Path, table: ImpactTable, rows: Iterable[ImpactRow]) -> Itera
 
 
 def _events(
-    path: Path, rows: Iterable[ImpactRow], start: int, epoch: int
+    path: Path,
+    rows: Iterable[ImpactRow],
+    start: int,
+    epoch: int,
+    each: Callable[[ImpactEvent], None],
 ) -> Iterator[tuple[int, str, AnyMessage]]:
-    """Stamps (ns), topic and messages of the events."""
+    """Stamps (ns), topic and messages of the events, which ``each`` is called with."""
     make = bag_messages()
     groups = groupby(rows, lambda row: row.time)
     for sequence, (_, group) in enumerate(groups, start=1):
         together = list(group)
         stamp = _stamp(path, together[0], start, epoch)
         event = ImpactEvent(stamp, _switches(path, together), sequence, 0, epoch)
+        each(event)
         yield stamp, interfaces.IMPACTS.topic, make.event(event)
 
 

@@ -78,6 +78,11 @@ class ImpactTable:
         return tuple(name for name in self._file.columns if name not in _COLUMNS)
 
     @property
+    def unit(self) -> str:
+        """Of time: s, ms, us or ns; known with the first row."""
+        return self._file.unit
+
+    @property
     def signal(self) -> str:
         """Name of a column of numbers that is not read, where none is of contacts; else empty."""
         if "contact" in self._file.columns:

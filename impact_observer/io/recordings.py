@@ -45,6 +45,10 @@ PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOI
 """What ``write_run`` writes, and ``observe_bag`` copies."""
 
 
+INTEGRATOR = "integrator"
+"""Key of the provenance of a model that a simulated plant has published."""
+
+
 def published_model(
     model: Model, seed: int, integrator: str = EVENT_DRIVEN, sensor: SensorModel = IDEAL
 ) -> str:
@@ -56,7 +60,7 @@ def published_model(
         "package": "impact_observer",
         "version": __version__,
         "seed": seed,
-        "integrator": integrator,
+        INTEGRATOR: integrator,
     }
     if sensor.faults:
         provenance["sensor"] = sensor.faults
@@ -132,7 +136,7 @@ def write_run(
     flush: float = FLUSH,
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
-) -> int:
+) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
     The log time of an event is that of its reception, that of a state its stamp. Where forces turn
@@ -150,7 +154,7 @@ def write_run(
         types: of these messages, by topic.
 
     Returns:
-        The number of events.
+        The events, in the order of their reception.
 
     Raises:
         UsageError: something is at ``path`` already, or its parent is no folder; or the sensor
@@ -192,7 +196,7 @@ def write_run(
             events, states, samples, pulses, key=itemgetter(0)
         ):
             writer.write(topic, stamp, message)
-    return len(received)
+    return [each.event for each in received]
 
 
 def text_of_model(reader: BagReader, model: str | None) -> ModelText:

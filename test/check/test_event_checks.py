@@ -240,7 +240,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         True,
         [
             (
-                "warning /impacts stop: 8 of 11 hits follow another in less than 5 ms; a switch"
+                "warning /impacts stop: 8 of 12 impacts follow another in less than 5 ms; a switch"
                 " that is not debounced looks like this (run detect on its signal, with a"
                 " dead_time), and so do hits that die out (CLOSE reports rest)"
             )

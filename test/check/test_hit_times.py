@@ -82,3 +82,38 @@ def test_commands_name_a_wrong_unit_before_they_work(capsys: pytest.CaptureFixtu
         == 0
     )
     assert said not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_filters_are_not_begun_where_milliseconds_were_taken_for_seconds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """They would insert thousands of impacts; a replica takes them, with the warning."""
+    times = np.cumsum(2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(12))
+    Path("ball.csv").write_text("\n".join(f"{1e3 * t:.3f}" for t in times), encoding="utf-8")
+    assert main(["import", "ball.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    filtered = ["--law", "minimum-variance", "--rate", "0.01", "-o", "out"]
+    for words in (
+        ["observe", "bag", *filtered],
+        ["smooth", "bag", *filtered[2:]],
+        ["identify", "bag", "--free", "restitution"],
+    ):
+        capsys.readouterr()
+        assert main(words) == 1
+        assert "(import --time-unit ms)" in capsys.readouterr().err
+        assert not Path("out").exists()
+    assert main(["observe", "bag", "--rate", "0.01", "-o", "out"]) == 0
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_check_does_not_ask_to_debounce_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its bounces die out; simulate counts as many impacts as check does."""
+    words = ["simulate", "bouncing_ball", "--duration", "10", "--impacts-only", "--rate", "1"]
+    assert main([*words, "-o", "bag"]) == 0
+    said = capsys.readouterr().out
+    assert "bouncing_ball, 10 s, 174 impacts (1 of them persistent, 0 releases)" in said
+    assert "174 events of a sensor with impacts_only: 174 impacts" in said
+    assert main(["check", "bag"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "124 of 174 impacts follow another in less than 5 ms; bounces of a simulation" in said
+    assert "debounce" not in said

@@ -23,6 +23,7 @@ import pytest
 pytest.importorskip("rosbags")
 
 from impact_observer.cli.main import main
+from impact_observer.resources import shared
 
 NUMBER = re.compile(r"[+-]?[0-9.]+(e[+-][0-9]+)?")
 
@@ -72,3 +73,19 @@ def test_names_of_bags_are_printed_literally(
     said = capsys.readouterr().out
     assert "geometric [red]first" in said
     assert "geometric :smile: second" in said
+
+
+def test_impacts_of_a_contact_that_is_not_the_models_are_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of check: a law cannot use them."""
+    words = ["simulate", "three_mass", "--duration", "3", "-o", str(tmp_path / "plant")]
+    assert main(words) == 0
+    other = shared("config").joinpath("three_mass.yaml").read_text(encoding="utf-8")
+    model = tmp_path / "other.yaml"
+    model.write_text(other.replace("left", "port"), encoding="utf-8")
+    capsys.readouterr()
+    given = ["--laws", "geometric", "--model", str(model)]
+    assert main(["compare", str(tmp_path / "plant"), *given]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of left, a contact that the model three_mass does not have; expected one of" in said

@@ -157,7 +157,7 @@ def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture
     events = imported(tmp_path, text, "--sort")
     assert [event.stamp for event in events] == [1_500_000_000, 3_500_000_000]
     printed = capsys.readouterr().out
-    assert "2 events of 2 rows, stamps 1.500000000 to 3.500000000 s" in printed
+    assert "2 events of 2 rows, times in s, stamps 1.500000000 to 3.500000000 s" in printed
     assert "time 0 is stamp 1.000000000 s, epoch 1.000000000 s" in printed
     assert "note: columns left out: peak, note" in printed
 
@@ -303,6 +303,16 @@ def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, st
     """With its unit, or in seconds."""
     events = imported(tmp_path, f"{header},contact\n1,stop\n", "--time-column", column)
     assert [event.stamp - EPOCH for event in events] == [stamp]
+
+
+@pytest.mark.parametrize("header", ["t (ms)", "T [ms]", "t_ms", "Time (ms)"])
+def test_a_unit_in_the_header_is_read_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], header: str
+) -> None:
+    """As an oscilloscope writes it; the summary says which unit it was."""
+    (event,) = imported(tmp_path, f"{header},contact\n250,stop\n")
+    assert event.stamp == EPOCH + 250_000_000
+    assert "1 event of 1 row, times in ms, stamps" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("rate", [16000, 1000, 3])
