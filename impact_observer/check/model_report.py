@@ -30,6 +30,9 @@ from impact_observer.model import Forcing, System
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.states import Vector
 
+_FORCE = "force on "
+_FORCES = {"m": ("N", "kg"), "rad": ("N m", "kg m^2")}
+"""Units of forces and masses, by that of the coordinates where it is known."""
 _ENDS = 4
 """Rows shown at either end of a long table."""
 
@@ -107,7 +110,7 @@ def print_check(checked: ModelCheck) -> None:
     output, system = console(100), checked.system
     output.print(
         f"{system.name}: {times(system.n, 'coordinate')}, {times(system.m, 'contact')},"
-        f" {_forcing(system.own_forcing)}"
+        f" {_forcing(system.own_forcing)}; SI units"
     )
     if system.frame is not None:
         output.print(f"moving grounds: {', '.join(_grounds(system.frame))}")
@@ -146,8 +149,8 @@ def _excitations(system: System) -> Iterator[_Excitation]:
     frame, forcing = system.frame, system.own_forcing
     for name, value in zip(system.coordinates, forcing.constant.tolist(), strict=True):
         if value:
-            yield _Excitation(f"force on {name}", value, 0.0)
-    moving = [(forcing, [f"force on {name}" for name in system.coordinates])]
+            yield _Excitation(f"{_FORCE}{name}", value, 0.0)
+    moving = [(forcing, [f"{_FORCE}{name}" for name in system.coordinates])]
     if frame is not None:
         grounds = frame.grounds
         moving.append((grounds.motion, [f"ground {name}" for name in grounds.names]))
@@ -159,8 +162,14 @@ def _excitations(system: System) -> Iterator[_Excitation]:
 
 def _tables(checked: ModelCheck) -> Iterator[Table]:
     """Forces and grounds, frequencies without damping, modes with damping, contacts."""
+    length = checked.system.unit if checked.system.unit in _FORCES else ""
+    of_force, of_mass = _FORCES.get(length, ("", ""))
     excitations = [
-        (name, f"{amplitude:.6g}", *(f"{x:.6g}" if x else "" for x in (omega, omega / tau)))
+        (
+            name,
+            f"{amplitude:.6g} {of_force if name.startswith(_FORCE) else length}".rstrip(),
+            *(f"{x:.6g}" if x else "" for x in (omega, omega / tau)),
+        )
         for name, amplitude, omega in _excitations(checked.system)
     ]
     if excitations:
@@ -197,8 +206,17 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
             )
             for c, of_contact in zip(contacts, np.transpose(known).tolist(), strict=True)
         ]
-        headings = ("contact", "gap", "restitution", "effective mass")
-        yield _table((*headings, "gap under load", "swing", "at speed"), rows)
+        speed = f"{length}/s" if length else ""
+        headings = (
+            ("contact", ""),
+            ("gap", length),
+            ("restitution", ""),
+            ("eff. mass", of_mass),
+            ("under load", length),
+            ("swing", length),
+            ("at" if speed else "at speed", speed),
+        )
+        yield _table([f"{name} [{unit}]" if unit else name for name, unit in headings], rows)
 
 
 def _table(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:

@@ -50,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
     laws = f"one curve each, or all that are installed (default {LAWS})"
     add("--laws", metavar="LAW,...", default=LAWS, help=laws)
-    initial = f"of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default {INITIAL})"
+    initial = (
+        f"of the observers: q1,..,qn,u1,..,un, random:SEED, drawn:SEED or zero (default {INITIAL})"
+    )
     add("--initial", metavar="STATE", default=INITIAL, help=initial)
     duration = "how long, s (default 30)"
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)

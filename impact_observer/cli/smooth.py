@@ -56,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.recordings import model_of
     from impact_observer.model.free_parameters import with_unit
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.plain_text import with_deviation
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
     chosen = observer_options(args, LAW)
@@ -82,14 +83,14 @@ def run(args: argparse.Namespace) -> int:
             progress.line(f"warning: {line}")
         for each in found.runs:
             for name, value, deviation in each.parameters:
-                progress.line(f"learned: {with_unit(name)} {value:.9g} +- {deviation:.2g}")
+                progress.line(f"learned: {with_unit(name)} {with_deviation(value, deviation)}")
             if not each.smoothed.is_settled:
                 progress.line(
                     "warning: the last linearisation still changed the motion by"
                     f" {each.smoothed.change:.2g} standard deviations"
                 )
             for name, value, deviation in each.filtered_parameters:
-                learned = f"{with_unit(name)} {value:.9g} +- {deviation:.2g}"
+                learned = f"{with_unit(name)} {with_deviation(value, deviation)}"
                 progress.line(f"learned by the filter: {learned}")
             far = each.misfit if each.unexplained else ""
             for line in filter(None, (far, each.model_doubt, each.early_doubt[0])):

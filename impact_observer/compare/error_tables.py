@@ -18,6 +18,7 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 
 from impact_observer.compare.comparison import Comparison
@@ -26,6 +27,9 @@ from impact_observer.draw.text_tables import console, fitted, ruled_table
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
 from impact_observer.plain_text import say
+
+_ROUNDING = 1e-26
+"""V over the largest V, below which it is rounding; V is a square, states have 16 digits."""
 
 
 def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
@@ -60,6 +64,15 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
     for table in (*of_laws, errors_table(labelled)):
         terminal.print(fitted(table, terminal.width))
     print_blindness(labelled)
+    if rounded := [label for label, each in labelled.items() if _is_rounding(each)]:
+        names = ", ".join(rounded)
+        say(f"V end of {names} is rounding: states have 16 digits, and V is a square")
+
+
+def _is_rounding(compared: Comparison) -> bool:
+    """Whether V at the end says nothing but by how much states are rounded."""
+    end, largest = float(compared.V[-1]), float(np.max(compared.V))
+    return 0 < end <= _ROUNDING * largest or 0 < largest <= _ROUNDING
 
 
 def print_blindness(labelled: Mapping[str, Comparison]) -> None:

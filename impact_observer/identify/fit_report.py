@@ -345,11 +345,11 @@ def _about_parameters(found: Identification) -> Iterator[str]:
 def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
     if check.size is not None:
         yield (
-            "If the model were right, shifts as large as these would have probability"
-            f" {check.size:.2g}."
+            "A model that is right gives shifts as large as these with probability"
+            f" {check.size:.2g}; below {REJECTED:g} it does not fit."
         )
     yield (
-        "If the model were right, neighbouring shifts as correlated as these would have"
+        "A model that is right gives neighbouring shifts as correlated as these with"
         f" probability {check.white:.2g} ({check.lags} lags)."
     )
     good = check.fits and found.converged

@@ -85,7 +85,7 @@ def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[s
     assert check_model.check("two_mass") == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 24
-    assert lines[0] == "two_mass: 2 coordinates, 1 contact, forcing: 1 harmonic"
+    assert lines[0] == "two_mass: 2 coordinates, 1 contact, forcing: 1 harmonic; SI units"
     words = [line.split() for line in lines]
     assert ["force", "on", "x2", "4", "2.5", "0.397887"] in words
     assert ["1", "1.9544", "0.311052"] in words
@@ -157,7 +157,9 @@ def test_grounds_have_their_frequency_and_a_use(
 ) -> None:
     """Amplitude, rad/s and Hz, so that a wrong unit is seen; one that moves nothing is named."""
     output = printed(capsys, "ball_on_table")
-    assert "ground table 0.003 62.8319 10" in output
+    assert "ground table 0.003 m 62.8319 10" in output
+    assert "force on height" in output
+    assert "under load [m] swing [m] at [m/s]" in output
     assert "force on height -9.81" in output
     assert "moves nothing" not in output
     text = Path(shared("config") / "ball_on_table.yaml").read_text(encoding="utf-8")

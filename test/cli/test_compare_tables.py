@@ -89,3 +89,17 @@ def test_impacts_of_a_contact_that_is_not_the_models_are_a_warning(
     assert main(["compare", str(tmp_path / "plant"), *given]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "of left, a contact that the model three_mass does not have; expected one of" in said
+
+
+def test_distances_that_are_rounding_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An observer that starts from the truth, and one that does not."""
+    plant = str(tmp_path / "plant")
+    assert main(["simulate", "bouncing_ball", "--duration", "0.3", "-o", plant]) == 0
+    for start, is_named in (("1,1e-16", True), ("1,0.1", False)):
+        bag = str(tmp_path / start)
+        assert main(["observe", plant, "--epoch", "1", "--initial", start, "-o", bag]) == 0
+        capsys.readouterr()
+        assert main(["compare", bag]) == 0
+        assert ("V end of geometric is rounding" in capsys.readouterr().out) is is_named
