@@ -108,7 +108,9 @@ def main() -> None:
     """Print and draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("clicks", type=float, nargs="*", help="s, at least four")
-    parser.add_argument("--clock", type=float, default=1e-4, help="error of a click, s")
+    parser.add_argument(
+        "--clock", type=float, default=1e-4, help="error of a click, s (default %(default)g)"
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("drop_height.png"))
     args = parser.parse_args()
     clicks = tuple(args.clicks) or CLICKS

@@ -23,7 +23,14 @@ SENSOR_FAULTS = (
     Option(
         "dead_time", 0.0, "time after a detection in which nothing is detected", "s", 0.0, 10.0
     ),
-    Option("missed", 0.0, "probability that an impact is not detected", "", 0.0, 1.0),
+    Option(
+        "missed",
+        0.0,
+        "probability that an impact is not detected, be it IMPACT or CLOSE",
+        "",
+        0.0,
+        1.0,
+    ),
     Option("spurious", 0.0, "rate of false positives, of any contact", "1/s", 0.0, 1e4),
     Option("mislabelled", 0.0, "probability that another contact is named", "", 0.0, 1.0),
     Option("clock_offset", 0.0, "how far the sensor's clock is ahead", "s", -3600.0, 3600.0),

@@ -133,7 +133,8 @@ GROUND = PartKind(
     "ground",
     ("NAME,AMPLITUDE,FREQUENCY[,PHASE]",),
     "table,0.003,75",
-    "what moves by itself, by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s, rad, such as a shaker",
+    "what moves by itself, by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s (6.283 times Hz), rad,"
+    " such as a shaker",
     _ground,
 )
 SPRING = PartKind(
@@ -147,8 +148,8 @@ FORCE = PartKind(
     "force",
     ("BODY,AMPLITUDE,FREQUENCY[,PHASE[,ORDER]]", "BODY,CONSTANT"),
     "x1,4,2.5",
-    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s, rad; with ORDER it turns so often in a"
-    " revolution of a drive with index pulses; or a constant, N",
+    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s (6.283 times Hz), rad; with ORDER it turns so"
+    " often in a revolution of a drive with index pulses; or a constant, N",
     _force,
 )
 STOP = PartKind(

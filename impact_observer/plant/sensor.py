@@ -43,7 +43,7 @@ class SensorModel:
         jitter: standard deviation of its stamps, s; normal.
         quantisation: its stamps are multiples of this, s, in whole nanoseconds; 0 for 1 ns.
         dead_time: time after a detected impact without another at the same contact, s.
-        missed: probability that an impact is not detected.
+        missed: probability that an impact, also one that stays closed, is not detected.
         spurious: rate of false positives, 1/s; Poisson, of any contact.
         mislabelled: probability that another contact is reported.
         clock_offset: by which its clock is ahead of the plant's at the epoch, s.
