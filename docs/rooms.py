@@ -47,10 +47,10 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
         Room("draw", "pictures, scenes, films, URDF, layouts", "matplotlib"),
+        Room("smooth", "a recording's states from the events before and after", "rich"),
     ),
     (
         Room("compare", "estimates against truth: metrics, tables, report, export", "rich"),
-        Room("smooth", "a recording's states from the events before and after", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
         Room("new", "the files of a new rig"),

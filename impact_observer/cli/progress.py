@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _PERIOD = 0.1
 """Least time between two updates of the bar, s: a tight loop may call more often."""
-_SILENT = 4.0
+_SILENT = 2.0
 """Processor time after which a line without a terminal says how far the work is, s; the next one
 comes after twice that, and so on."""
 

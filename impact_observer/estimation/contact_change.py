@@ -100,6 +100,12 @@ class ContactChange(NamedTuple):
         return tuple(sorted({*self.hit, *opened})) if opened else self.hit
 
     @property
+    def switches(self) -> list[tuple[int, Kind]]:
+        """How each contact switches: those that hit, then those that open."""
+        hit = [(i, Kind.CLOSE if i in self.closed else Kind.IMPACT) for i in self.hit]
+        return [*hit, *((i, Kind.OPEN) for i in self.opened)]
+
+    @property
     def active(self) -> Contacts:
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
         return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit

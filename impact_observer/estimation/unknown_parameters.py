@@ -14,7 +14,7 @@
 
 """The parameters of the model that an observer estimates with the state, as users name them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,14 +103,25 @@ class UnknownParameters:
             names.append(name)
             if sign:
                 declared[name] = _number(text, number)
-        found = parametric_family(system, names, elements, observed=True).parameters
-        parameters = tuple(sorted(found, key=lambda each: not each.moves))
+        family = parametric_family(system, names, elements, observed=True)
+        return cls.of(family, declared, drift)
+
+    @classmethod
+    def of(
+        cls, family: ParametricFamily, declared: Mapping[str, float], drift: float = 0.0
+    ) -> "UnknownParameters":
+        """Those of a family; deviations are ``declared`` by name or kind, others are the usual.
+
+        Raises:
+            UsageError: a deviation cannot be used.
+        """
+        parameters = tuple(sorted(family.parameters, key=lambda each: not each.moves))
         deviations = []
         for each in parameters:
             usual = RESTITUTION if np.any(each.effect.eps) else SHARE * each.size
             kind = each.name.partition(".")[0]
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(ParametricFamily(system, parameters), np.array(deviations), drift)
+        return cls(ParametricFamily(family.system, parameters), np.array(deviations), drift)
 
 
 def _number(text: str, number: str) -> float:

@@ -18,6 +18,7 @@ The search is linear in the initial state, so nobody has to guess one.
 """
 
 from functools import lru_cache
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -126,7 +127,15 @@ def _least_gaps(
     # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)
     usual, moved = float(np.median(np.abs(begin.gaps))), problem.moved(begin)
-    made = lru_cache(1)(lambda y: problem.gaps_of(problem.shot(np.frombuffer(y), stamps), moved))
+    trials = count(1)
+
+    @lru_cache(1)
+    def made(y: bytes) -> tuple[Vector, Matrix]:
+        gaps, by_start = problem.gaps_of(problem.shot(np.frombuffer(y), stamps), moved)
+        size = float(np.sqrt(np.mean(gaps**2)))
+        problem.report(f"first guess {next(trials)} of at most {tries}, gaps {size:.2g} m")
+        return gaps, by_start
+
     found = optimize.least_squares(
         lambda y: np.concatenate([made(y.tobytes())[0], pull @ (y - given)]),
         np.clip(y, low, high),

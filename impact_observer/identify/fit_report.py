@@ -26,10 +26,11 @@ from scipy.optimize import approx_fprime
 from impact_observer import __version__
 from impact_observer.draw.text_tables import plain_table, print_report
 from impact_observer.identify.fit_check import FitCheck
-from impact_observer.identify.identification import Identification, combination
+from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import REJECTED
+from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
 from impact_observer.model import System, parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
@@ -152,6 +153,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "impacts": len(found.shifts),
         "rejected": [[stamp, names[i]] for stamp, i in sorted(recording.rejected)],
         "inserted": [[stamp, names[i]] for stamp, i in sorted(recording.inserted)],
+        "settled": [[stamp, names[i]] for stamp, i in sorted(recording.settled)],
         "probability_of_size": check.size,
         "probability_of_whiteness": check.white,
         "contacts": {
@@ -260,6 +262,11 @@ def _about_fit(found: Identification) -> Iterator[str]:
         yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         yield _listed(found, found.recording.inserted, "inserted as missed")
+    if found.recording.settled:
+        yield (
+            f"{len(found.recording.settled)} impacts left out: in bounces that settle, flights"
+            " are as short as the stamps are wrong, so one closing stands for each row."
+        )
 
 
 def _about_time(system: System) -> str:

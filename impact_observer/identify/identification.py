@@ -15,31 +15,33 @@
 """From a recording of impact times to the parameters of its model."""
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import IdentificationError, UsageError
-from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.first_guess import (
-    by_gaps,
-    by_gaps_near,
-    directions,
-    own_impacts,
-    start_of,
-)
+from impact_observer.identify.first_guess import directions
 from impact_observer.identify.late_start import late_start
-from impact_observer.identify.least_squares import usual_size, weighed
-from impact_observer.identify.outliers import outliers_by_motion, outliers_by_observer
+from impact_observer.identify.least_squares import usual_size
+from impact_observer.identify.outliers import outliers_by_observer
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
+from impact_observer.identify.search import (
+    combinations_of,
+    fit,
+    gated,
+    last_impacts,
+    without_outliers,
+)
 from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
 from impact_observer.identify.sensor_rows import used_samples
+from impact_observer.identify.smoothed_start import is_crowded, smoothed_start
 from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.live_signals import refused
@@ -50,8 +52,6 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
-_ROUNDS = 12
-"""Most rounds of rejecting and inserting impacts."""
 _SUSPICIOUS = 0.01
 """Error of stamps, relative to the time between two, above which outliers are searched."""
 _EXCESS = 1.5
@@ -60,18 +60,10 @@ _LOST = 0.02
 """Error of stamps, relative to the time between two, above which nothing is explained, unless it
 is as declared.
 """
-_STILL = 1e-9
-"""Contact speed of no motion, m/s."""
 _WRONG = 0.03
 """Declared error of the model, as an error of the stamps relative to the time between two."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
-_FEWEST = 3
-"""Fewest impacts that are held back, and fewest degrees of freedom of the fit of the others."""
-_PART = 1e-3
-"""Smallest term of a combination, relative to the largest."""
-_GATINGS = 5
-"""Most rounds of rejecting samples."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -214,34 +206,137 @@ def identify(
     state = None
     if family.system.guides:
         episode, state = late_start(family.system, episode, events)
-    whole = _with_samples(Recording(episode, state=state), family, clock, measurements, samples)
-    progress("all impacts accepted")
-    recording, (problem, solution) = whole, _gated(*_fit(whole.problem(family)))
-    first = _identification(recording, problem, solution, clock)
-    accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
-    least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
-    if trust_events or (solution.converged and solution.rms <= least):
-        checked = _held_back(problem, solution, held_back)
-        return replace(first, held_back=checked, accepted=accepted)
-    found, doubted = replace(first, converged=False), 0
-    for wrong in (_WRONG * problem.interval, None):
-        progress("searching spurious and missed impacts")
-        recording = outliers_by_observer(family.system, whole, events, wrong)
-        doubted = max(doubted, recording.outliers)
+    report = _Report(progress)
+    whole = Recording(episode, state=state, report=report)
+    whole = _with_samples(whole, family, clock, measurements, samples)
+    search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
+    found, problem, solution = search.found()
+    is_checked = found.converged or trust_events
+    return replace(
+        found, held_back=last_impacts(problem, solution, held_back) if is_checked else None
+    )
+
+
+class _Report:
+    """What is being done, and how far it is."""
+
+    def __init__(self, progress: Callable[[str], None]) -> None:
+        self._progress, self._stage = progress, ""
+
+    def stage(self, text: str) -> None:
+        """What follows is ``text``."""
+        self._stage = text
+        self._progress(text)
+
+    def __call__(self, text: str) -> None:
+        """So far it is."""
+        self._progress(f"{self._stage}: {text}")
+
+
+class _Fitted(NamedTuple):
+    """A fit, and what it was of."""
+
+    identification: Identification
+    problem: Problem
+    solution: Solution
+
+
+class _Search(NamedTuple):
+    """What is given to ``identify``, and the ways to a fit; ``whole`` has all events accepted."""
+
+    family: ParametricFamily
+    events: list[ImpactEvent]
+    whole: Recording
+    clock: float | None
+    trust_events: bool
+    measurements: Sequence[Measurement]
+    samples: Sequence[SensorSample]
+    report: _Report
+
+    def found(self) -> _Fitted:
+        """The fit, by the first way that leads to a motion that explains the stamps."""
+        clock, family = self.clock, self.family
+        if clock is not None and (smoothed := self._smoothed(clock)):
+            return smoothed
+        self.report.stage("all impacts accepted")
+        problem, solution = gated(*fit(self.whole.problem(family)))
+        first = _identification(self.whole, problem, solution, clock)
+        accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
+        first = replace(first, accepted=accepted)
+        if self.trust_events or self._explains(problem, solution):
+            return _Fitted(first, problem, solution)
+        if clock is None:
+            smoothed = self._smoothed(_WRONG * problem.interval)
+            if smoothed and smoothed.identification.converged:
+                return smoothed
+        return self._without_outliers(_Fitted(first, problem, solution))
+
+    def _explains(self, problem: Problem, solution: Solution) -> bool:
+        """Whether a fit leaves nothing to be searched."""
+        clock = self.clock
+        least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
+        return solution.converged and solution.rms <= least
+
+    def _smoothed(self, clock: float) -> _Fitted | None:
+        """The fit that begins at the smoothed motion, where stamps are too near each other.
+
+        ``clock`` is the standard deviation of one, s, about.
+        """
+        if self.family.system.guides or not is_crowded(self.whole, clock):
+            return None
+        self.report.stage("smoothing bounces that settle")
+        start = smoothed_start(
+            self.family,
+            self.whole,
+            self.events,
+            clock,
+            trust_events=self.trust_events,
+            measurements=self.measurements,
+            samples=self.samples,
+            report=self.report,
+        )
+        if start is None:
+            return None
+        self.report.stage("bounces that settle")
         try:
-            recording, again, refit = _without_outliers(recording, family, clock, progress)
-            again, refit = _gated(again, refit)
+            recording, y = start
+            problem, solution = gated(*fit(recording.problem(self.family), y))
+            is_left = solution.converged and not self._explains(problem, solution)
+            if is_left and not self.trust_events:
+                recording, problem, solution = without_outliers(
+                    recording, self.family, self.clock, y
+                )
+                problem, solution = gated(problem, solution)
         except IdentificationError:
-            continue  # too few impacts are left
-        doubted = max(doubted, recording.outliers)
-        found = _identification(recording, again, refit, clock)
-        if found.converged:
-            problem, solution = again, refit
-            break
-    if not found.converged and first.converged and first.rms <= _SUSPICIOUS * problem.interval:
-        found = first  # a declared clock error that is too small
-    checked = _held_back(problem, solution, held_back) if found.converged else None
-    return replace(found, held_back=checked, doubted=doubted, accepted=accepted)
+            return None  # too few impacts are left
+        found = _identification(recording, problem, solution, self.clock)
+        found = replace(found, doubted=recording.outliers, accepted=found.rms)
+        return _Fitted(found, problem, solution)
+
+    def _without_outliers(self, before: _Fitted) -> _Fitted:
+        """The fit without spurious impacts and with missed ones, after one of all impacts."""
+        first, problem, _ = before
+        system, clock = self.family.system, self.clock
+        found, doubted = before._replace(identification=replace(first, converged=False)), 0
+        for wrong in (_WRONG * problem.interval, None):
+            self.report.stage("searching spurious and missed impacts")
+            recording = outliers_by_observer(system, self.whole, self.events, wrong)
+            doubted = max(doubted, recording.outliers)
+            self.report.stage("spurious and missed impacts")
+            try:
+                recording, again, refit = without_outliers(recording, self.family, clock)
+                again, refit = gated(again, refit)
+            except IdentificationError:
+                continue  # too few impacts are left
+            doubted = max(doubted, recording.outliers)
+            found = _Fitted(_identification(recording, again, refit, clock), again, refit)
+            if found.identification.converged:
+                break
+        explained = first.converged and first.rms <= _SUSPICIOUS * problem.interval
+        if explained and not found.identification.converged:
+            found = before  # a declared clock error that is too small
+        own = replace(found.identification, doubted=doubted, accepted=first.accepted)
+        return found._replace(identification=own)
 
 
 def _with_samples(
@@ -261,121 +356,6 @@ def _with_samples(
     return replace(
         recording, sensors=found, clock=max(known, ROUNDED), is_declared=clock is not None
     )
-
-
-def _gated(problem: Problem, solution: Solution) -> tuple[Problem, Solution]:
-    """Without samples that their gates reject, fitted again."""
-    for _ in range(_GATINGS):
-        sensors = tuple(
-            each.within_gate(rows.errors)
-            for each, rows in zip(problem.sensors, solution.shot.sensors, strict=True)
-        )
-        if all(a.t.size == b.t.size for a, b in zip(sensors, problem.sensors, strict=True)):
-            break
-        problem, solution = weighed(problem._replace(sensors=sensors), solution.y)
-    return problem, solution
-
-
-def _held_back(problem: Problem, solution: Solution, share: float) -> HeldBack | None:
-    """The last impacts as the others predict them; None where one of the parts has too few."""
-    count = int(share * solution.counted.size)
-    if not problem.family.size or count < _FEWEST or solution.freedom - count < _FEWEST:
-        return None
-    moments = problem.moments[: solution.counted[-count]]
-    if problem.sensors:  # samples need the impacts before them, whenever these were
-        later = {*solution.counted[-count:].tolist()}
-        moments = [
-            moment._replace(measured=False) if k in later else moment
-            for k, moment in enumerate(problem.moments)
-        ]
-    try:
-        _, first = _fit(problem._replace(moments=moments, is_declared=True), solution.y)
-    except IdentificationError:
-        return None
-    return HeldBack.between(first, solution)
-
-
-def _without_outliers(
-    recording: Recording,
-    family: ParametricFamily,
-    clock: float | None,
-    progress: Callable[[str], None],
-) -> tuple[Recording, Problem, Solution]:
-    """The recording in which the fitted motion finds no further outlier, and the fit."""
-    problem, solution = _fit(recording.problem(family), robust=True)
-    for round_ in range(_ROUNDS):
-        after = outliers_by_motion(recording, problem, solution, clock)
-        if (after.rejected, after.inserted) == (recording.rejected, recording.inserted):
-            break
-        recording = after
-        progress(f"spurious and missed impacts, round {round_ + 1}")
-        problem, solution = _fit(recording.problem(family), solution.y, robust=True)
-    return recording, *_fit(recording.problem(family), solution.y)
-
-
-def _fit(
-    problem: Problem, near: Vector | None = None, *, robust: bool = False
-) -> tuple[Problem, Solution]:
-    """The motion that explains a recording best, searched near ``near``, else from the least gaps.
-
-    ``robust`` says that some impacts may be wrong.
-    """
-    unknowns = 2 * problem.family.system.n + problem.family.size
-    hits = sum(len(each.hit) for each in problem.moments if each.measured)
-    samples = sum(each.t.size for each in problem.sensors)
-    if hits + samples <= unknowns:
-        beside = f" and {samples} samples" if problem.sensors else ""
-        raise IdentificationError(
-            f"{hits} impacts{beside} for {unknowns} unknowns, {problem.family.size} of them"
-            " parameters; expected more: record longer, or free less"
-        )
-    if near is not None:
-        found = weighed(problem, near, robust=robust)
-        if found[1].converged:
-            return found
-    if problem.near is not None:
-        return weighed(problem, by_gaps_near(problem, problem.near), robust=robust)
-    y = start_of(problem)
-    shot = problem.shot(y)
-    if np.max(np.abs(shot.speeds)) <= _STILL:
-        raise IdentificationError(
-            "no force and no gap determines the size of the motion, which has the same impacts at"
-            " any size; expected a gap that is not 0, or a force"
-        )
-    if lost := combinations_of(problem, directions(problem, own_impacts(problem, y)).undetermined):
-        words = "; ".join(combination(each) for each in lost)
-        one = all(len(each) == 1 for each in lost)
-        raise IdentificationError(
-            f"{words}: with a suitable initial state no impact moves by that, so impact times do"
-            f" not determine it; hold {'it' if one else 'one of them'} fixed"
-        )
-    return weighed(problem, by_gaps(problem, y, robust=robust), robust=robust)
-
-
-def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[dict[str, float], ...]:
-    """Combinations of parameters that span the undetermined directions, shape (2n + p, k)."""
-    family = problem.family
-    part = undetermined[2 * family.system.n :] / family.sizes[:, None]
-    if not part.size or np.max(np.abs(part)) <= _PART:
-        return ()
-    # Directions of the parameters alone: the initial state may change in any way.
-    left, singular, _ = linalg.svd(part, full_matrices=False)
-    found = []
-    for direction in sparse_basis(left[:, singular > _PART].T):
-        largest = np.max(np.abs(direction))
-        found.append(
-            {
-                name: float(value * size / largest)
-                for name, value, size in zip(family.names, direction, family.sizes, strict=True)
-                if abs(value) > _PART * largest
-            }
-        )
-    return tuple(found)
-
-
-def combination(terms: Mapping[str, float]) -> str:
-    """A combination in words, such as ``+1 mass-scale +1 stiffness-scale``."""
-    return " ".join(f"{change:+.3g} {name}" for name, change in terms.items())
 
 
 def _identification(
@@ -413,6 +393,6 @@ def _identification(
         singular=frozen(found.singular / found.singular[0]),
         undetermined=combinations_of(problem, np.hstack([found.undetermined, weak])),
         converged=solution.converged
-        and solution.rms <= max(_LOST * problem.interval, _EXCESS * (clock or 0.0))
+        and solution.rms <= max(_LOST * problem.usual_flight, _EXCESS * (clock or 0.0))
         and solution.counted.size >= _ACCEPTED * (solution.counted.size + recording.outliers),
     )

@@ -82,16 +82,19 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     Raises:
         IdentificationError: fewer hits than unknowns.
     """
-    shot, counted = problem.shot(y), problem.counted
+    t, counted = problem.begin, problem.counted
+    shot = problem.shot(y, t)
     basis = directions(problem, shot).determined
-    now = _Iterate(problem, counted, y.copy(), problem.stamps, shot, np.ones(counted.size))
+    now = _Iterate(problem, counted, y.copy(), t, shot, np.ones(counted.size))
     converged = False
-    for _ in range(_STEPS):
+    for k in range(_STEPS):
         if robust:
             now = now.weighted()
         step = now.step_within(basis)
         converged = step.is_small(now)
         now, length = now.towards(step)
+        rms = deviation(now.shifts, step.freedom)
+        problem.report(f"step {k + 1} of at most {_STEPS}, shifts {rms:.2g} s")
         if converged or length == 0.0:
             break
     step = now.step_within(basis)

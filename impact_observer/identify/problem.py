@@ -14,12 +14,14 @@
 
 """A recording that a motion is to explain, and what explains it."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.events import Contacts
 from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.identify.shooting import Shot, shoot
@@ -30,6 +32,15 @@ LEAST = 1e-9
 """Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
 _KNOWN = 0.02
 """Change of a deviation that is small, relative to itself."""
+Instants: TypeAlias = Mapping[tuple[float, Contacts], float]
+"""By stamp (s since the epoch) and contacts that hit: when a moment was, s since the epoch."""
+AT_STAMPS: Instants = MappingProxyType({})
+"""Nothing is known but the stamps."""
+
+
+def no_report(text: str) -> None:
+    """Do nothing."""
+    del text
 
 
 class Problem(NamedTuple):
@@ -43,6 +54,8 @@ class Problem(NamedTuple):
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, by which samples are weighed.
         is_declared: whether that is declared; else the shifts show it.
+        instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
+        report: receives how far a fit is.
     """
 
     family: ParametricFamily
@@ -52,6 +65,8 @@ class Problem(NamedTuple):
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
+    instants: Instants = AT_STAMPS
+    report: Callable[[str], None] = no_report
 
     @property
     def stamps(self) -> Vector:
@@ -59,9 +74,24 @@ class Problem(NamedTuple):
         return np.array([each.t for each in self.moments])
 
     @property
+    def begin(self) -> Vector:
+        """The instants with which a fit begins, s since the epoch, shape (moments,)."""
+        return np.array([self.instants.get((each.t, each.hit), each.t) for each in self.moments])
+
+    @property
     def interval(self) -> float:
         """Median of the time between two moments, s."""
         return float(np.median(np.diff(self.stamps, prepend=self.start)))
+
+    @property
+    def usual_flight(self) -> float:
+        """The time between two moments by which errors of the stamps are judged, s.
+
+        The median; the mean where bounces settle, of which the median is one.
+        """
+        if not self.instants:
+            return self.interval
+        return (self.moments[-1].t - self.start) / len(self.moments)
 
     @property
     def counted(self) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@
 
 """A recording to be explained: which impacts count, and which were missed."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -24,7 +24,7 @@ from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Kind
 from impact_observer.identify.motion import FlightEnd
-from impact_observer.identify.problem import Problem
+from impact_observer.identify.problem import AT_STAMPS, Instants, Problem, no_report
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
@@ -50,6 +50,10 @@ class Recording:
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, declared or a first guess.
         is_declared: which of both.
+        settled: impacts of bounces that settle; of each row the first stands for all, as the
+            closing of its contact.
+        instants: of the moments, as a smoothed motion has them; see ``Problem``.
+        report: receives how far a fit is.
     """
 
     episode: Episode
@@ -59,6 +63,9 @@ class Recording:
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
+    settled: frozenset[Hit] = field(default=frozenset())
+    instants: Instants = field(default_factory=lambda: AT_STAMPS)
+    report: Callable[[str], None] = no_report
 
     @property
     def start(self) -> float:
@@ -88,7 +95,11 @@ class Recording:
                 if kind is Kind.OPEN or (key.stamp, contact) not in self.rejected
             ]
             kept.append(key._replace(switches=tuple(switches)))
-        added = [EventKey(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
+        known = {(key.stamp, contact) for key in kept for contact, _ in key.switches}
+        added = [
+            EventKey(stamp, 0, ((contact, Kind.IMPACT),))
+            for stamp, contact in self.inserted - known
+        ]
         keys = sorted([*(key for key in kept if key.switches), *added])
         return changes(keys, self.episode.epoch)
 
@@ -107,7 +118,10 @@ class Recording:
             moments.append(FlightEnd(change.t, change.hit, pressed, held, not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
-        return Problem(family, moments, self.start, near, sensors, self.clock, self.is_declared)
+        clock = self.clock, self.is_declared
+        return Problem(
+            family, moments, self.start, near, sensors, *clock, self.instants, self.report
+        )
 
     def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:
         """Samples that are certain to be before or after any impact, which ``lasts`` so many s."""

@@ -59,6 +59,11 @@ _LONGEST = 0.1
 """Largest offset of a clock, s."""
 
 
+def is_observed(name: str) -> bool:
+    """Whether an observer can learn the parameter of this name."""
+    return name.partition(".")[0] not in _ONLY_IDENTIFIED
+
+
 def parametric_family(
     system: System,
     wanted: Sequence[str],
@@ -77,7 +82,7 @@ def parametric_family(
     available = {
         each.name: each
         for each in _all(system, elements)
-        if each.name.partition(".")[0] not in (_ONLY_IDENTIFIED if observed else ())
+        if not observed or is_observed(each.name)
     }
     names: list[str] = []
     for name in wanted:

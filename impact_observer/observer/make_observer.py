@@ -40,13 +40,15 @@ def make_observer(
     *,
     law: type[Law] | None = None,
     measurements: Sequence[Measurement] = (),
+    unknowns: UnknownParameters | None = None,
 ) -> Observer:
     """An observer of ``system`` that has received no event yet.
 
     ``options`` are None for the defaults. The system was assembled of ``elements``: their
     parameters can be estimated one by one. The ``others`` are initial states of the replicas that
     run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn. Another ``law``
-    than that of the options may be given. The ``measurements`` are made beside the impacts.
+    than that of the options may be given. The ``measurements`` are made beside the impacts. The
+    ``unknowns`` are estimated in the place of those that the options name.
 
     Raises:
         UsageError: an option cannot be used, by its name.
@@ -62,7 +64,7 @@ def make_observer(
         options.missed,
         options.spurious,
         options.mislabelled,
-        _unknown_parameters(system, options, elements),
+        unknowns or _unknown_parameters(system, options, elements),
     )
     return Observer(
         system,

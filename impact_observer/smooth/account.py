@@ -39,7 +39,7 @@ from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
 _SETTLED = 16
 """Events after which a hypothesis has found the errors of clock and model at an event."""
-_FLIGHTS = 8.0
+FLIGHTS = 8.0
 """Flights of a chattering sequence, in deviations of stamps, below which they are left out."""
 
 
@@ -273,7 +273,7 @@ def _moments(
         if own and own[0].ruling is not Ruling.APPLIED:
             continue
         renamed = {note.contact: note.switched for note in own}
-        switches = [(renamed.get(i, i), kind) for i, kind in _switches(trace.change)]
+        switches = [(renamed.get(i, i), kind) for i, kind in trace.change.switches]
         change = _change(closed, switches, key, epoch, since)
         if change.hit or change.before != change.closed:
             yield Moment(change, clock, error)
@@ -294,7 +294,7 @@ def _merged(moments: Sequence[Moment]) -> Iterator[Moment]:
         change, last = first.change, moments[end - 1]
         if end > k + 1 and last.change.closed != change.before:
             change = change._replace(closed=last.change.closed)
-            until = last.change.stamp + round(_FLIGHTS * last.clock * NS_PER_S)
+            until = last.change.stamp + round(FLIGHTS * last.clock * NS_PER_S)
             first = first._replace(until=until)
         else:
             end = k + 1
@@ -323,14 +323,8 @@ def _chatters(moment: Moment, after: Moment) -> bool:
         len(hit) == 1
         and hit == after.change.hit == after.change.contacts
         and {*after.change.before} - {*hit} == {*before} - {*hit}
-        and flight <= _FLIGHTS * max(moment.clock, after.clock)
+        and flight <= FLIGHTS * max(moment.clock, after.clock)
     )
-
-
-def _switches(change: ContactChange) -> list[tuple[int, Kind]]:
-    """How each contact of a change switches."""
-    hit = [(i, Kind.CLOSE if i in change.closed else Kind.IMPACT) for i in change.hit]
-    return [*hit, *((i, Kind.OPEN) for i in change.opened)]
 
 
 def _change(

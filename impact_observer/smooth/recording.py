@@ -24,6 +24,7 @@ import numpy as np
 
 from impact_observer.errors import BagError
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.elements import Element
@@ -75,6 +76,8 @@ def smoothed_runs(
     samples: Sequence[SensorSample] = (),
     progress: Progress = no_progress,
     give: Callable[[Observer], object] = no_inputs,
+    unknowns: UnknownParameters | None = None,
+    thorough: bool = True,
 ) -> list[SmoothedMotion]:
     """The smoothed motion in each run of the sender in a recording, in order.
 
@@ -87,6 +90,8 @@ def smoothed_runs(
         samples: what they have measured, in order of stamps.
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
+        unknowns: parameters to estimate; None for those that the options name.
+        thorough: whether other accounts are tried although the motion explains all events.
 
     Raises:
         UsageError: an option cannot be used.
@@ -99,13 +104,20 @@ def smoothed_runs(
     if not runs:
         raise BagError("it holds no impact")
     made = partial(
-        make_observer, system, _own(options), elements, law=TracedLaw, measurements=measurements
+        make_observer,
+        system,
+        _own(options),
+        elements,
+        law=TracedLaw,
+        measurements=measurements,
+        unknowns=unknowns,
     )
     begins = [min(each.stamp for each in run) for run in runs.values()]
     found = list[SmoothedMotion]()
     for run, begin, end in zip(runs.values(), begins, [*begins[1:], MAX_STAMP + 1], strict=True):
         own = [each for each in samples if (begin <= each.stamp or not found) and each.stamp < end]
-        found.append(_Run(run, own, options, made, give, progress=progress).motion())
+        each_run = _Run(run, own, options, made, give, progress=progress)
+        found.append(each_run.motion(thorough=thorough))
     if not any(each.account.moments for each in found):
         raise BagError("no impact was applied: is it a recording of this model?")
     return found
@@ -190,20 +202,25 @@ class _Run:
         self._make, self._give = make, give
         self._trials = list[_Trial]()
 
-    def motion(self) -> SmoothedMotion:
+    def motion(self, *, thorough: bool) -> SmoothedMotion:
         """The motion by the account that all events together make likeliest.
 
         The filter decides on the first events while it knows little. So other accounts of them
         are tried: all as they were reported, those found backward from later moments, and those
-        of filters that begin about the smoothed start, until none is likelier.
+        of filters that begin about the smoothed start, until none is likelier. Unless it is to be
+        ``thorough`` that is for a motion that does not explain all events.
         """
         few = self._events[:_SEARCHED]
         best = self._tried(few)
-        if not best.law.uncertainty.trusts_events:
+        is_open = thorough or not best.smoothed.is_settled or self._as_motion(best).unexplained
+        if is_open and not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)
         doubt = _doubt(best, self._trials)
         if len(self._events) > len(few):
             best = self._tried(self._events, best.smoothed)
+        return self._as_motion(best, doubt)
+
+    def _as_motion(self, best: "_Trial", doubt: Doubt = NO_DOUBT) -> SmoothedMotion:
         start = start_of(self._events, best.epoch)
         return SmoothedMotion(
             best.smoothed,

@@ -1,0 +1,92 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A fit in a recording of bounces that settle begins at its smoothed motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from systems import EPOCH, Harmonic, forcing, run, system
+
+from impact_observer.events import ImpactEvent, Kind
+from impact_observer.identify import fit_report
+from impact_observer.identify.fit_check import check_fit
+from impact_observer.identify.identification import identify
+from impact_observer.identify.recorded_impacts import Recording
+from impact_observer.identify.smoothed_start import is_crowded
+from impact_observer.model import System
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.observer.episode import last_episode
+from impact_observer.plant import SensorModel, simulate_sensor
+
+JITTER = 1e-4
+
+
+def drill() -> System:
+    """A hammer and a bit on springs; their hits bounce until the bit is carried along."""
+    return system(
+        np.diag([1.0, 0.5]),
+        np.diag([10.0, 20.0]),
+        np.diag([8000.0, 20000.0]),
+        contacts=[([-1.0, 1.0], 0.001, 0.6)],
+        force=forcing(2, 0.0, [Harmonic(75.4, [20.0, 0.0], [0.0, 0.0])]),
+    )
+
+
+def sensed(seconds: float, **faults: float) -> list[ImpactEvent]:
+    """What a sensor reports of the drill, from rest."""
+    model = drill()
+    made = run(model, [0.0, 0.0], [0.0, 0.0], seconds=seconds)
+    sensor = SensorModel(**faults)  # type: ignore[arg-type]
+    last = int(made.stamps[-1])
+    messages = simulate_sensor(sensor, model, made.switchings, epoch=EPOCH, last=last, seed=2)
+    return sorted((each.event for each in messages), key=lambda each: each.stamp)
+
+
+def guess() -> System:
+    """The drill with a restitution that is 0.1 off and a gap that is a tenth off."""
+    (hit,) = drill().contacts
+    return replace(drill(), contacts=(replace(hit, restitution=0.5, gap=0.0011),))
+
+
+def test_events_are_crowded_where_bounces_settle_within_errors_of_the_clock() -> None:
+    """Of the first cycles every fourth hit follows another within 0.8 ms; within 8 us none."""
+    events = sensed(0.2, jitter=JITTER)
+    recording = Recording(last_episode(drill(), events))
+    assert is_crowded(recording, JITTER)
+    early = [each for each in events if each.stamp < EPOCH + 90_000_000]
+    assert not is_crowded(Recording(last_episode(drill(), early)), JITTER)
+
+
+@pytest.mark.slow
+def test_parameters_come_from_bounces_that_settle() -> None:
+    """Errors are within four deviations, and no hit is lost: used, rejected or left out."""
+    events, said = sensed(0.25, jitter=JITTER), list[str]()
+    family = parametric_family(guess(), ["restitution", "gap"])
+    found = identify(family, events, clock=JITTER, progress=said.append)
+    assert found.converged
+    assert np.all(np.abs(found.values - [0.6, 0.001]) < 4 * found.errors)
+    assert np.all(found.errors < [0.02, 2e-4])
+    assert found.rms < 1.5 * JITTER
+    hits = {(e.stamp, 0) for e in events if any(s.kind is not Kind.OPEN for s in e.switches)}
+    recording = found.recording
+    used = {(stamp, i) for stamp, contacts in recording.hits() for i in contacts}
+    assert hits == (used - recording.inserted) | recording.rejected | recording.settled
+    assert len(recording.settled) > 20
+    assert not used & recording.settled
+    document = fit_report.for_json(found, check_fit(found))
+    assert document["settled"] == [[s, "c1"] for s, _ in sorted(found.recording.settled)]
+    assert any("filter 3 of" in each for each in said)
+    assert any("step 2 of at most" in each for each in said)
