@@ -35,12 +35,12 @@ double positive(double value, const char* name) {
     return value;
 }
 
-Motion motion_of(const Array& lower, const Array& constant, const Array& frequency,
-                 const Array& cosine, const Array& sine, double rate, double decay) {
+FreeMotion motion_of(const Array& lower, const Array& constant, const Array& frequency,
+                     const Array& cosine, const Array& sine, double rate, double decay) {
     const View whole = checked(lower, "lower", ANY, ANY);
     const std::size_t n = whole.rows;
     if (n == 0 || whole.columns != 2 * n) throw py::value_error("lower: expected shape (n, 2n)");
-    Motion found;
+    FreeMotion found;
     found.lower = Matrix(whole);
     found.constant = vector(constant, "constant", py::ssize_t(n));
     found.frequency = vector(frequency, "frequency", ANY);
@@ -59,7 +59,7 @@ Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, do
             vector(squares, "squares", py::ssize_t(n)), positive(timescale, "timescale")};
 }
 
-Impact impact_of(const Motion& motion, const Sizes& sizes, const Array& w, const Array& kick,
+Impact impact_of(const FreeMotion& motion, const Sizes& sizes, const Array& w, const Array& kick,
                  double rest) {
     const auto n = py::ssize_t(motion.n());
     if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
@@ -158,7 +158,7 @@ py::list missed(const Impact& impact, double t, double flown, const py::sequence
     return stepped(given, [&](const Prior& prior) { return impact.missed(t, flown, prior); });
 }
 
-py::tuple moved(const Motion& motion, double t, const Array& x, double s) {
+py::tuple moved(const FreeMotion& motion, double t, const Array& x, double s) {
     instant(t, s);
     if (!(std::abs(s) * motion.rate <= MOST_STEPS)) throw py::value_error("s: too long");
     const Vector after = motion.flown(t, vector(x, "x", py::ssize_t(motion.size())), s);
@@ -167,7 +167,7 @@ py::tuple moved(const Motion& motion, double t, const Array& x, double s) {
 
 // A replica s seconds later, moved by `towards` for each unit by which a sample is larger than
 // `row x + rest`; and the map of differences from it since they were noted.
-py::tuple projected(const Motion& motion, double t, double s, const Array& x, const Array& due,
+py::tuple projected(const FreeMotion& motion, double t, double s, const Array& x, const Array& due,
                     const Array& row, double rest, const Array& towards, double value) {
     instant(t, s);
     if (!(std::abs(s) * motion.rate <= MOST_STEPS)) throw py::value_error("s: too long");
@@ -191,7 +191,7 @@ py::tuple projected(const Motion& motion, double t, double s, const Array& x, co
     return py::make_tuple(flat(state), to_python(after), innovation);
 }
 
-Gaps gaps_of(const Motion& motion, const Sizes& sizes, const Array& W, const Array& rest) {
+Gaps gaps_of(const FreeMotion& motion, const Sizes& sizes, const Array& W, const Array& rest) {
     const View rows = checked(W, "W", ANY, py::ssize_t(motion.n()));
     if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
     return {motion, sizes, Matrix(rows), vector(rest, "rest", py::ssize_t(rows.rows))};
@@ -302,14 +302,14 @@ double largest_distance(const Array& columns, const Array& metric) {
     return found;
 }
 
-Array rates_of(const Motion& motion, double t, const Array& x) {
+Array rates_of(const FreeMotion& motion, double t, const Array& x) {
     instant(t, 0.0);
     Vector found = motion.rates(vector(x, "x", py::ssize_t(motion.size())));
     motion.force(t, 0, 1.0, found);
     return to_python(found);
 }
 
-Array diffusion(const Motion& motion, double s) {
+Array diffusion(const FreeMotion& motion, double s) {
     if (!(s >= 0 && s * motion.rate < 1e15))
         throw py::value_error("s: expected 0 or more, not long");
     const py::gil_scoped_release released;
@@ -321,7 +321,8 @@ Array diffusion(const Motion& motion, double s) {
 }  // namespace
 
 void bind_estimation(py::module_& module) {
-    py::class_<Motion>(module, "FreeMotion", "Motion between impacts: du/dt = lower x + forces.")
+    py::class_<FreeMotion>(module, "FreeMotion",
+                           "Motion between impacts: du/dt = lower x + forces.")
         .def(py::init(&motion_of), py::arg("lower"), py::arg("constant"), py::arg("frequency"),
              py::arg("cosine"), py::arg("sine"), py::arg("rate"), py::arg("decay"))
         .def("rates", &rates_of, py::arg("t"), py::arg("x"), "dx/dt of a state x at t.")

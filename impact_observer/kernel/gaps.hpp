@@ -57,7 +57,7 @@ struct Followed {
 
 class Gaps {
   public:
-    Motion motion;
+    FreeMotion motion;
     Sizes sizes;
     Matrix W;     // a row each contact, m x n
     Vector rest;  // gaps at rest, m

@@ -44,7 +44,7 @@ constexpr std::size_t LARGE = 32;   // least size of a state whose roots may hav
 using Vector = std::vector<double>;
 
 // dx/dt = A x + b(t), x = (q, u):  du/dt = lower x + constant + sum cosine cos + sine sin.
-struct Motion {
+struct FreeMotion {
     Matrix lower;         // -M^-1 (K C), n x 2n
     Vector constant;      // accelerations, n
     Matrix cosine, sine;  // of harmonics, h x n
@@ -170,7 +170,7 @@ struct Motion {
     // and as a sine: (1 + 2h) x 2n.
     Matrix pushed(double s) const {
         Matrix found(1 + 2 * frequency.size(), size());
-        Motion one = *this;
+        FreeMotion one = *this;
         const auto respond = [&](std::size_t k) {
             const Vector x = one.flown(0.0, Vector(size()), s);
             std::copy(x.begin(), x.end(), found.row(k));
@@ -300,7 +300,7 @@ inline double log_normal(double x) {
 // An impact of one contact.
 class Impact {
   public:
-    Motion motion;
+    FreeMotion motion;
     Sizes sizes;
     Vector w, kick;  // u+ = u + kick gamma, n each
     double rest;     // gap at rest, m
