@@ -122,10 +122,10 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     from impact_observer.model.force_samples import Samples
 
     triangular(np.arange(12.0).reshape(3, 4))
-    free, _, w = calls["Impact.__init__"][0].given[:3]
-    free.moved(0.1, np.ones(2 * w.size), 0.2)
-    impact, t, flown, states, _ = calls["Impact.posteriors"][0].given
-    impact.missed(t, flown, states)
+    w = calls["Impact.__init__"][0].given[1]
+    calls["Family.__init__"][0].given[0].moved(0.1, np.ones(2 * w.size), 0.2)
+    impact, t, _, states, _ = calls["Impact.posteriors"][0].given
+    impact.missed(np.full(len(states), t), states)
     samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")
     sampled = replace(PRESSED, forcing=Forcing.of_samples(samples))
     for model in (PRESSED, sampled):
@@ -149,6 +149,26 @@ def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:
     """Instants of the first sampled forces that were made, and the jets of one of them."""
     time, jets = calls["SampledForces.__init__"][0].given[:2]
     return time, jets[: len(jets) // time.size]
+
+
+def estimate_parameters() -> None:
+    """Correct and predict a state with parameters, by kernel and general methods."""
+    from systems import PRESSED
+
+    from impact_observer.estimation.contact_change import ContactChange
+    from impact_observer.estimation.gaussian_state import GaussianState
+    from impact_observer.estimation.impact_filter import ImpactFilter
+    from impact_observer.observer.laws.parameter_accounts import doubted
+
+    unknowns = doubted(PRESSED)
+    filter_, theta = ImpactFilter(PRESSED, 0.0, unknowns), unknowns.family.nominal
+    d, p = 4 + theta.size, theta.size
+    state = GaussianState(np.full(4, 0.1), theta, 1e-3 * np.eye(d), np.ones((d, 1)), (), p)
+    filter_.correct(ContactChange(0.1, (), (0,), ()), state, 1e-6)
+    filter_.priors(0.1, 0.2, [state], [0.1])
+    filter_.predict(0.1, state, 0.1).prior(0.2)
+    filter_.members.bound_correction(theta, state.root, slice(4, d))
+    filter_.members.free_gaps.dips(np.array([0.1]), np.array([5.0]), [state], np.zeros(1))
 
 
 def work() -> None:
@@ -307,6 +327,7 @@ def has_nan(value: object) -> bool:
 def main(seed: int, count: int) -> None:
     """Record, then make ``count`` wrong calls of each function."""
     recorder = Recorder(kernel_loaded.MODULE)
+    estimate_parameters()
     work()
     use_what_only_tests_use(recorder.calls)
     calls = {name: [*kept] for name, kept in recorder.calls.items()}

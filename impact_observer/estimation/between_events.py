@@ -148,7 +148,7 @@ class BetweenEvents:
         levels = [each.acceleration_error for each in group]
         states = self.filter.priors(t, s, [each.state for each in group], levels)
         for h, state, found in zip(group, states, dips, strict=True):
-            some = [dip for dip in found if not _is_now(dip, s, h.clock)]
+            some = [dip for dip in found if not self._is_now(dip, s, h.clock)]
             if not some:
                 yield h._replace(state=state, penetrating=NOTHING, since=h.since + s)
                 continue
@@ -172,7 +172,7 @@ class BetweenEvents:
             dip
             for dip in dips
             if dip.depth > (POSSIBLE if dip.over else CONFIDENT)
-            and not _is_now(dip, left, h.clock)
+            and not self._is_now(dip, left, h.clock)
         )
         dip = next(likely, None)
         if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
@@ -193,6 +193,15 @@ class BetweenEvents:
             h = self.errors.kicked(h, before.x, hit)
         yield t, left, (h,)
 
+    def _is_now(self, dip: Dip, now: float, clock: float) -> bool:
+        """Whether an impact comes so late that it may be after the event, of which the stamp errs.
+
+        Parameters in doubt leave its instant in doubt: there a dip is now that has just been seen.
+        """
+        estimates = self.filter.members.family.size > 0
+        began = dip.below if dip.began is None or estimates else dip.began
+        return not dip.over and now - began <= LATE * clock
+
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
         prediction = self.filter.predict(t, state, model_error)
@@ -203,8 +212,3 @@ class BetweenEvents:
         members = self.filter.members
         member = members.with_given_restitution(self.filter.member(state))
         return self._flight(member, t, state.closed)
-
-
-def _is_now(dip: Dip, now: float, clock: float) -> bool:
-    """Whether an impact comes so late that it may be after the event, of which the stamp errs."""
-    return not dip.over and now - (dip.below if dip.began is None else dip.began) <= LATE * clock

@@ -183,7 +183,8 @@ def dips_of(
     gaps = filter_.gaps(states[0].closed, duration)
     if gaps is None:
         return None
-    found = gaps.dips(t, duration, states, np.array(levels))
+    count = len(states)
+    found = gaps.dips(np.full(count, t), np.full(count, duration), states, np.array(levels))
     return [[Dip(dip[0], Kind.IMPACT, *dip) for dip in some] for some in found]
 
 
@@ -226,9 +227,6 @@ class Forecast:
         found = dips_of(self._filter, self._t, duration, [self._state], [self._level])
         if found is not None:
             return found[0]
-        if gaps := self._filter.gaps_with_parameters(self._state, duration):
-            (some,) = gaps.dips(self._t, duration, [self._state], np.array([self._level]))
-            return [self._weighed(Dip(dip[0], Kind.IMPACT, *dip[:-1])) for dip in some]
         if not (self._flight.contacts and duration > 0):
             return []
         samples = self._flight.over(duration)
@@ -238,11 +236,6 @@ class Forecast:
         each = [self._of(j, samples, values[:, j]) for j in range(values.shape[1])]
         dips = [dip for some in each for dip in islice(some, _MOST_DIPS)]
         return sorted(dips, key=lambda dip: dip.below)
-
-    def _weighed(self, dip: Dip) -> Dip:
-        """A ``dip`` with the depth that the errors of parameters leave it."""
-        deep = -self._value(dip.which, dip.deepest) / self._deviation(dip.which, dip.deepest)
-        return dip._replace(depth=deep, unlikely=float(special.log_ndtr(-deep)))
 
     def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
         """The first dips of one function."""
@@ -324,8 +317,6 @@ class Forecast:
         above, below = dip.above, dip.below
         if dip.began is not None:
             return dip.began
-        if gaps := self._filter.gaps_with_parameters(self._state, below):
-            return gaps.root(self._t, self._state, self._level, dip.which, above, below)
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
             return below  # negative from the start, or rounded otherwise when evaluated alone
         found = scipy.optimize.brentq(

@@ -32,7 +32,7 @@ from impact_observer.estimation.likelihood import (
 )
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
-from impact_observer.estimation.parametric import Sensitivity, leading_triangular
+from impact_observer.estimation.parametric import Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING
@@ -111,8 +111,8 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
-        sampled = system.forcing.sampled is not None
-        self._is_smooth = not (sampled or unknowns.family.size or system.guides)
+        self._is_free = self.members.given.moving.is_plain and self.members.is_linear
+        self._drifts = bool(np.any(declared.drift))
         self._special = system.curved | set(np.flatnonzero(system.contact_time).tolist())
         self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
 
@@ -168,7 +168,7 @@ class ImpactFilter:
         self, change: ContactChange, states: Sequence[GaussianState], clocks: Sequence[float]
     ) -> list[list[float]]:
         """How states fit an impact that ``is_alone``: arguments of ``Likelihood.of_single``."""
-        impact = self.members.given.impact(change.hit[0])
+        impact = self.members.free_impact(change.hit[0])
         found: list[list[float]] = impact.fits(change.t, states, np.array(clocks)).tolist()
         return found
 
@@ -181,11 +181,15 @@ class ImpactFilter:
                 continue
             some = [asked[i] for i in which]
             change, clocks = some[0].change, np.array([each.clock for each in some])
-            after = self.members.given.impact(contact).posteriors(
+            after = self.members.free_impact(contact).posteriors(
                 change.t, change.flown, [each.state for each in some], clocks
             )
-            found.update((i, GaussianState(*state)) for i, state in zip(which, after, strict=True))
+            found.update(zip(which, map(self.free_state, after), strict=True))
         return [found[i] for i in range(len(asked))]
+
+    def free_state(self, made: tuple[Vector, Vector, Matrix, Matrix]) -> GaussianState:
+        """A state without contact that the kernel has made."""
+        return GaussianState(*made, (), self.members.family.size)
 
     def is_alone(self, change: ContactChange) -> bool:
         """Whether an event is an impact of one contact while none is closed: for the kernel.
@@ -193,7 +197,7 @@ class ImpactFilter:
         One that lasts is not, nor is a restitution that depends on the speed.
         """
         alone = len(change.hit) == 1 and not (change.before or change.closed)
-        return alone and self._is_smooth and change.hit[0] not in self._special
+        return alone and self._is_free and change.hit[0] not in self._special
 
     def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
         """Contacts that impact alone, and None for all else, and where they are asked for."""
@@ -218,16 +222,17 @@ class ImpactFilter:
 
         Each has white accelerations of its own level, m/s^1.5, besides the declared ones.
         """
-        if self.members.moving or self.members.given.moving.guided:
+        found, moving = list[GaussianState](), self.members.given.moving
+        gaps = None if any(state.closed for state in states) else self.gaps((), s)
+        if gaps is not None and moving.is_short(s) and not self._drifts:
+            count, declared = len(states), self._declared.model_error
+            times = np.full(count, t), np.full(count, s)
+            return [*map(self.free_state, gaps.flown(*times, states, np.array(levels), declared))]
+        if self.members.moving or moving.guided:
             return [
                 self.predict(t, state, level).prior(s)
                 for state, level in zip(states, levels, strict=True)
             ]
-        found, moving = list[GaussianState](), self.members.given.moving
-        gaps = None if any(state.closed for state in states) else self.gaps((), s)
-        if gaps is not None and moving.is_short(s):
-            flown = gaps.flown(t, s, states, np.array(levels), self._declared.model_error)
-            return [GaussianState(*each) for each in flown]
         shared: dict[Contacts, tuple[Vector, Vector, Matrix]] = {}
         for state, level in zip(states, levels, strict=True):
             closed, x = state.closed, state.x
@@ -246,16 +251,9 @@ class ImpactFilter:
 
     def gaps(self, closed: Contacts, s: float) -> Gaps | None:
         """The kernel's gaps for ``s`` seconds while contacts are ``closed``; None if not by it."""
-        if closed or not self._is_smooth or s > self._longest:
+        if closed or not self._is_free or s > self._longest:
             return None
-        return self.members.given.free_gaps
-
-    def gaps_with_parameters(self, state: GaussianState, s: float) -> Gaps | None:
-        """The same with the parameters of a state."""
-        moving = self.members.motion(state.theta)
-        if state.closed or not moving.is_plain or s > self._longest:
-            return None
-        return self.member(state).free_gaps
+        return self.members.free_gaps
 
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
         """The prior of the event's instant and the state then.
@@ -466,16 +464,15 @@ class ImpactFilter:
         if differences.size:
             differences[:size] = H.dot(joint.differences[: 1 + size])
         if joint.parameters and pressed:
-            whole = leading_triangular(joint.root, joint.of_theta)
-            own = whole[joint.of_theta, : joint.parameters]
-            sensitivity = Sensitivity.of(
+            whole = leading(joint.root, joint.of_theta.start, joint.parameters)
+            sensitivity = Sensitivity(
                 lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
                 joint.theta,
                 self.members.steps(joint.theta, joint.root[joint.of_theta]),
             )
-            columns, curved = sensitivity.added(whole[1 : 1 + size], own)
-            moved, noise = H.dot(whole[: 1 + size]), np.hstack([noise, curved])
-            moved[:, : joint.parameters] += columns
+            own = whole[joint.of_theta]
+            moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)
+            noise = np.hstack([noise, sensitivity.noise(whole[1 : 1 + size], own)])
             differences[:size] += sensitivity.first.T.dot(joint.differences[joint.of_theta])
         rounding = STATE_ROUNDING * self.phases.scales.sizes(x, change.flown)
         root = _with_rounding(moved, noise, whole[1 + size :], rounding)

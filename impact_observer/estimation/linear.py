@@ -21,7 +21,7 @@ import numpy as np
 from impact_observer.dynamics import Motion
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
 from impact_observer.estimation.members import Members, transition_of
-from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
+from impact_observer.estimation.parametric import Map, Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.square_root import narrow, triangular
 from impact_observer.states import Matrix, Vector
@@ -51,7 +51,7 @@ class LinearPrediction:
         self._root = state.root
         if members.moving:
             size, p = state.x.size, state.parameters
-            self._root = leading_triangular(state.root, slice(size, size + p))
+            self._root = leading(state.root, size, p)
             self._own = self._root[size : size + members.moving]
             self._steps = members.steps(state.theta, self._own)
 
@@ -114,12 +114,11 @@ class LinearPrediction:
 
     def _propagated(self, transition: Matrix, sensitivity: Sensitivity) -> Matrix:
         """The root after some time, all rows, where parameters of the motion are estimated."""
-        size, q = self._start.x.size, self._members.moving
-        moved = transition @ self._root[:size]
-        columns, noise = sensitivity.added(self._root[:size], self._own[:, :q])
-        moved[:, :q] += columns
-        blank = np.zeros((len(self._root) - size, noise.shape[1]))
-        return np.block([[moved, noise], [self._root[size:], blank]])
+        size, root = self._start.x.size, self._root
+        moved = transition @ root[:size] + sensitivity.first.T @ self._own
+        noise = sensitivity.noise(root[:size], self._own)
+        blank = np.zeros((len(root) - size, noise.shape[1]))
+        return np.block([[moved, noise], [root[size:], blank]])
 
     def _sensitivity(self, s: float) -> Sensitivity:
         """Of the state after ``s`` seconds to the parameters of the motion."""
@@ -128,4 +127,4 @@ class LinearPrediction:
         def at(theta: Vector) -> Map:
             return self._members.motion(theta).flow_map(t, x, s, closed)
 
-        return Sensitivity.of(at, self._start.theta[:q], self._steps)
+        return Sensitivity(at, self._start.theta[:q], self._steps)

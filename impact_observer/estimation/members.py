@@ -35,7 +35,7 @@ from impact_observer.dynamics import (
     PositionProjection,
     persistent_contacts,
 )
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.flow import balanced, state_matrix
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
@@ -47,7 +47,7 @@ from impact_observer.estimation.saltation import (
     StateRates,
 )
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import FreeMotion, Gaps, Impact, Sizes
+from impact_observer.kernel._kernel import Family, FreeMotion, Gaps, Impact, Parameters, Sizes
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -58,12 +58,12 @@ _SMALL = 16
 """Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
 _MOST_TURNS = 100.0
 """Longest time that it takes, in the inverse of the fastest rate."""
-_FAR = 0.5
-"""Largest step of a parameter of the motion, relative to its distance from its bound."""
-_STEP = 1e-6
-"""Least step of a finite difference by a parameter, relative to the parameter's size."""
 _MARGIN = 1e-3
 """Distance of a parameter of the motion from its bound, relative to the parameter's size."""
+_LARGEST = 1e300
+"""Instead of bounds that are infinite."""
+_LINEAR = {"C", "K", "gap", "eps", "exponent", "contact_time"}
+"""Coefficients by which parameters change accelerations, gaps and jumps linearly."""
 
 
 class MovingSystem:
@@ -274,7 +274,6 @@ class Member:
         self.guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
         self.jump = lru_cache(KEPT)(self._jump_of)
-        self.impact = lru_cache(KEPT)(self._impact_of)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -287,19 +286,6 @@ class Member:
         """Its position projection."""
         own = self.moving.system is self.system
         return self.moving.phases.projection if own else PositionProjection(self.system)
-
-    def _impact_of(self, contact: int) -> Impact:
-        """An impact of one contact while none is closed."""
-        w, kick = self.system.W[:, contact], -self.newton.kick(contact)
-        return Impact(
-            self.moving.free, self.moving.sizes, w, kick, float(self.system.q_r[contact])
-        )
-
-    @cached_property
-    def free_gaps(self) -> Gaps:
-        """All gaps while no contact is closed."""
-        W = self.system.W.T
-        return Gaps(self.moving.free, self.moving.sizes, W, self.system.q_r)
 
     def mirror_about(self, x: Vector, pressed: Contacts) -> Mirror:
         """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part."""
@@ -426,6 +412,9 @@ class Members:
         keeps = np.where([each.moves for each in family.parameters], _MARGIN * family.sizes, 0.0)
         low, high = family.bounds
         self.low, self.high = low + keeps, high - keeps
+        finite = [np.clip(each, -_LARGEST, _LARGEST) for each in (low, high)]
+        self._parameters = Parameters(finite[0], finite[1], family.sizes, self.moving)
+        self.free_impact = lru_cache(KEPT)(self._free_impact)
         self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
@@ -452,6 +441,46 @@ class Members:
         changes = [(each.eps != 0) | (each.exponent != 0) for each in effects]
         estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(estimated[list(contacts)], dtype=np.bool_)
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Whether the accelerations are linear in the parameters: then the kernel knows them."""
+        parts = [each.effect.parts.keys() for each in self.family.parameters]
+        rests = self.family.system.frame is None or not self.moving
+        return rests and all(each <= _LINEAR for each in parts)
+
+    @cached_property
+    def _free(self) -> Family:
+        """The motions of all members while no contact is closed."""
+        moving, n = self.given.moving, self.family.system.n
+        inverse, unit = moving.rates(()).B[n:], balanced(moving.rates(()).A)[1][:n]
+        effects = [each.effect for each in self.family.parameters[: self.moving]]
+        lower = [-inverse @ np.hstack([each.K, each.C]) for each in effects]
+        scale = np.concatenate([unit, np.ones(n)])
+        rates = np.array([np.linalg.norm(each / scale, 1) for each in lower])
+        return Family(moving.free, moving.sizes, self._parameters, self._nominal, lower, rates)
+
+    def _free_impact(self, contact: int) -> Impact:
+        """An impact of one contact while none is closed."""
+        effects = [each.effect for each in self.family.parameters]
+        eps = np.array([each.eps[contact] for each in effects])
+        lags = np.array([each.contact_time[contact] / 2 for each in effects])
+        newton, system = self.given.newton, self.family.system
+        return Impact(
+            self._free,
+            system.W[:, contact],
+            -newton.kick(contact),
+            float(system.q_r[contact]),
+            -np.outer(eps, newton.stops((contact,))),
+            self._gap[:, contact],
+            lags,
+        )
+
+    @cached_property
+    def free_gaps(self) -> Gaps:
+        """All gaps while no contact is closed."""
+        system = self.family.system
+        return Gaps(self._free, system.W.T, system.q_r, self._gap)
 
     def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
         return np.asarray(self._gap[:, list(contacts)].T)
@@ -509,13 +538,7 @@ class Members:
         Returns:
             Shape (q,).
         """
-        q = len(root)
-        low, high = self.family.bounds
-        least = _STEP * self.family.sizes[:q]
-        wanted = np.maximum(np.linalg.norm(root, axis=1), least)
-        room = _FAR * np.minimum(theta - low, high - theta)[:q]
-        room[self.moving :] = np.inf  # impacts need no bounds of their parameters
-        return np.asarray(np.exp2(np.floor(np.log2(np.minimum(wanted, room)))))
+        return self._parameters.steps(theta, root)
 
     def bounded(self, constants: Vector) -> Vector:
         """``constants``, shape (p or p + 1,), with parameters within their bounds."""
@@ -542,14 +565,7 @@ class Members:
         with state equality constraints, 2002). ``root`` is a square root of the whole covariance,
         shape (d, any); its ``rows`` are those of ``theta``.
         """
-        change = np.zeros(len(root))
-        for j, row in enumerate(root[rows]):
-            value = float(theta[j] + change[rows][j])
-            beyond = float(np.clip(value, self.low[j], self.high[j])) - value
-            if beyond and np.any(row):
-                change += root @ row * (beyond / float(row @ row))
-        change[rows] = np.clip(theta + change[rows], self.low, self.high) - theta
-        return change
+        return self._parameters.correction(theta, root, rows.start)
 
     def _force_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
         """Of the forces that accelerate the masses to the parameters, shape (n, p)."""

@@ -62,8 +62,8 @@ def posterior_of_missed(
     from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
     """
     if filter_.is_alone(change) and not leftover:
-        impact = filter_.members.given.impact(change.hit[0])
-        return GaussianState(*impact.missed(change.t, 0.0, [state])[0])
+        impact = filter_.members.free_impact(change.hit[0])
+        return filter_.free_state(impact.missed(np.array([change.t]), [state])[0])
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
     hit = bool(change.hit)

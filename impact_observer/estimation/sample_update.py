@@ -334,7 +334,7 @@ class SampleUpdate:
         """The motion between impacts, its gaps, and the declared white accelerations, m/s^1.5."""
         filter_, given = self.bank.filter, self.bank.filter.members.given
         declared = 0.0 if filter_.noise is None else filter_.noise.model_error
-        return given.moving, given.free_gaps, declared
+        return given.moving, filter_.members.free_gaps, declared
 
     def _sure(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float
@@ -346,6 +346,8 @@ class SampleUpdate:
         if known.variance <= 0 or known.rejected >= DOUBTFUL or reading.closed:
             return None
         filter_ = self.bank.filter
+        if filter_.members.family.size:
+            return None
         if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
             return None
         for h in hypotheses:

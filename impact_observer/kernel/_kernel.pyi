@@ -18,6 +18,7 @@ def difference(
     factors: Vector,
 ) -> Matrix: ...
 def triangular(root: Matrix) -> Matrix: ...
+def leading(root: Matrix, first: int, count: int) -> Matrix: ...
 def largest_distance(columns: Matrix, metric: Matrix) -> float: ...
 
 class FreeMotion:
@@ -51,17 +52,45 @@ class Sizes:
         self, modes: Matrix, spread: Matrix, squares: Vector, timescale: float
     ) -> None: ...
 
+class Parameters:
+    def __init__(self, low: Vector, high: Vector, size: Vector, moving: int) -> None: ...
+    def steps(self, theta: Vector, root: Matrix) -> Vector: ...
+    def correction(self, theta: Vector, root: Matrix, first: int) -> Vector: ...
+
+class Family:
+    def __init__(
+        self,
+        motion: FreeMotion,
+        sizes: Sizes,
+        parameters: Parameters,
+        nominal: Vector,
+        lower: Sequence[Matrix],
+        rate: Vector,
+    ) -> None: ...
+
+class Sensitivity:
+    first: Matrix
+    def __init__(
+        self, at: Callable[[Vector], tuple[Vector, Matrix]], theta: Vector, steps: Vector
+    ) -> None: ...
+    def noise(self, root: Matrix, own: Matrix) -> Matrix: ...
+
 class Impact:
     def __init__(
-        self, motion: FreeMotion, sizes: Sizes, w: Vector, kick: Vector, rest: float
+        self,
+        family: Family,
+        w: Vector,
+        kick: Vector,
+        rest: float,
+        kicks: Matrix,
+        rests: Vector,
+        lags: Vector,
     ) -> None: ...
     def fits(self, t: float, states: Sequence[tuple[object, ...]], clocks: Vector) -> Matrix: ...
     def posteriors(
         self, t: float, flown: float, states: Sequence[tuple[object, ...]], clocks: Vector
     ) -> list[State]: ...
-    def missed(
-        self, t: float, flown: float, states: Sequence[tuple[object, ...]]
-    ) -> list[State]: ...
+    def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[State]: ...
 
 class PhaseMotion:
     t: float
@@ -130,18 +159,18 @@ class RootSearch:
     def first(self, horizon: float) -> tuple[float, tuple[int, ...]] | None: ...
 
 class Gaps:
-    def __init__(self, motion: FreeMotion, sizes: Sizes, W: Matrix, rest: Vector) -> None: ...
+    def __init__(self, family: Family, W: Matrix, rest: Vector, rests: Matrix) -> None: ...
     def dips(
         self,
-        t: float,
-        duration: float,
+        t: Vector,
+        duration: Vector,
         states: Sequence[tuple[object, ...]],
         levels: Vector,
     ) -> list[list[tuple[int, float, float, float, float, float, bool, float]]]: ...
     def flown(
         self,
-        t: float,
-        s: float,
+        t: Vector,
+        s: Vector,
         states: Sequence[tuple[object, ...]],
         levels: Vector,
         declared: float,

@@ -59,12 +59,99 @@ Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, do
             vector(squares, "squares", py::ssize_t(n)), positive(timescale, "timescale")};
 }
 
-Impact impact_of(const FreeMotion& motion, const Sizes& sizes, const Array& w, const Array& kick,
-                 double rest) {
-    const auto n = py::ssize_t(motion.n());
-    if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
+Parameters parameters_of(const Array& low, const Array& high, const Array& size,
+                         std::size_t moving) {
+    Parameters found{vector(low, "low", ANY), {}, {}, moving};
+    const auto p = py::ssize_t(found.low.size());
+    found.high = vector(high, "high", p), found.size = vector(size, "size", p);
+    if (moving > found.count()) throw py::value_error("moving: more than there are");
+    for (std::size_t j = 0; j < found.count(); ++j)
+        if (!(found.size[j] > 0 && found.high[j] - found.low[j] >= 2 * MARGIN * found.size[j]))
+            throw py::value_error("low, high, size: expected bounds, and positive sizes");
+    return found;
+}
+
+Array steps_of(const Parameters& parameters, const Array& theta, const Array& root) {
+    const View rows = checked(root, "root", ANY, ANY), at = checked(theta, "theta", ANY);
+    if (rows.rows > parameters.count() || at.size() < rows.rows)
+        throw py::value_error("theta, root: expected parameters, and no more rows");
+    return to_python(parameters.steps(at.data, rows));
+}
+
+Array correction_of(const Parameters& parameters, const Array& theta, const Array& root,
+                    std::size_t first) {
+    const auto p = parameters.count();
+    const View at = checked(theta, "theta", py::ssize_t(p));
+    const View whole = checked(root, "root", ANY, ANY);
+    if (first > whole.rows || whole.rows - first < p)
+        throw py::value_error("first: expected that of the parameters' rows");
+    return to_python(parameters.correction(at.data, whole, first));
+}
+
+Family family_of(const std::shared_ptr<FreeMotion>& motion, const Sizes& sizes,
+                 const Parameters& parameters, const Array& nominal, const py::sequence& lower,
+                 const Array& rate) {
+    const std::size_t n = motion->n();
+    if (sizes.modes.rows != n) throw py::value_error("sizes: of another system");
+    Family found{motion, sizes, parameters, {}, {}, vector(rate, "rate", ANY)};
+    found.nominal = vector(nominal, "nominal", py::ssize_t(parameters.count()));
+    for (const auto& each : lower)
+        found.lower.push_back(matrix(py::cast<Array>(each), "lower", n, 2 * n));
+    if (found.rate.size() != found.moving() || parameters.moving != found.moving())
+        throw py::value_error("lower, rate: expected one of each parameter of the motion");
+    for (const double each : found.rate) positive(each, "rate");
+    return found;
+}
+
+Impact impact_of(const std::shared_ptr<Family>& family, const Array& w, const Array& kick,
+                 double rest, const Array& kicks, const Array& rests, const Array& lags) {
+    const std::size_t n = family->given->n(), p = family->count();
     if (!std::isfinite(rest)) throw py::value_error("rest: not finite");
-    return {motion, sizes, vector(w, "w", n), vector(kick, "kick", n), rest};
+    return {family,
+            vector(w, "w", py::ssize_t(n)),
+            vector(kick, "kick", py::ssize_t(n)),
+            rest,
+            matrix(kicks, "kicks", p, n),
+            vector(rests, "rests", py::ssize_t(p)),
+            vector(lags, "lags", py::ssize_t(p))};
+}
+
+Map map_from(const py::object& given, std::size_t k, std::size_t d) {
+    const auto both = given.cast<py::tuple>();
+    if (both.size() < 2) throw py::value_error("at: expected a value and a linear map");
+    const auto value = py::cast<Array>(both[0]), linear = py::cast<Array>(both[1]);
+    const View rows =
+        checked(linear, "linear", k ? py::ssize_t(k) : ANY, k ? py::ssize_t(d) : ANY);
+    return {vector(value, "value", py::ssize_t(rows.rows)), Matrix(rows)};
+}
+
+Sensitivity sensitivity_of(const py::function& at, const Array& theta, const Array& steps) {
+    const Vector about = vector(theta, "theta", ANY);
+    const Vector wide = vector(steps, "steps", py::ssize_t(about.size()));
+    for (const double each : wide)
+        if (!(each > 0)) throw py::value_error("steps: expected positive numbers");
+    std::size_t k = 0, d = 0;
+    const auto map = [&](const Vector& point) {
+        Map found = map_from(at(to_python(point)), k, d);
+        k = found.linear.rows, d = found.linear.columns;
+        return found;
+    };
+    return {map, about, wide};
+}
+
+Array noise_of(const Sensitivity& by, const Array& root, const Array& own) {
+    const std::size_t p = by.first.rows;
+    const View states = checked(root, "root", p ? py::ssize_t(by.mixed[0].columns) : ANY, ANY);
+    const View steps = checked(own, "own", py::ssize_t(p), py::ssize_t(states.columns));
+    if (states.columns < p) throw py::value_error("root: expected a column of each parameter");
+    return to_python(by.noise(states, steps));
+}
+
+Array leading_of(const Array& root, std::size_t first, std::size_t count) {
+    const View whole = checked(root, "root", ANY, ANY);
+    if (count > whole.rows || first > whole.rows - count)
+        throw py::value_error("first, count: expected rows of the root");
+    return to_python(leading(whole, first, count));
 }
 
 // The arrays of states (x, constants, root, differences, ...), kept alive, and views of them.
@@ -72,8 +159,8 @@ struct Priors {
     std::vector<Array> kept;
     std::vector<Prior> priors;
 
-    Priors(const py::sequence& states, const Array& clocks, std::size_t size, bool has_clock) {
-        const std::size_t count = states.size();
+    Priors(const py::sequence& states, const Array& clocks, const Family& family, bool has_clock) {
+        const std::size_t count = states.size(), size = family.given->size();
         const View clock = checked(clocks, "clocks", py::ssize_t(has_clock ? count : 0));
         kept.reserve(4 * count);
         for (std::size_t b = 0; b < count; ++b) {
@@ -81,6 +168,8 @@ struct Priors {
             if (state.size() < 4) throw py::value_error("states: expected tuples of arrays");
             const View x = take(state[0], "x", py::ssize_t(size), 0);
             const View constants = take(state[1], "constants", ANY, 0);
+            if (constants.size() < family.count())
+                throw py::value_error("constants: expected the parameters first");
             const auto d = py::ssize_t(size + constants.size());
             const View root = take(state[2], "root", d, ANY);
             const View differences = take(state[3], "differences", d, ANY);
@@ -110,7 +199,7 @@ double instant(double t, double flown) {
 }
 
 Array fits(const Impact& impact, double t, const py::sequence& states, const Array& clocks) {
-    const Priors given(states, clocks, impact.motion.size(), true);
+    const Priors given(states, clocks, *impact.family, true);
     instant(t, 0.0);
     Matrix found(given.priors.size(), 3);
     {
@@ -148,14 +237,16 @@ py::list stepped(const Priors& given, Step step) {
 py::list posteriors(const Impact& impact, double t, double flown, const py::sequence& states,
                     const Array& clocks) {
     instant(t, flown);
-    const Priors given(states, clocks, impact.motion.size(), true);
+    const Priors given(states, clocks, *impact.family, true);
     return stepped(given, [&](const Prior& prior) { return impact.posterior(t, flown, prior); });
 }
 
-py::list missed(const Impact& impact, double t, double flown, const py::sequence& states) {
-    instant(t, flown);
-    const Priors given(states, Array(py::ssize_t(0)), impact.motion.size(), false);
-    return stepped(given, [&](const Prior& prior) { return impact.missed(t, flown, prior); });
+py::list missed(const Impact& impact, const Array& t, const py::sequence& states) {
+    const Priors given(states, Array(py::ssize_t(0)), *impact.family, false);
+    const View at = checked(t, "t", py::ssize_t(given.priors.size()));
+    return stepped(given, [&](const Prior& prior) {
+        return impact.missed(at[std::size_t(&prior - given.priors.data())], 0.0, prior);
+    });
 }
 
 py::tuple moved(const FreeMotion& motion, double t, const Array& x, double s) {
@@ -191,30 +282,59 @@ py::tuple projected(const FreeMotion& motion, double t, double s, const Array& x
     return py::make_tuple(flat(state), to_python(after), innovation);
 }
 
-Gaps gaps_of(const FreeMotion& motion, const Sizes& sizes, const Array& W, const Array& rest) {
-    const View rows = checked(W, "W", ANY, py::ssize_t(motion.n()));
-    if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
-    return {motion, sizes, Matrix(rows), vector(rest, "rest", py::ssize_t(rows.rows))};
+Gaps gaps_of(const std::shared_ptr<Family>& family, const Array& W, const Array& rest,
+             const Array& rests) {
+    const View rows = checked(W, "W", ANY, py::ssize_t(family->given->n()));
+    return {family, Matrix(rows), vector(rest, "rest", py::ssize_t(rows.rows)),
+            matrix(rests, "rests", family->count(), rows.rows)};
 }
 
 double duration_of(const Gaps& gaps, double t, double duration) {
     instant(t, duration);
-    if (!(duration >= 0 && duration * gaps.motion.rate < 1e5))
+    if (!(duration >= 0 && duration * gaps.motion->rate < 1e5))
         throw py::value_error("duration: expected 0 or more, and not too many periods");
     return duration;
 }
 
-py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& states,
-              const Array& levels) {
-    duration_of(gaps, t, duration);
-    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
-    const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
-    std::vector<std::vector<Dip>> found(given.priors.size());
+// Flights of states, each from its own instant on.
+struct Flights {
+    Priors given;
+    View t, s, level;
+
+    Flights(const Gaps& gaps, const Array& starts, const Array& durations,
+            const py::sequence& states, const Array& levels)
+        : given(states, Array(py::ssize_t(0)), *gaps.family, false),
+          t(checked(starts, "t", py::ssize_t(given.priors.size()))),
+          s(checked(durations, "duration", py::ssize_t(given.priors.size()))),
+          level(checked(levels, "levels", py::ssize_t(given.priors.size()))) {
+        for (std::size_t b = 0; b < size(); ++b) duration_of(gaps, t[b], s[b]);
+    }
+
+    std::size_t size() const { return given.priors.size(); }
+
+    // How many from b on share its flight.
+    std::size_t alike(std::size_t b) const {
+        std::size_t end = b;
+        while (end < size() && t[end] == t[b] && s[end] == s[b]) ++end;
+        return end - b;
+    }
+};
+
+py::list dips(const Gaps& gaps, const Array& starts, const Array& durations,
+              const py::sequence& states, const Array& levels) {
+    const Flights flights(gaps, starts, durations, states, levels);
+    std::vector<std::vector<Dip>> found(flights.size());
     {
         const py::gil_scoped_release released;
-        const Gaps::Grid grid = gaps.grid(t, duration, found.size());
-        for (std::size_t b = 0; b < found.size(); ++b)
-            found[b] = gaps.dips(grid, given.priors[b], level[b]);
+        const bool is_shared = gaps.family->moving() == 0;
+        Gaps::Grid grid{};
+        for (std::size_t b = 0; b < found.size(); ++b) {
+            const Gaps own = gaps.of(flights.given.priors[b]);
+            const bool is_same = b > 0 && flights.t[b] == grid.t && flights.s[b] == grid.duration;
+            if (!(is_shared && is_same))
+                grid = own.grid(flights.t[b], flights.s[b], is_shared ? flights.alike(b) : 1);
+            found[b] = own.dips(grid, flights.given.priors[b], flights.level[b]);
+        }
     }
     py::list each_state;
     for (const auto& some : found) {
@@ -227,18 +347,20 @@ py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& s
     return each_state;
 }
 
-py::list flown(const Gaps& gaps, double t, double s, const py::sequence& states,
-               const Array& levels, double declared) {
-    duration_of(gaps, t, s);
-    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
-    const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
+py::list flown(const Gaps& gaps, const Array& starts, const Array& durations,
+               const py::sequence& states, const Array& levels, double declared) {
+    const Flights flights(gaps, starts, durations, states, levels);
     positive(declared, "declared");
-    const Matrix Phi = gaps.motion.transition(s);
-    Matrix diffused;
-    return stepped(given, [&](const Prior& prior) {
-        const double own = level[std::size_t(&prior - given.priors.data())];
-        const Vector x = gaps.motion.flown(t, Vector(prior.x.data, prior.x.data + Phi.rows), s);
-        return gaps.after(prior, x, Phi, s, s > 0 ? std::hypot(declared, own) : 0.0, diffused);
+    Gaps::Flight flight{-1.0, {}, {}};
+    return stepped(flights.given, [&](const Prior& prior) {
+        const auto b = std::size_t(&prior - flights.given.priors.data());
+        const double t = flights.t[b], s = flights.s[b];
+        if (s != flight.s) flight = {s, {}, {}};
+        const Gaps own = gaps.of(prior);
+        const Vector x =
+            own.motion->flown(t, Vector(prior.x.data, prior.x.data + prior.x.rows), s);
+        const double level = s > 0 ? std::hypot(declared, flights.level[b]) : 0.0;
+        return own.after(t, prior, x, level, flight);
     });
 }
 
@@ -246,9 +368,10 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
                     const Array& levels, double declared, const Array& row, double rest,
                     double value, double noise, double gate, bool searches) {
     duration_of(gaps, t, s);
-    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
+    if (gaps.family->count()) throw py::value_error("states: not with parameters");
+    const Priors given(states, Array(py::ssize_t(0)), *gaps.family, false);
     const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
-    Sample sample{vector(row, "row", py::ssize_t(gaps.motion.size())), rest, value, noise, gate};
+    Sample sample{vector(row, "row", py::ssize_t(gaps.motion->size())), rest, value, noise, gate};
     if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
         throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
     positive(declared, "declared");
@@ -269,14 +392,14 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
 
 double root_of(const Gaps& gaps, double t, const py::tuple& state, double level,
                std::size_t contact, double above, double below, double depth) {
-    const Priors given(py::make_tuple(state), Array(py::ssize_t(0)), gaps.motion.size(), false);
+    const Priors given(py::make_tuple(state), Array(py::ssize_t(0)), *gaps.family, false);
     if (contact >= gaps.W.rows) throw py::value_error("contact: there is none of this number");
     if (!(above <= below && std::isfinite(depth) && level >= 0 && std::isfinite(level)))
         throw py::value_error("above, below, depth, level: expected finite numbers in order");
     duration_of(gaps, t, above);
     duration_of(gaps, t, below);
     const py::gil_scoped_release released;
-    return gaps.root(t, given.priors[0], level, contact, above, below, depth);
+    return gaps.of(given.priors[0]).root(t, given.priors[0], level, contact, above, below, depth);
 }
 
 // The largest d^T metric d between two of the columns, or one of them and zero; NaN where the
@@ -321,8 +444,8 @@ Array diffusion(const FreeMotion& motion, double s) {
 }  // namespace
 
 void bind_estimation(py::module_& module) {
-    py::class_<FreeMotion>(module, "FreeMotion",
-                           "Motion between impacts: du/dt = lower x + forces.")
+    py::class_<FreeMotion, std::shared_ptr<FreeMotion>>(
+        module, "FreeMotion", "Motion between impacts: du/dt = lower x + forces.")
         .def(py::init(&motion_of), py::arg("lower"), py::arg("constant"), py::arg("frequency"),
              py::arg("cosine"), py::arg("sine"), py::arg("rate"), py::arg("decay"))
         .def("rates", &rates_of, py::arg("t"), py::arg("x"), "dx/dt of a state x at t.")
@@ -337,28 +460,48 @@ void bind_estimation(py::module_& module) {
     py::class_<Sizes>(module, "Sizes", "What states are rounded against; see dynamics.sizes.")
         .def(py::init(&sizes_of), py::arg("modes"), py::arg("spread"), py::arg("squares"),
              py::arg("timescale"));
+    py::class_<Parameters>(module, "Parameters", "Parameters that are estimated.")
+        .def(py::init(&parameters_of), py::arg("low"), py::arg("high"), py::arg("size"),
+             py::arg("moving"))
+        .def("steps", &steps_of, py::arg("theta"), py::arg("root"),
+             "Steps of finite differences by the first parameters, a row of root each.")
+        .def("correction", &correction_of, py::arg("theta"), py::arg("root"), py::arg("first"),
+             "What takes an estimate back to the parameters' bounds; first is their first row.");
+    py::class_<Family, std::shared_ptr<Family>>(
+        module, "Family", "Systems whose accelerations are linear in parameters.")
+        .def(py::init(&family_of), py::arg("motion"), py::arg("sizes"), py::arg("parameters"),
+             py::arg("nominal"), py::arg("lower"), py::arg("rate"));
+    py::class_<Sensitivity>(module, "Sensitivity", "How a map changes with parameters.")
+        .def(py::init(&sensitivity_of), py::arg("at"), py::arg("theta"), py::arg("steps"))
+        .def_property_readonly(
+            "first", [](const Sensitivity& by) { return to_python(by.first); },
+            "Derivatives of its value, shape (p, k).")
+        .def("noise", &noise_of, py::arg("root"), py::arg("own"),
+             "What parameters add in second order to the error of a state, (k, any).");
+    module.def("leading", &leading_of, py::arg("root"), py::arg("first"), py::arg("count"),
+               "The same covariance's root with count rows lower triangular in front.");
     py::class_<Impact>(module, "Impact", "An impact of one contact while none is closed.")
-        .def(py::init(&impact_of), py::arg("motion"), py::arg("sizes"), py::arg("w"),
-             py::arg("kick"), py::arg("rest"))
+        .def(py::init(&impact_of), py::arg("family"), py::arg("w"), py::arg("kick"),
+             py::arg("rest"), py::arg("kicks"), py::arg("rests"), py::arg("lags"))
         .def("fits", &fits, py::arg("t"), py::arg("states"), py::arg("clocks"),
              "For each state: logarithm of the density of the instant, 1/s; innovation, in "
              "standard\n"
              "deviations; and its standard deviation, m: shape (states, 3).")
         .def("posteriors", &posteriors, py::arg("t"), py::arg("flown"), py::arg("states"),
              py::arg("clocks"), "The states after the impact, at its stamp t.")
-        .def("missed", &missed, py::arg("t"), py::arg("flown"), py::arg("states"),
-             "The same where it was not reported, near the zero t of the gap.");
+        .def("missed", &missed, py::arg("t"), py::arg("states"),
+             "The same where it was not reported, each near its zero t of the gap.");
     module.def("largest_distance", &largest_distance, py::arg("columns"), py::arg("metric"),
                "The largest d^T metric d between two columns, or one of them and zero.");
     py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")
-        .def(py::init(&gaps_of), py::arg("motion"), py::arg("sizes"), py::arg("W"),
-             py::arg("rest"))
+        .def(py::init(&gaps_of), py::arg("family"), py::arg("W"), py::arg("rest"),
+             py::arg("rests"))
         .def("dips", &dips, py::arg("t"), py::arg("duration"), py::arg("states"),
              py::arg("levels"),
-             "Where gaps are negative, for each state: contact, above, below,\n"
+             "Where gaps are negative, for each state from its own t on: contact, above, below,\n"
              "deepest, depth, unlikely, over, began; see Dip in gaps.hpp.")
         .def("flown", &flown, py::arg("t"), py::arg("s"), py::arg("states"), py::arg("levels"),
-             py::arg("declared"), "States s seconds after t, with white accelerations.")
+             py::arg("declared"), "Each state s seconds after its t, with white accelerations.")
         .def("followed", &followed, py::arg("t"), py::arg("s"), py::arg("states"),
              py::arg("levels"), py::arg("declared"), py::arg("row"), py::arg("rest"),
              py::arg("value"), py::arg("noise"), py::arg("gate"), py::arg("searches").noconvert(),

@@ -57,10 +57,21 @@ struct Followed {
 
 class Gaps {
   public:
-    FreeMotion motion;
-    Sizes sizes;
-    Matrix W;     // a row each contact, m x n
-    Vector rest;  // gaps at rest, m
+    std::shared_ptr<const Family> family;
+    Matrix W;      // a row each contact, m x n
+    Vector rest;   // gaps at rest, m
+    Matrix rests;  // what a unit of each parameter adds to them, p x m
+    std::shared_ptr<const FreeMotion> motion = family->given;
+
+    // Those of the member with the parameters of a state.
+    Gaps of(const Prior& prior) const {
+        Gaps found = *this;
+        found.motion = family->at(prior.constants.data);
+        for (std::size_t j = 0; j < family->count(); ++j)
+            add(prior.constants[j] - family->nominal[j], rests.row(j), found.rest.data(),
+                rest.size());
+        return found;
+    }
 
     // Steps of a flight, for many states.
     struct Grid {
@@ -71,19 +82,19 @@ class Gaps {
 
     // `states` say how many of them will share it.
     Grid grid(double t, double duration, std::size_t states) const {
-        const double wanted = std::ceil(duration * FINE / sizes.timescale);
+        const double wanted = std::ceil(duration * FINE / family->sizes.timescale);
         const auto count = std::size_t(std::min(std::max(wanted, 4.0), MOST_SAMPLES));
         Grid found{t, duration, count, {}, {}};
-        const std::size_t size = motion.size();
+        const std::size_t size = motion->size();
         if (size > 2 * LARGE || size > count * states) return found;
         const double h = duration / double(count);
-        found.step = motion.transition(h), found.pushed = Matrix(count, size);
-        const Matrix parts = motion.pushed(h);
+        found.step = motion->transition(h), found.pushed = Matrix(count, size);
+        const Matrix parts = motion->pushed(h);
         for (std::size_t k = 0; k < count; ++k) {
             const double at = t + duration * (double(k) / double(count));
             add(1.0, parts.row(0), found.pushed.row(k), size);
-            for (std::size_t i = 0; i < motion.frequency.size(); ++i) {
-                const double angle = motion.frequency[i] * at;
+            for (std::size_t i = 0; i < motion->frequency.size(); ++i) {
+                const double angle = motion->frequency[i] * at;
                 add(std::cos(angle), parts.row(1 + 2 * i), found.pushed.row(k), size);
                 add(std::sin(angle), parts.row(2 + 2 * i), found.pushed.row(k), size);
             }
@@ -106,9 +117,9 @@ class Gaps {
             add_minima(t, j, samples, s, values);
             for (const double each : values) is_low = is_low || each < 0;
             if (!is_low) continue;
-            if (scale.empty()) scale = sizes.of(prior.x.data, 0.0);
+            if (scale.empty()) scale = family->sizes.of(prior.x.data, 0.0);
             double size = std::abs(rest[j]);
-            for (std::size_t i = 0; i < motion.n(); ++i) size += std::abs(W(j, i)) * scale[i];
+            for (std::size_t i = 0; i < motion->n(); ++i) size += std::abs(W(j, i)) * scale[i];
             int dips = 0;
             for (std::size_t k = 0; k < s.size() && dips < MOST_DIPS; ++k) {
                 if (values[k] >= 0) continue;
@@ -119,10 +130,10 @@ class Gaps {
                 // A gap that rises from the start: the jump there was a little early.
                 const double depth = -values[lowest] + (first ? 0.0 : std::min(values[0], 0.0));
                 const double rounding =
-                    (64 * EPS + EPS * (t + s[lowest]) / sizes.timescale) * size;
+                    (64 * EPS + EPS * (t + s[lowest]) / family->sizes.timescale) * size;
                 if (depth <= SHALLOW * rounding) continue;
                 const double sigma =
-                    std::hypot(deviation(j, s[lowest], prior.root, level), rounding);
+                    std::hypot(deviation(t, j, s[lowest], prior, level), rounding);
                 const double deep = -values[lowest] / sigma;
                 found.push_back({j, s[first ? first - 1 : 0], s[first], s[lowest], deep,
                                  log_normal(-deep), k < s.size(), 0.0});
@@ -139,15 +150,15 @@ class Gaps {
     // Where a gap plus `depth` deviations falls through zero between `above` and `below`, s.
     double root(double t, const Prior& prior, double level, std::size_t j, double above,
                 double below, double depth) const {
-        const Vector start = motion.flown(t, vector(prior.x), above);
-        const bool is_short = depth > 0 && !(level > 0);
-        const Vector row = is_short ? motion.seen(direction(j), above) : Vector();
+        const Vector start = motion->flown(t, vector(prior.x), above);
+        const bool is_short = depth > 0 && !(level > 0 || family->count());
+        const Vector row = is_short ? motion->seen(direction(j), above) : Vector();
         const auto sigma = [&](double s) {
-            return is_short ? spread(motion.seen(row, s - above), prior.root)
-                            : deviation(j, s, prior.root, level);
+            return is_short ? spread(motion->seen(row, s - above), prior.root)
+                            : deviation(t, j, s, prior, level);
         };
         const auto value = [&](double s) {
-            const Vector x = motion.flown(t + above, start, s - above);
+            const Vector x = motion->flown(t + above, start, s - above);
             return gap(j, x.data()) + (depth > 0 ? depth * sigma(s) : 0.0);
         };
         double low = above, high = below, at_low = value(low), at_high = value(high);
@@ -177,8 +188,7 @@ class Gaps {
                                    bool searches) const {
         std::vector<Followed> found;
         Grid steps;
-        const Matrix Phi = motion.transition(s);
-        Matrix diffused;
+        Flight flight{s, {}, {}};
         for (std::size_t b = 0; b < priors.size(); ++b) {
             const Prior& prior = priors[b];
             Vector x = vector(prior.x);
@@ -190,22 +200,36 @@ class Gaps {
                 if (!dips(steps, prior, levels[b]).empty()) return {};
             }
             const double level = std::hypot(declared, levels[b]);
-            found.push_back(updated(sample, after(prior, x, Phi, s, level, diffused)));
+            found.push_back(updated(sample, after(t, prior, x, level, flight)));
         }
         return found;
     }
 
-    // A state s seconds later, at x, with white accelerations of this level; `diffused` is made
-    // once.
-    Posterior after(const Prior& prior, const Vector& x, const Matrix& Phi, double s, double level,
-                    Matrix& diffused) const {
-        Posterior found{Matrix(1, x.size()), Matrix(1, prior.constants.size()),
-                        carried(Phi, prior.root), carried(Phi, prior.differences)};
+    // What states share that fly for s seconds.
+    struct Flight {
+        double s;
+        Matrix Phi, diffused;  // made when they are first needed
+    };
+
+    // A state after a flight from t on to x, with white accelerations of this level.
+    Posterior after(double t, const Prior& prior, const Vector& x, double level,
+                    Flight& flight) const {
+        const std::size_t size = x.size();
+        const bool is_own = family->moving() > 0;
+        if (is_own || flight.Phi.rows == 0) flight.Phi = motion->transition(flight.s);
+        Posterior found{Matrix(1, size),
+                        Matrix(1, prior.constants.size()),
+                        {},
+                        carried(flight.Phi, prior.differences)};
         found.x.data = x;
         std::copy(prior.constants.data, prior.constants.data + prior.constants.size(),
                   found.constants.row(0));
-        if (level > 0 && diffused.rows == 0) diffused = motion.diffusion(s);
-        if (level > 0) found.root = with_noise(found.root, diffused, level);
+        found.root = is_own ? with_parameters(t, prior, flight, found.differences)
+                            : carried(flight.Phi, prior.root);
+        if (level > 0 && flight.diffused.rows == 0)
+            flight.diffused = family->given->diffusion(flight.s);
+        if (level > 0 || is_own)
+            found.root = with_noise(found.root, level > 0 ? flight.diffused : Matrix(), level);
         return found;
     }
 
@@ -213,14 +237,14 @@ class Gaps {
     // The state s seconds after x at t; whether no gap can have vanished on the way, as not even
     // all terms of Taylor's series together reach so far.
     bool flown_far(double t, double s, Vector& x) const {
-        const double turns = std::abs(s) * motion.rate;
+        const double turns = std::abs(s) * motion->rate;
         Vector left(W.rows);
         for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x.data());
-        motion.moved(
-            x, s, &t, [&](const double* term, double* to) { motion.rates(term, to); },
+        motion->moved(
+            x, s, &t, [&](const double* term, double* to) { motion->rates(term, to); },
             [&](const double* term) {
                 for (std::size_t j = 0; j < W.rows; ++j)
-                    left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term, motion.n()));
+                    left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term, motion->n()));
             });
         bool is_far = turns <= 1.0;
         for (const double each : left) is_far = is_far && each > 0;
@@ -296,7 +320,7 @@ class Gaps {
     static Vector vector(const View& v) { return Vector(v.data, v.data + v.size()); }
 
     double gap(std::size_t j, const double* x) const {
-        return dot(W.row(j), x, motion.n()) + rest[j];
+        return dot(W.row(j), x, motion->n()) + rest[j];
     }
 
     // Samples of a flight; a flight after an impact may be short.
@@ -313,7 +337,7 @@ class Gaps {
             if (is_finer || grid.step.rows == 0) {
                 const double s = is_first ? 0.0 : found.s[k - 1];
                 const Vector x =
-                    motion.flown(grid.t + s, Vector(from, from + size), found.s[k] - s);
+                    motion->flown(grid.t + s, Vector(from, from + size), found.s[k] - s);
                 std::copy(x.begin(), x.end(), found.x.row(k));
                 continue;
             }
@@ -337,8 +361,8 @@ class Gaps {
             if (!(values[k] - slope * slope / (4 * bend) <= values[k] / 2)) continue;
             const double at = s[k] - slope / (2 * bend);
             const std::size_t from = at < s[k] ? k - 1 : k;
-            Vector x(samples.x.row(from), samples.x.row(from) + motion.size());
-            x = motion.flown(t + s[from], std::move(x), at - s[from]);
+            Vector x(samples.x.row(from), samples.x.row(from) + motion->size());
+            x = motion->flown(t + s[from], std::move(x), at - s[from]);
             where.push_back(from + 1), more_s.push_back(at), more.push_back(gap(j, x.data()));
         }
         for (std::size_t i = where.size(); i-- > 0;) {
@@ -347,30 +371,70 @@ class Gaps {
         }
     }
 
+    // The root of a covariance after a flight from t on; `differences` get what the parameters of
+    // the motion add.
+    Matrix with_parameters(double t, const Prior& prior, const Flight& flight,
+                           Matrix& differences) const {
+        const std::size_t size = motion->size(), q = family->moving(), d = prior.root.rows;
+        const Matrix whole = leading(prior.root, size, q);
+        const std::size_t c = whole.columns;
+        const View state{whole.row(0), size, c}, own{whole.row(size), q, c};
+        const Vector theta(prior.constants.data, prior.constants.data + q),
+            start = vector(prior.x);
+        const auto flown = [&](const Vector& at) {
+            const auto other = family->at(at.data());
+            return Map{other->flown(t, start, flight.s), other->transition(flight.s)};
+        };
+        const Sensitivity by(flown, theta, family->parameters.steps(theta.data(), own));
+        const Matrix moved = carried(flight.Phi, whole.view()), noise = by.noise(state, own);
+        Matrix found(d, c + noise.columns);
+        for (std::size_t i = 0; i < d; ++i) {
+            std::copy(moved.row(i), moved.row(i) + c, found.row(i));
+            if (i >= size) continue;
+            std::copy(noise.row(i), noise.row(i) + noise.columns, found.row(i) + c);
+            for (std::size_t j = 0; j < q; ++j) {
+                add(by.first(j, i), own.row(j), found.row(i), c);
+                add(by.first(j, i), prior.differences.row(size + j), differences.row(i),
+                    differences.columns);
+            }
+        }
+        return found;
+    }
+
     // Standard deviation of gap j after s seconds; white accelerations add the integral of the
     // squares of w^T Phi(r)_u, here by Simpson's rule.
-    double deviation(std::size_t j, double s, const View& root, double level) const {
-        const std::size_t n = motion.n();
+    double deviation(double t, std::size_t j, double s, const Prior& prior, double level) const {
+        const std::size_t n = motion->n();
         Vector row = direction(j);
+        const auto with_rest = [&] {  // the parameters' part of it
+            for (std::size_t k = 0; k < family->count(); ++k) row.push_back(rests(k, j));
+        };
+        if (family->moving()) {
+            Flight flight{s, {}, {}};
+            with_rest();
+            const Matrix root = after(t, prior, vector(prior.x), level, flight).root;
+            return spread(row, root.view());
+        }
         double added = 0.0;
         if (level > 0) {
-            const double wanted = std::ceil(s * FINE / sizes.timescale / 2);
+            const double wanted = std::ceil(s * FINE / family->sizes.timescale / 2);
             const double count = 2 * std::clamp(wanted, 1.0, MOST_SAMPLES / 2), h = s / count;
             for (double k = 0; k < count; ++k) {
-                row = motion.seen(std::move(row), h);
+                row = motion->seen(std::move(row), h);
                 const double weight = k + 1 == count ? 1 : std::fmod(k, 2) == 0 ? 4 : 2;
                 added += weight * dot(row.data() + n, row.data() + n, n) * h / 3;
             }
         } else {
-            row = motion.seen(std::move(row), s);
+            row = motion->seen(std::move(row), s);
         }
-        return std::hypot(spread(row, root), level * std::sqrt(added));
+        with_rest();
+        return std::hypot(spread(row, prior.root), level * std::sqrt(added));
     }
 
     // Gap j as a function of states
     Vector direction(std::size_t j) const {
-        Vector row(motion.size());
-        std::copy(W.row(j), W.row(j) + motion.n(), row.begin());
+        Vector row(motion->size());
+        std::copy(W.row(j), W.row(j) + motion->n(), row.begin());
         return row;
     }
 

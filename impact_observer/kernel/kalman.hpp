@@ -24,16 +24,17 @@
 //
 // and g, gamma as rows of y are rho_0, rho_1. The gap that is left is reversed like its speed. So
 // an impact changes a covariance's root by a few products of a column and a row.
+//
+// Parameters theta of the model are estimated with the state: each hypothesis is a system of its
+// own. Where velocities jump a time tau after the onset, kappa_1 = Phi(e) (1 - tau A) (0; k).
 #pragma once
 
-#include <limits>
+#include <array>
 
-#include "triangular.hpp"
+#include "family.hpp"
 
 namespace kernel::kalman {
 
-constexpr double EPS = std::numeric_limits<double>::epsilon();
-constexpr double LEAST = 1e-150;    // standard deviation, or speed, instead of zero
 constexpr double SETTLED = 0.05;    // change by another linearisation, in standard deviations
 constexpr double CLOSING = 1e-3;    // least deviation of a closing speed, relative to the speed
 constexpr double BACK = 8.0;        // longest flow back, in time constants of fading motion
@@ -41,238 +42,8 @@ constexpr double MOST_STEPS = 1e4;  // longest flow, in the inverse of the faste
 constexpr int ROUNDS = 6;           // most linearisations of a measurement about its posterior
 constexpr std::size_t LARGE = 32;   // least size of a state whose roots may have more columns
 
-using Vector = std::vector<double>;
-
-// dx/dt = A x + b(t), x = (q, u):  du/dt = lower x + constant + sum cosine cos + sine sin.
-struct FreeMotion {
-    Matrix lower;         // -M^-1 (K C), n x 2n
-    Vector constant;      // accelerations, n
-    Matrix cosine, sine;  // of harmonics, h x n
-    Vector frequency;     // h, rad/s
-    double rate, decay;   // bound of all rates; of the fastest fading motion; 1/s
-    std::vector<std::vector<std::size_t>> filled{};  // columns of each row of lower
-
-    std::size_t n() const { return lower.rows; }
-    std::size_t size() const { return 2 * lower.rows; }
-
-    void prepare() {
-        filled.assign(n(), {});
-        for (std::size_t i = 0; i < n(); ++i)
-            for (std::size_t j = 0; j < size(); ++j)
-                if (lower(i, j) != 0.0) filled[i].push_back(j);
-    }
-
-    // to = A x
-    void rates(const double* x, double* to) const {
-        for (std::size_t i = 0; i < n(); ++i) {
-            double sum = 0.0;
-            for (const std::size_t j : filled[i]) sum += lower(i, j) * x[j];
-            to[i] = x[n() + i];
-            to[n() + i] = sum;
-        }
-    }
-
-    // to = row A
-    void row_rates(const double* row, double* to) const {
-        std::fill(to, to + n(), 0.0);
-        std::copy(row, row + n(), to + n());
-        for (std::size_t i = 0; i < n(); ++i)
-            for (const std::size_t j : filled[i]) to[j] += row[n() + i] * lower(i, j);
-    }
-
-    Vector rates(const Vector& x) const {
-        Vector found(size());
-        rates(x.data(), found.data());
-        return found;
-    }
-
-    Vector row_rates(const Vector& row) const {
-        Vector found(size());
-        row_rates(row.data(), found.data());
-        return found;
-    }
-
-    // x += factor times the derivative of order k of b at t
-    void force(double t, int k, double factor, Vector& x) const {
-        double* u = x.data() + n();
-        if (k == 0) add(factor, constant.data(), u, n());
-        for (std::size_t i = 0; i < frequency.size(); ++i) {
-            const double omega = frequency[i], angle = omega * t;
-            const double one = k ? -omega * std::sin(angle) : std::cos(angle);
-            const double two = k ? omega * std::cos(angle) : std::sin(angle);
-            add(factor * one, cosine.row(i), u, n());
-            add(factor * two, sine.row(i), u, n());
-        }
-    }
-
-    // Taylor's series of what moves by `next`, over s seconds: next(term, to) makes to = A term.
-    // Forces from t on are added where they are asked for. each(term) sees all terms.
-    template <class Next, class Each>
-    void moved(Vector& x, double s, const double* t, Next next, Each each) const {
-        const double turns = std::abs(s) * rate;
-        if (turns == 0.0) return;
-        if (!(turns < 1e9)) return x.assign(x.size(), NAN);  // a deviation has overflowed
-        const std::size_t steps = std::size_t(std::ceil(turns)),
-                          h_count = t ? frequency.size() : 0;
-        const double h = s / double(steps), turn = turns / double(steps);
-        Vector term(size()), other(size()), even(h_count), odd(h_count);
-        for (std::size_t step = 0; step < steps; ++step) {
-            term = x;
-            for (std::size_t i = 0; i < h_count; ++i) {
-                const double angle = frequency[i] * (*t + double(step) * h);
-                even[i] = std::cos(angle), odd[i] = std::sin(angle);
-            }
-            double size_of_term = 1.0;
-            for (int k = 0; size_of_term > EPS / 16; ++k) {
-                next(term.data(), other.data());
-                double* u = other.data() + n();
-                if (t && k == 0) add(1.0, constant.data(), u, n());
-                for (std::size_t i = 0; i < h_count; ++i) {  // h^k / k! times derivative k
-                    add(even[i], cosine.row(i), u, n());
-                    add(odd[i], sine.row(i), u, n());
-                    const double by = frequency[i] * h / (k + 1), before = even[i];
-                    even[i] = -by * odd[i], odd[i] = by * before;
-                }
-                for (std::size_t i = 0; i < size(); ++i) {
-                    term[i] = other[i] * (h / (k + 1));
-                    x[i] += term[i];
-                }
-                each(term.data());
-                size_of_term *= turn / (k + 1);
-            }
-        }
-    }
-
-    template <class Next>
-    void moved(Vector& x, double s, const double* t, Next next) const {
-        moved(x, s, t, next, [](const double*) {});
-    }
-
-    // Phi(s)
-    Matrix transition(double s) const {
-        Matrix found(size(), size());
-        for (std::size_t j = 0; j < size(); ++j) {
-            Vector column(size());
-            column[j] = 1.0;
-            column = carried(std::move(column), s);
-            for (std::size_t i = 0; i < size(); ++i) found(i, j) = column[i];
-        }
-        return found;
-    }
-
-    // The state s seconds after x at t
-    Vector flown(double t, Vector x, double s) const {
-        moved(x, s, &t, [&](const double* term, double* to) { rates(term, to); });
-        return x;
-    }
-
-    // What forces add in s seconds, by the constant and by each harmonic that starts as a cosine
-    // and as a sine: (1 + 2h) x 2n.
-    Matrix pushed(double s) const {
-        Matrix found(1 + 2 * frequency.size(), size());
-        FreeMotion one = *this;
-        const auto respond = [&](std::size_t k) {
-            const Vector x = one.flown(0.0, Vector(size()), s);
-            std::copy(x.begin(), x.end(), found.row(k));
-        };
-        one.frequency = {}, one.cosine = one.sine = Matrix(0, n());
-        respond(0);
-        one.constant.assign(n(), 0.0), one.cosine = one.sine = Matrix(1, n());
-        for (std::size_t i = 0; i < frequency.size(); ++i) {
-            one.frequency = {frequency[i]};
-            std::copy(cosine.row(i), cosine.row(i) + n(), one.cosine.row(0));
-            std::copy(sine.row(i), sine.row(i) + n(), one.sine.row(0));
-            respond(1 + 2 * i);
-            std::swap(one.cosine, one.sine);
-            for (double& each : one.sine.data) each = -each;
-            respond(2 + 2 * i);
-        }
-        return found;
-    }
-
-    // Phi(s) x
-    Vector carried(Vector x, double s) const {
-        moved(x, s, nullptr, [&](const double* term, double* to) { rates(term, to); });
-        return x;
-    }
-
-    // A square root, 2n x 2n, of what white accelerations add in s >= 0 seconds: the integral of
-    // Phi(r) B B^T Phi(r)^T by Gauss and Legendre over a step shorter than the fastest rate's
-    // inverse, and then by Q(2h) = Phi(h) Q(h) Phi(h)^T + Q(h).
-    Matrix diffusion(double s) const {
-        constexpr double nodes[4] = {0.1834346424956498, 0.5255324099163290, 0.7966664774136267,
-                                     0.9602898564975363};
-        constexpr double weights[4] = {0.3626837833783620, 0.3137066458778873, 0.2223810344533745,
-                                       0.1012285362903763};
-        const std::size_t d = size();
-        const int doublings = std::max(0, int(std::ceil(std::log2(std::max(s * rate, 1.0)))));
-        const double h = std::ldexp(s, -doublings);
-        const auto moved_by = [&](std::size_t i, double after) {
-            Vector column(d);
-            column[i] = 1.0;
-            return carried(std::move(column), after);
-        };
-        Matrix columns(d, 4 * d), Phi(d, d), root(d, d);
-        for (std::size_t k = 0; k < 8; ++k)
-            for (std::size_t j = 0; j < n(); ++j) {
-                const double node = k < 4 ? nodes[k] : -nodes[k - 4];
-                const double size = std::sqrt(weights[k % 4] * h / 2);
-                const Vector column = moved_by(n() + j, (1 + node) * h / 2);
-                for (std::size_t i = 0; i < d; ++i) columns(i, k * n() + j) = size * column[i];
-            }
-        for (std::size_t j = 0; doublings && j < d; ++j) {
-            const Vector column = moved_by(j, h);
-            for (std::size_t i = 0; i < d; ++i) Phi(i, j) = column[i];
-        }
-        for (int turn = 0;; ++turn) {
-            make_triangular(columns);
-            for (std::size_t i = 0; i < d; ++i)
-                std::copy(columns.row(i), columns.row(i) + d, root.row(i));
-            if (turn == doublings) return root;
-            columns = Matrix(d, 2 * d);
-            Matrix twice(d, d);
-            for (std::size_t i = 0; i < d; ++i) {
-                for (std::size_t k = 0; k < d; ++k) {
-                    add(Phi(i, k), root.row(k), columns.row(i), d);
-                    add(Phi(i, k), Phi.row(k), twice.row(i), d);
-                }
-                std::copy(root.row(i), root.row(i) + d, columns.row(i) + d);
-            }
-            Phi = std::move(twice);
-        }
-    }
-
-    // row Phi(s)
-    Vector seen(Vector row, double s) const {
-        moved(row, s, nullptr, [&](const double* term, double* to) { row_rates(term, to); });
-        return row;
-    }
-};
-
-// What (q, u) is rounded against: the largest that all modes can give; see dynamics.sizes.
-struct Sizes {
-    Matrix modes, spread;  // n x n each
-    Vector squares;        // omega^2 of the modes, n
-    double timescale;
-
-    Vector of(const double* x, double s) const {
-        const std::size_t n = modes.rows;
-        Vector a(n), b(n), found(2 * n);
-        for (std::size_t i = 0; i < n; ++i) {
-            add(x[i], modes.row(i), a.data(), n);
-            add(x[n + i], modes.row(i), b.data(), n);
-        }
-        for (std::size_t j = 0; j < n; ++j) {
-            const double q = std::abs(a[j]), u = std::abs(b[j]), half = std::max(s, 0.0) / 2;
-            add(q + (timescale + half) * u, spread.row(j), found.data(), n);
-            add(u + half * squares[j] * q, spread.row(j), found.data() + n, n);
-        }
-        return found;
-    }
-};
-
-// An estimate, and a root of its covariance: constants are not moved by any flight; the last of
-// them, if any, is by how much stamps are late.
+// An estimate, and a root of its covariance. Constants are not moved by any flight: parameters,
+// and then, if there is one more, by how much stamps are late.
 struct Prior {
     View x, constants, root, differences;
     double clock;  // standard deviation of the stamp, s
@@ -300,10 +71,12 @@ inline double log_normal(double x) {
 // An impact of one contact.
 class Impact {
   public:
-    FreeMotion motion;
-    Sizes sizes;
+    std::shared_ptr<const Family> family;
     Vector w, kick;  // u+ = u + kick gamma, n each
     double rest;     // gap at rest, m
+    Matrix kicks;    // what a unit of each parameter adds to the kick, p x n
+    Vector rests;    // to the gap, p
+    Vector lags;     // and to the time after the onset at which velocities jump, p
 
     Fit fit(double t, const Prior& prior) const {
         Fit found;
@@ -320,7 +93,8 @@ class Impact {
     // gap, near t, and measures nothing. The prior has an infinite clock.
     Posterior missed(double t, double flown, const Prior& prior) const {
         Joint joint = joint_of(prior, false);
-        const Place at = place(t, 0.0, vector(prior.x));
+        const Law law = law_of(prior.constants.data);
+        const Place at = place(law, t, 0.0, joint.z.data() + 1);
         const Vector row = seen_by(at.rho[0], joint.root), speeds = seen_by(at.rho[1], joint.root);
         double deviation = length(row), late = -at.g;
         // Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
@@ -346,19 +120,35 @@ class Impact {
         Matrix root, differences;
     };
 
+    // The impact of one member.
+    struct Law {
+        std::shared_ptr<const FreeMotion> motion;
+        Vector kick;
+        double rest, lag;
+    };
+
     // Gap and jump, expanded about an instant and a state.
     struct Place {
         double g, gamma, a, jerk;  // the gap and its derivatives by time
-        Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y
+        Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y and theta
     };
 
-    static Vector vector(const View& v) { return Vector(v.data, v.data + v.size()); }
+    Law law_of(const double* theta) const {
+        Law found{family->at(theta), kick, rest, 0.0};
+        for (std::size_t j = 0; j < family->count(); ++j) {
+            const double by = theta[j] - family->nominal[j];
+            add(by, kicks.row(j), found.kick.data(), kick.size());
+            found.rest += by * rests[j], found.lag += by * lags[j];
+        }
+        return found;
+    }
+
     static double length(const Vector& v) { return std::sqrt(dot(v.data(), v.data(), v.size())); }
 
     // Without a stamp e is left to be zero.
-    static Joint joint_of(const Prior& p, bool has_stamp = true) {
+    Joint joint_of(const Prior& p, bool has_stamp = true) const {
         const std::size_t d = p.root.rows, c = p.root.columns, size = p.x.size();
-        const bool has_offset = has_stamp && p.constants.size() > 0;
+        const bool has_offset = has_stamp && p.constants.size() > family->count();
         Joint found{Vector(1 + d), Matrix(1 + d, 1 + c), Matrix(1 + d, p.differences.columns)};
         std::copy(p.x.data, p.x.data + size, found.z.begin() + 1);
         std::copy(p.constants.data, p.constants.data + d - size, found.z.begin() + 1 + size);
@@ -386,15 +176,16 @@ class Impact {
         return found;
     }
 
-    Place place(double t, double e, const Vector& y) const {
+    Place place(const Law& law, double t, double e, const double* y) const {
+        const FreeMotion& motion = *law.motion;
         const std::size_t n = motion.n();
         Place found;
-        const Vector x = motion.flown(t, y, -e);
+        const Vector x = motion.flown(t, Vector(y, y + 2 * n), -e);
         Vector first = motion.rates(x);
         motion.force(t - e, 0, 1.0, first);
         Vector second = motion.rates(first);
         motion.force(t - e, 1, 1.0, second);
-        found.g = dot(w.data(), x.data(), n) + rest;
+        found.g = dot(w.data(), x.data(), n) + law.rest;
         found.gamma = dot(w.data(), x.data() + n, n);
         found.a = dot(w.data(), first.data() + n, n);
         found.jerk = dot(w.data(), second.data() + n, n);
@@ -404,6 +195,19 @@ class Impact {
         found.rho[0] = motion.seen(of_gap, -e);
         found.rho[1] = motion.seen(of_speed, -e);
         found.rho[2] = motion.row_rates(found.rho[1]);
+        if (family->count() == 0) return found;
+        for (Vector& row : found.rho) row.resize(2 * n + family->count());
+        std::copy(rests.begin(), rests.end(), found.rho[0].begin() + 2 * n);
+        for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
+            found.rho[1][2 * n + j] = -e * dot(w.data(), pushed(j, x).data(), n);
+        return found;
+    }
+
+    // What a unit of a parameter adds to the accelerations at x
+    Vector pushed(std::size_t j, const Vector& x) const {
+        Vector found(w.size());
+        for (std::size_t i = 0; i < w.size(); ++i)
+            found[i] = dot(family->lower[j].row(i), x.data(), x.size());
         return found;
     }
 
@@ -419,6 +223,7 @@ class Impact {
 
     // e, not so far back that a fading motion grows to rounding.
     double within(double e) const {
+        const FreeMotion& motion = *family->given;
         const double fading = motion.decay > 0 ? BACK / motion.decay : MOST_STEPS / motion.rate;
         const double far = std::min(fading, MOST_STEPS / motion.rate);
         return std::clamp(e, -far, far);
@@ -428,18 +233,20 @@ class Impact {
     // about its own posterior until that changes next to nothing.
     Joint corrected(double t, const Prior& given, int rounds, Fit& fit) const {
         const Joint prior = joint_of(given);
-        const std::size_t d = prior.z.size(), c = prior.root.columns, size = motion.size();
-        const Vector y(prior.z.begin() + 1, prior.z.begin() + 1 + size);
-        const Vector scale = sizes.of(y.data(), 0.0);
-        double rounded = std::abs(rest);
-        for (std::size_t i = 0; i < motion.n(); ++i) rounded += std::abs(w[i]) * scale[i];
+        const std::size_t d = prior.z.size(), c = prior.root.columns;
+        const std::size_t size = given.x.size() + family->count();  // of (y, theta)
+        const double* y = prior.z.data() + 1;
+        const Vector scale = family->sizes.of(y, 0.0);
+        Law law = law_of(given.constants.data);
+        double rounded = std::abs(law.rest);
+        for (std::size_t i = 0; i < w.size(); ++i) rounded += std::abs(w[i]) * scale[i];
         rounded = 4 * EPS * rounded + LEAST;
 
-        Vector about = y;
+        Vector about(y, y + size);
         double e = within(prior.z[0]);
         Joint found = prior;
         for (int turn = 0; turn < rounds; ++turn) {
-            const Place at = place(t, e, about);
+            const Place at = place(law, t, e, about.data());
             Vector speeds = seen_by(at.rho[1], found.root);
             const double slope = -at.gamma;
             double mean, after;
@@ -472,6 +279,7 @@ class Impact {
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
             after = nonlinear(negative(seen_by(at.rho[1], found.root)), clear, at.a, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
+            if (family->count()) bound(found);
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
                 add(slope, prior.differences.row(0), others.data(), others.size());
@@ -482,20 +290,63 @@ class Impact {
             }
             e = within(found.z[0]);
             about.assign(found.z.begin() + 1, found.z.begin() + 1 + size);
+            if (family->count()) law = law_of(about.data() + given.x.size());
         }
         return found;
     }
 
+    // Takes parameters beyond their bounds back to them.
+    void bound(Joint& joint) const {
+        const std::size_t first = 1 + family->given->size();
+        const double* theta = joint.z.data() + first;
+        const Vector change = family->parameters.correction(theta, joint.root.view(), first);
+        add(1.0, change.data(), joint.z.data(), change.size());
+        for (std::size_t j = 0; j < family->count(); ++j)  // as the sum is rounded
+            joint.z[first + j] = family->parameters.clamped(j, joint.z[first + j]);
+    }
+
+    // How the state y+ changes with parameters of the jump. `at` is the place of (e, y).
+    Sensitivity jump_by(const Law& law, const Place& at, double e, const Vector& theta,
+                        const Matrix& root) const {
+        const std::size_t size = 2 * w.size();
+        const auto jumped = [&](const Vector& other) {
+            Law its = law_of(other.data());
+            its.motion = law.motion;
+            std::array<Vector, 2> kappa = kicked(its, *family->given, e);
+            Map found{Vector(size), Matrix(size, size)};
+            add(at.g + its.rest - law.rest, kappa[0].data(), found.value.data(), size);
+            add(at.gamma, kappa[1].data(), found.value.data(), size);
+            for (std::size_t i = 0; i < size; ++i)
+                for (std::size_t k = 0; k < 2; ++k)
+                    add(kappa[k][i], at.rho[k].data(), found.linear.row(i), size);
+            return found;
+        };
+        const View own{root.row(1 + size), theta.size(), root.columns};
+        return {jumped, theta, family->parameters.steps(theta.data(), own)};
+    }
+
+    // kappa of a law, of which a lag is multiplied by the damping of one of the members.
+    std::array<Vector, 2> kicked(const Law& law, const FreeMotion& damped, double e) const {
+        const std::size_t n = w.size();
+        std::array<Vector, 2> kappa = {Vector(2 * n), Vector(2 * n)};
+        std::copy(law.kick.begin(), law.kick.end(), kappa[0].begin());
+        std::copy(law.kick.begin(), law.kick.end(), kappa[1].begin() + n);
+        const Vector late = damped.rates(kappa[1]);
+        add(-law.lag, late.data(), kappa[1].data(), 2 * n);
+        for (Vector& each : kappa) each = law.motion->carried(each, e);
+        return kappa;
+    }
+
     // The state after the impact, at the stamp: saltation.
     Posterior jumped(double t, double flown, const Joint& joint) const {
-        const std::size_t n = motion.n(), size = 2 * n, c = joint.root.columns;
+        const std::size_t n = w.size(), size = 2 * n, c = joint.root.columns, p = family->count();
         const std::size_t d = joint.root.rows - 1, others = joint.differences.columns;
         const double e = within(joint.z[0]), late = joint.z[0] - e;
-        const Vector y(joint.z.begin() + 1, joint.z.begin() + 1 + size);
-        const Place at = place(t, e, y);
-        Vector kappa[2] = {Vector(size), Vector(size)};
-        for (std::size_t i = 0; i < n; ++i) kappa[0][i] = kappa[1][n + i] = kick[i];
-        for (Vector& each : kappa) each = motion.carried(each, e);
+        const double* y = joint.z.data() + 1;
+        const Law law = law_of(y + size);
+        const FreeMotion& motion = *law.motion;
+        const Place at = place(law, t, e, y);
+        const std::array<Vector, 2> kappa = kicked(law, motion, e);
         const Vector once[2] = {motion.rates(kappa[0]), motion.rates(kappa[1])};
         const Vector twice[2] = {motion.rates(once[0]), motion.rates(once[1])};
 
@@ -520,15 +371,39 @@ class Impact {
             for (std::size_t j = 1; j < c; ++j) bent(k, j) = deviation * row[k][j];
         make_triangular(bent);
 
-        const Vector rounding = sizes.of(x.row(0), flown);
-        const std::size_t more = c + 4;
-        const bool is_final = size < LARGE || 2 * more > 3 * size;
+        Matrix by_theta, curved;  // p x size: of y+ but for the gap's part in g; and noise
+        if (p) {
+            Matrix whole(d + 1, std::max(c, d + 1));
+            for (std::size_t i = 0; i <= d; ++i)
+                std::copy(joint.root.row(i), joint.root.row(i) + c, whole.row(i));
+            make_triangular(whole);  // the noise depends on the root: take one that is unique
+            whole = leading(whole.view(), 1 + size, p);
+            const Vector theta(y + size, y + size + p);
+            Sensitivity by = jump_by(law, at, e, theta, whole);
+            curved = by.noise({whole.row(1), size, whole.columns},
+                              {whole.row(1 + size), p, whole.columns});
+            Vector jump(size);
+            add(at.g, kappa[0].data(), jump.data(), size);
+            add(at.gamma, kappa[1].data(), jump.data(), size);
+            for (std::size_t j = 0; j < p; ++j)
+                add(-rests[j], kappa[0].data(), by.first.row(j), size);
+            for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
+                add(e, pushed(j, jump).data(), by.first.row(j) + n, n);
+            by_theta = std::move(by.first);
+        }
+
+        const Vector rounding = family->sizes.of(x.row(0), flown);
+        const std::size_t more = c + 4 + curved.columns;
+        const bool is_final = p || size < LARGE || 2 * more > 3 * size;
         root = Matrix(d, std::max(d, more + (is_final ? size : 0)));
         for (std::size_t i = 0; i < size; ++i) {
             double* to = root.row(i);
             std::copy(joint.root.row(1 + i), joint.root.row(1 + i) + c, to);
             add(kappa[0][i], row[0].data(), to, c);
             add(kappa[1][i], row[1].data(), to, c);
+            for (std::size_t j = 0; j < p; ++j)
+                add(by_theta(j, i), joint.root.row(1 + size + j), to, c);
+            if (p) std::copy(curved.row(i), curved.row(i) + curved.columns, to + c + 4);
             to[0] += first[i] * deviation;
             to[c] = std::sqrt(2.0) * mean[i];
             for (std::size_t k = 0; k < 3; ++k)
@@ -538,7 +413,7 @@ class Impact {
         for (std::size_t i = size; i < d; ++i)
             std::copy(joint.root.row(1 + i), joint.root.row(1 + i) + c, root.row(i));
         if (is_final) {  // with the rounding of as many impacts as have added columns
-            const double events = c > size ? 1 + double(c - size) / 5 : 1.0;
+            const double events = c > size && !p ? 1 + double(c - size) / 5 : 1.0;
             for (std::size_t i = 0; i < size; ++i)
                 root(i, more + i) = EPS * std::sqrt(events) * rounding[i];
             make_triangular(root);
@@ -555,6 +430,8 @@ class Impact {
             add(kappa[0][i], gaps.data(), to, others);
             add(kappa[1][i], speeds.data(), to, others);
             add(first[i], joint.differences.row(0), to, others);
+            for (std::size_t j = 0; j < p; ++j)
+                add(by_theta(j, i), joint.differences.row(1 + size + j), to, others);
         }
         if (is_final) {
             Matrix square(d, d);

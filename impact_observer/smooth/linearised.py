@@ -200,7 +200,7 @@ class Linearised:
         A[:size, :size] = moved.linear
         if q:
             steps = self._members.steps(theta, np.diag(path.spread)[:q])
-            A[:size, size : size + q] = Sensitivity.of(at, theta[:q], steps).first.T
+            A[:size, size : size + q] = Sensitivity(at, theta[:q], steps).first.T
         b = np.zeros(len(A))
         b[:size] = moved.value - A[:size] @ np.append(x, path.constants)
         noise = self.noise_after(k) if noisy else None
@@ -274,7 +274,7 @@ class Linearised:
             theta = path.constants[: self._p]
             steps = self._members.steps(theta, np.diag(path.spread))
             soft = bool(change.delay(self.filter.system))
-            sensitivity = Sensitivity.of(
+            sensitivity = Sensitivity(
                 lambda values: self._members.impact(values, jump.x, jump.pressed, soft=soft),
                 theta,
                 steps,

@@ -14,6 +14,8 @@
 
 """Sensitivities are derivatives, and their noise covers the rest."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,10 +23,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import examples, matrices, vectors
 
-from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
+from impact_observer.estimation.parametric import Map, Sensitivity, leading
 
 Array = NDArray[np.float64]
 P, N = 2, 3
+TAILS = 1.5
+"""By how much noise of second order is wider than a normal product."""
 
 
 class Quadratic:
@@ -37,7 +41,7 @@ class Quadratic:
         self.c = bent + bent.transpose(1, 0, 2)
         self.x, self.theta = rng.normal(size=N), rng.normal(size=P)
         root = np.tril(rng.normal(size=(N + P, N + P)))
-        self.root = leading_triangular(np.roll(root, -P, axis=0), slice(N, N + P))
+        self.root = leading(np.roll(root, -P, axis=0), N, P)
 
     def value(self, x: Array, theta: Array) -> Array:
         """``F`` of one state and one theta, or of as many as there are rows of both."""
@@ -58,12 +62,18 @@ def test_differences_of_a_quadratic_map_are_its_derivatives(
     """For any grid; first derivatives are those at ``theta``, not at a grid point."""
     F = Quadratic(seed)
     steps = np.exp2(np.array(exponents, dtype=float))
-    seen = Sensitivity.of(F.at, F.theta, steps)
+    seen = Sensitivity(F.at, F.theta, steps)
     first = F.b + np.einsum("jkn,k->jn", F.c, F.theta) + F.B @ F.x
     rounding = 1e-12 / np.min(steps) ** 2
     np.testing.assert_allclose(seen.first, first, atol=1e-11 + rounding)
-    np.testing.assert_allclose(seen.mixed, F.B, atol=1e-11 + rounding)
-    np.testing.assert_allclose(seen.second, F.c, atol=1e-10 + rounding)
+    # The noise of a state without error, and of one that is independent of theta.
+    alone = seen.noise(np.zeros((N, P)), np.eye(P)) / TAILS
+    wanted = np.array([F.c[0, 0] * math.sqrt(3) / 2, F.c[1, 1] * math.sqrt(3) / 2, F.c[0, 1]])
+    np.testing.assert_allclose(alone.T, wanted, atol=1e-10 + rounding)
+    root = np.hstack([np.zeros((N, P)), np.eye(N)])
+    beside = seen.noise(root, np.eye(P, N + P)) / TAILS
+    found = [beside[:, :N], beside[:, N + 1 : 2 * N + 1]]
+    np.testing.assert_allclose(found, F.B, atol=1e-11 + rounding)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -73,10 +83,10 @@ def test_noise_covers_the_remainder_of_a_quadratic_map(seed: int) -> None:
     Nor is the noise more than a few times as large.
     """
     F = Quadratic(seed)
-    seen = Sensitivity.of(F.at, F.theta, np.full(P, 0.25))
+    seen = Sensitivity(F.at, F.theta, np.full(P, 0.25))
     linear = F.at(F.theta).linear @ F.root[:N]
-    columns, noise = seen.added(F.root[:N], F.root[N:, :P])
-    linear[:, :P] += columns
+    linear += seen.first.T @ F.root[N:]
+    noise = seen.noise(F.root[:N], F.root[N:])
     rng = np.random.default_rng(seed + 100)
     drawn = rng.normal(size=(40_000, N + P)) @ F.root.T
     errors = F.value(F.x + drawn[:, :N], F.theta + drawn[:, N:]) - F.value(F.x, F.theta)
@@ -92,7 +102,7 @@ def test_noise_covers_the_remainder_of_a_quadratic_map(seed: int) -> None:
 def test_leading_triangular_root_has_the_same_covariance(root: Array, first: int) -> None:
     """And its rows begin as a lower triangle."""
     rows = slice(first, first + 2)
-    found = leading_triangular(root, rows)
+    found = leading(root, first, 2)
     np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-12)
     np.testing.assert_allclose(np.triu(found[rows], 1), 0.0, atol=1e-14)
 
@@ -101,7 +111,6 @@ def test_leading_triangular_root_has_the_same_covariance(root: Array, first: int
 @examples(10)
 def test_without_parameters_nothing_is_added(x: Array) -> None:
     """A map that does not depend on the parameters."""
-    seen = Sensitivity.of(lambda _: Map(x, np.eye(N)), np.zeros(1), np.ones(1))
-    columns, noise = seen.added(np.eye(N), np.eye(1))
-    assert not np.any(columns)
-    assert not np.any(noise)
+    seen = Sensitivity(lambda _: Map(x, np.eye(N)), np.zeros(1), np.ones(1))
+    assert not np.any(seen.first)
+    assert not np.any(seen.noise(np.eye(N), np.eye(1, N)))

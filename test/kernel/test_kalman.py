@@ -30,7 +30,9 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import Likelihood
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
+from impact_observer.observer.laws.parameter_accounts import doubted
 
 Array = NDArray[np.float64]
 STAMP = 1e-9 / math.sqrt(12)
@@ -83,6 +85,28 @@ def cases(draw: st.DrawFn) -> Case:
     return Case(ImpactFilter(model), change, state, clock)
 
 
+@st.composite
+def parametric_cases(draw: st.DrawFn) -> Case:
+    """The same with parameters of motion and impacts, of which one is at its bound."""
+    case = draw(cases())
+    model, (clock, size) = case.filter.system, (case.clock, case.state.x.size)
+    filter_ = ImpactFilter(model, 0.0, doubted(model))
+    family, random = filter_.members.family, np.random.default_rng(draw(st.integers(0, 999)))
+    p, d = family.size, size + family.size
+    spread = np.concatenate([np.ones(size), doubted(model).deviations])
+    root = 10.0 ** -draw(st.integers(2, 9)) * spread[:, None] * random.normal(size=(d, d + 1))
+    theta = family.nominal + 0.3 * spread[size:] * random.normal(size=p)
+    theta = filter_.members.bounded(np.where(np.arange(p) == p - 1, 0.0, theta))
+    x = case.state.x + root[:size] @ random.normal(size=d + 1)
+    differences = root @ random.normal(size=(d + 1, 2))
+    offset = case.state.constants
+    if offset.size:
+        root = np.vstack([root, offset * random.normal(size=d + 1)])
+        differences = np.vstack([differences, np.zeros(2)])
+    state = GaussianState(x, np.append(theta, offset), root, differences, (), p)
+    return Case(filter_, case.change, state, min(clock, 1e-5))
+
+
 def assert_near(found: Array, wanted: Array, error: float) -> None:
     """Equal within ``error`` of the largest."""
     most = float(np.max(np.abs(wanted), initial=0.0))
@@ -107,6 +131,30 @@ def test_it_agrees_with_the_general_methods(case: Case) -> None:
     assert_near(after.constants, wanted.constants, 1e-8)
     assert_near(after.differences, wanted.differences, 1e-7)
     assert_near(after.root @ after.root.T, wanted.root @ wanted.root.T, 1e-6)
+
+
+@pytest.mark.slow
+@given(case=parametric_cases())
+@examples(80)
+def test_with_parameters_it_agrees_with_the_general_methods(case: Case) -> None:
+    """Each hypothesis is a system of its own: impacts, and flights to the next one."""
+    (wanted_likelihood, wanted), (likelihood, found) = case.in_general(), case.in_kernel()
+    if abs(wanted_likelihood.normalised) > 10:
+        assert abs(likelihood.normalised) > 9
+        return
+    assert likelihood.density == pytest.approx(wanted_likelihood.density, rel=1e-6, abs=1e-6)
+    assert likelihood.normalised == pytest.approx(wanted_likelihood.normalised, rel=1e-6, abs=1e-6)
+    before, s = case.state, 0.1
+    flown = case.filter.priors(case.change.t, s, [before], [0.2])[0]
+    predicted = case.filter.predict(case.change.t, before, 0.2).prior(s)
+    for one, other, error in ((found, wanted, 1e-4), (flown, predicted, 1e-8)):
+        scale = np.linalg.norm(other.root, axis=1) + 1e-12
+        assert one.parameters == other.parameters
+        assert_near(one.x, other.x, error)
+        np.testing.assert_allclose(one.constants, other.constants, atol=1e-3 * error)
+        assert_near(one.differences / scale[:, None], other.differences / scale[:, None], error)
+        P, Q = one.root @ one.root.T, other.root @ other.root.T
+        assert_near(P / np.outer(scale, scale), Q / np.outer(scale, scale), error)
 
 
 @pytest.mark.parametrize("deviation", [1.0, 1e-6, 1e-12])
@@ -169,12 +217,12 @@ Y = np.array([0.1, -0.1, 0.2 - 1e-3, 0.5, 0.2, 1.5])
 def test_a_missed_impact_is_the_true_map() -> None:
     """State and covariance: against an integrator and its finite differences."""
     filter_, t = ImpactFilter(SWAYING), 3.25
-    impact = filter_.members.given.impact(0)
+    impact = filter_.members.free_impact(0)
     late = own_root(SWAYING, t, Y)
     at = flowed(SWAYING, t, Y, -late)  # exactly at its root
     root = 1e-7 * np.random.default_rng(0).normal(size=(6, 6))
     state = GaussianState(at, np.zeros(0), root, root[:, :2])
-    x, _, found, differences = impact.missed(t - late, 0.0, [state])[0]
+    x, _, found, differences = impact.missed(np.array([t - late]), [state])[0]
     np.testing.assert_allclose(x, bounced(SWAYING, t - late, at, 0.0), atol=1e-12)
 
     def after(dx: Array) -> Array:
@@ -185,6 +233,34 @@ def test_a_missed_impact_is_the_true_map() -> None:
     columns = np.array([(after(h * each) - after(-h * each)) / (2 * h) for each in np.eye(6)]).T
     assert_near(found @ found.T, columns @ root @ root.T @ columns.T, 1e-6)
     assert_near(differences, columns @ root[:, :2], 1e-6)
+
+
+def test_a_missed_impact_with_parameters_is_the_true_map() -> None:
+    """Each parameter changes instant, jump or motion: finite differences of other systems."""
+    t, names = 3.25, ("stiffness-scale", "restitution.c1", "gap.c1")
+    filter_ = ImpactFilter(SWAYING, 0.0, UnknownParameters.named(SWAYING, names))
+    family = filter_.members.family
+    theta = family.nominal + np.array([0.02, 0.01, 3e-3])
+    model = family.system_at(theta)
+    t -= (late := own_root(model, t, Y))
+    at = flowed(model, t + late, Y, -late)  # exactly at its root
+
+    def after(z: Array) -> Array:
+        other = family.system_at(z[6:])
+        return bounced(other, t, z[:6], own_root(other, t, z[:6]))
+
+    root = 1e-8 * np.random.default_rng(0).normal(size=(9, 9))
+    state = GaussianState(at, theta, root, root[:, :2], (), 3)
+    x, constants, found, differences = filter_.members.free_impact(0).missed(
+        np.array([t]), [state]
+    )[0]
+    z, h = np.concatenate([at, theta]), 1e-5
+    np.testing.assert_allclose(x, after(z), atol=1e-12)
+    np.testing.assert_array_equal(constants, theta)
+    columns = np.array([(after(z + h * e) - after(z - h * e)) / (2 * h) for e in np.eye(9)]).T
+    columns = np.vstack([columns, np.eye(9)[6:]])
+    assert_near(found @ found.T, columns @ root @ root.T @ columns.T, 1e-3)
+    assert_near(differences, columns @ root[:, :2], 1e-3)
 
 
 @pytest.mark.slow
@@ -265,17 +341,17 @@ def test_a_large_root_is_triangular_only_now_and_then() -> None:
 )
 def test_arrays_that_do_not_fit_are_refused(x: Array, root: Array, expected: str) -> None:
     """By name, and nothing is read beyond them."""
-    impact = ImpactFilter(system(1, 0, 0, contacts=[([1], 0.0, 0.5)])).members.given.impact(0)
+    impact = ImpactFilter(system(1, 0, 0, contacts=[([1], 0.0, 0.5)])).members.free_impact(0)
     state = (x, np.zeros(0), root, np.zeros((2, 0)))
     with pytest.raises(ValueError, match=expected):
         impact.fits(0.0, [state], np.array([1e-9]))
     with pytest.raises(ValueError, match=expected):
-        impact.missed(0.0, 0.0, [state])
+        impact.missed(np.zeros(1), [state])
 
 
 def test_arrays_of_any_order_are_the_same() -> None:
     """Of columns, strided, or of single precision numbers that are exact."""
-    impact = ImpactFilter(SWAYING).members.given.impact(0)
+    impact = ImpactFilter(SWAYING).members.free_impact(0)
     root = np.tril(np.arange(36.0).reshape(6, 6)) / 64
     wanted = None
     for each in (
@@ -292,7 +368,7 @@ def test_arrays_of_any_order_are_the_same() -> None:
 
 def test_instants_and_clocks_that_do_not_fit_are_refused() -> None:
     """No NaN comes in."""
-    impact = ImpactFilter(SWAYING).members.given.impact(0)
+    impact = ImpactFilter(SWAYING).members.free_impact(0)
     state = (Y, np.zeros(0), np.eye(6), np.zeros((6, 0)))
     for t, clocks in ((np.nan, [1e-9]), (0.0, [-1.0]), (0.0, [np.nan]), (0.0, [1e-9, 1e-9])):
         with pytest.raises(ValueError, match=r"t: not finite|clocks"):
@@ -301,13 +377,13 @@ def test_instants_and_clocks_that_do_not_fit_are_refused() -> None:
 
 def test_gaps_that_do_not_fit_are_refused() -> None:
     """As states of an impact are; nor is a flight of too many periods followed step by step."""
-    gaps = ImpactFilter(SWAYING).members.given.free_gaps
+    gaps = ImpactFilter(SWAYING).members.free_gaps
     state = (Y, np.zeros(0), np.eye(6), np.zeros((6, 0)))
-    assert len(gaps.dips(0.0, 9.0, [state], np.zeros(1))[0]) > 0
+    assert len(gaps.dips(np.zeros(1), np.full(1, 9.0), [state], np.zeros(1))[0]) > 0
     wrong = ((-1.0, 0.0, "duration"), (1e9, 0.0, "duration"), (1.0, np.nan, "levels"))
     for s, level, expected in wrong:
         with pytest.raises(ValueError, match=expected):
-            gaps.dips(0.0, s, [state], np.array([level]))
+            gaps.dips(np.zeros(1), np.array([s]), [state], np.array([level]))
     with pytest.raises(ValueError, match="contact: there is none"):
         gaps.root(0.0, state, 0.0, 1, 0.0, 1.0)
     with pytest.raises(ValueError, match="in order"):

@@ -84,10 +84,10 @@ def test_a_followed_state_is_predicted_and_corrected_as_in_the_textbook(
     expected = [float(row @ x) + rest for x, _ in before]
     value = expected[0] + 0.5
     levels = np.array([0.0, level])
-    gaps = free(model).given.free_gaps
+    gaps = free(model).free_gaps
     made = gaps.followed(t, s, states, levels, 0.0, row, rest, value, noise, gate, True)
     assert made is not None
-    priors = gaps.flown(t, s, states, levels, 0.0)
+    priors = gaps.flown(np.full(len(states), t), np.full(len(states), s), states, levels, 0.0)
     each_one = zip(states, before, levels, priors, made, strict=True)
     for each, (x, map_), added, prior, found in each_one:
         Phi = linalg.block_diag(map_, np.eye(1))
@@ -126,7 +126,7 @@ def test_a_gap_that_is_negative_meanwhile_is_left_to_others(
     )
     row = np.array([1.0, 0.0])
     for searches, s in ((True, 0.01), (False, 0.01), (True, 0.2)):
-        made = free(ball).given.free_gaps.followed(
+        made = free(ball).free_gaps.followed(
             0.0, s, [state], np.zeros(1), 0.0, row, 0.0, height, 1.0, 9.0, searches
         )
         assert (made is not None) == (is_found and s < 0.1)

@@ -1,0 +1,204 @@
+// Copyright 2026 impact_observer developers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+// Systems that differ by a few parameters theta, and how these add to the error of a state, to
+// second order: see estimation/parametric.py.
+#pragma once
+
+#include <functional>
+#include <memory>
+
+#include "free_motion.hpp"
+
+namespace kernel::kalman {
+
+constexpr double STEP = 1e-6;    // least step of a finite difference, in sizes of its parameter
+constexpr double FAR = 0.5;      // largest one, in distances of the parameter from its bounds
+constexpr double MARGIN = 1e-3;  // of a parameter of the motion to its bounds, in its sizes
+constexpr double MEAN_TOO = 0.8660254037844386;  // root mean square of half a squared variable
+constexpr double TAILS = 1.5;  // products of normal variables have heavier tails than noise
+
+// Parameters that are estimated; those that change the motion between impacts come first.
+struct Parameters {
+    Vector low, high, size;  // bounds, and the errors that make a model useless
+    std::size_t moving;      // how many change the motion
+
+    std::size_t count() const { return size.size(); }
+
+    // Steps of finite differences by the first ones, about as large as their standard deviations:
+    // powers of two, so that hypotheses of similar covariance share the same members. A row of
+    // `root` each.
+    Vector steps(const double* theta, const View& root) const {
+        Vector found(root.rows);
+        for (std::size_t j = 0; j < found.size(); ++j) {
+            const double deviation = std::sqrt(dot(root.row(j), root.row(j), root.columns));
+            double step = std::max(deviation, STEP * size[j]);
+            if (j < moving)  // impacts need no bounds of their parameters
+                step = std::min(step, FAR * std::min(theta[j] - low[j], high[j] - theta[j]));
+            found[j] = std::exp2(std::floor(std::log2(step)));
+        }
+        return found;
+    }
+
+    double clamped(std::size_t j, double theta) const {
+        const double margin = j < moving ? MARGIN * size[j] : 0.0;
+        return std::clamp(theta, low[j] + margin, high[j] - margin);
+    }
+
+    // What takes an estimate back whose parameters, the rows of `root` from `first` on, are beyond
+    // their bounds: all else moves to its conditional mean given these (Simon and Chia, Kalman
+    // filtering with state equality constraints, 2002).
+    Vector correction(const double* theta, const View& root, std::size_t first) const {
+        Vector change(root.rows);
+        for (std::size_t j = 0; j < count(); ++j) {
+            const double* row = root.row(first + j);
+            const double value = theta[j] + change[first + j];
+            const double beyond = clamped(j, value) - value;
+            const double variance = dot(row, row, root.columns);
+            if (beyond == 0.0 || variance == 0.0) continue;
+            for (std::size_t i = 0; i < root.rows; ++i)
+                change[i] += dot(root.row(i), row, root.columns) * (beyond / variance);
+        }
+        for (std::size_t j = 0; j < count(); ++j)
+            change[first + j] = clamped(j, theta[j]) - theta[j];
+        return change;
+    }
+};
+
+// The members of a family; the accelerations are linear in the parameters.
+struct Family {
+    std::shared_ptr<const FreeMotion> given;
+    Sizes sizes;  // of the given member
+    Parameters parameters;
+    Vector nominal;             // parameters of the given member
+    std::vector<Matrix> lower;  // what a unit of those of the motion adds to FreeMotion::lower
+    Vector rate;                // and at most to the bound of its rates, 1/s
+
+    std::size_t count() const { return nominal.size(); }
+    std::size_t moving() const { return lower.size(); }
+
+    std::shared_ptr<const FreeMotion> at(const double* theta) const {
+        if (std::equal(theta, theta + moving(), nominal.begin())) return given;
+        const auto found = std::make_shared<FreeMotion>(*given);
+        for (std::size_t j = 0; j < moving(); ++j) {
+            const double by = theta[j] - nominal[j];
+            add(by, lower[j].data.data(), found->lower.data.data(), lower[j].data.size());
+            found->rate += std::abs(by) * rate[j];
+        }
+        found->prepare();
+        return found;
+    }
+};
+
+// An affine map of states, evaluated at one state, and its derivative.
+struct Map {
+    Vector value;
+    Matrix linear;
+};
+
+// Turns the columns of `root` until its rows from `first` on are lower triangular in front.
+inline Matrix leading(const View& root, std::size_t first, std::size_t count) {
+    const std::size_t d = root.rows, c = std::max(root.columns, count);
+    Matrix ordered(d, c), found(d, c);
+    const auto place = [&](std::size_t i) {  // where row i is while the leading ones are on top
+        return i < first ? i + count : i < first + count ? i - first : i;
+    };
+    for (std::size_t i = 0; i < d; ++i)
+        std::copy(root.row(i), root.row(i) + root.columns, ordered.row(place(i)));
+    for (std::size_t k = 0; k < count; ++k) reflect(ordered, k);
+    for (std::size_t i = 0; i < d; ++i)
+        std::copy(ordered.row(place(i)), ordered.row(place(i)) + c, found.row(i));
+    return found;
+}
+
+// How a map of k numbers changes with parameters: central differences about theta, on a grid of
+// parameters, `steps` wide.
+struct Sensitivity {
+    Matrix first;                // derivatives of its value, p x k
+    std::vector<Matrix> mixed;   // of its linear part, p times k x d
+    std::vector<Vector> second;  // second derivatives of its value, p p times k
+
+    template <class At>
+    Sensitivity(At at, const Vector& theta, const Vector& steps) {
+        const std::size_t p = theta.size();
+        Vector near(p);
+        for (std::size_t j = 0; j < p; ++j)
+            near[j] = steps[j] * std::nearbyint(theta[j] / steps[j]);
+        const auto aside = [&](std::size_t j, double one, std::size_t k, double other) {
+            Vector at_ = near;
+            at_[j] += one * steps[j], at_[k] += other * steps[k];
+            return at(at_);
+        };
+        const Map centre = at(near);
+        const std::size_t k = centre.value.size();
+        first = Matrix(p, k), second.assign(p * p, Vector(k));
+        std::vector<Map> plus;
+        for (std::size_t j = 0; j < p; ++j) plus.push_back(aside(j, 1.0, j, 0.0));
+        for (std::size_t j = 0; j < p; ++j) {
+            const Map minus = aside(j, -1.0, j, 0.0);
+            mixed.push_back(plus[j].linear);
+            for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
+                mixed[j].data[i] =
+                    (plus[j].linear.data[i] - minus.linear.data[i]) / (2 * steps[j]);
+            for (std::size_t i = 0; i < k; ++i) {
+                const double on = plus[j].value[i], back = minus.value[i], here = centre.value[i];
+                first(j, i) = (on - back) / (2 * steps[j]);
+                second[j * p + j][i] = ((on - here) + (back - here)) / (steps[j] * steps[j]);
+            }
+            for (std::size_t l = 0; l < j; ++l) {
+                const Vector both = aside(j, 1.0, l, 1.0).value;
+                for (std::size_t i = 0; i < k; ++i) {
+                    const double crossed =
+                        (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);
+                    second[j * p + l][i] = second[l * p + j][i] = crossed / (steps[j] * steps[l]);
+                }
+            }
+        }
+        for (std::size_t j = 0; j < p; ++j)
+            for (std::size_t l = 0; l < p; ++l)
+                add(theta[l] - near[l], second[l * p + j].data(), first.row(j), k);
+    }
+
+    // Noise of second order that the parameters add to `linear root`, where `root`, d x c, and
+    // `own`, p x c and lower triangular in front, are the root of states and parameters.
+    Matrix noise(const View& root, const View& own) const {
+        const std::size_t p = first.rows, k = first.columns, c = root.columns;
+        Matrix found(k, p * (c - p) + p + p * (p - (p > 0)) / 2);
+        std::vector<Matrix> across(p, Matrix(k, c));  // mixed derivatives, by columns of `own`
+        for (std::size_t a = 0; a < p; ++a)
+            for (std::size_t j = a; j < p; ++j)
+                for (std::size_t i = 0; i < k; ++i)
+                    for (std::size_t m = 0; m < root.rows; ++m)
+                        add(own(j, a) * mixed[j](i, m), root.row(m), across[a].row(i), c);
+        const auto curved = [&](std::size_t a, std::size_t b, std::size_t i) {
+            double sum = 0.0;
+            for (std::size_t j = a; j < p; ++j)
+                for (std::size_t l = b; l < p; ++l)
+                    sum += own(j, a) * second[j * p + l][i] * own(l, b);
+            return sum;
+        };
+        for (std::size_t i = 0; i < k; ++i) {
+            double* to = found.row(i);
+            for (std::size_t a = 0; a < p; ++a) {
+                for (std::size_t j = p; j < c; ++j) *to++ = TAILS * across[a](i, j);
+                *to++ = TAILS * MEAN_TOO * (curved(a, a, i) + 2 * across[a](i, a));
+                for (std::size_t b = 0; b < a; ++b)
+                    *to++ = TAILS * (curved(a, b, i) + across[a](i, b) + across[b](i, a));
+            }
+        }
+        return found;
+    }
+};
+
+}  // namespace kernel::kalman
