@@ -15,10 +15,11 @@
 """Hypotheses from one event to the next: where they penetrate a stop, an impact was missed."""
 
 import math
-from collections import deque
 from collections.abc import Iterator, Sequence
 from functools import lru_cache, partial
+from typing import NamedTuple
 
+import numpy as np
 from scipy import special
 
 from impact_observer.estimation.error_accounts import ErrorAccounts
@@ -26,8 +27,9 @@ from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.missed_switch import insert_switches
 from impact_observer.events import Kind
+from impact_observer.states import Vector
 
 UNLIKELY = -16.0
 """Logarithm of a probability, relative to the largest, below which none is kept before an event:
@@ -47,6 +49,48 @@ _MOST_FLIGHTS = 256
 """Flights after which none inserts anything: a silence may last for hours."""
 _FLIGHTS = 8
 """Flights of which the samples are kept, for hypotheses to share."""
+
+
+class _Path(NamedTuple):
+    """A hypothesis until the next event, or from a missed switch on.
+
+    Attributes:
+        t: where it begins, s since the epoch.
+        left: seconds until the event.
+        h: the hypothesis then.
+    """
+
+    t: float
+    left: float
+    h: Hypothesis
+
+
+class _Missed(NamedTuple):
+    """A switch on a path that was missed.
+
+    Attributes:
+        path: the path.
+        dip: the penetration that begins there.
+        at: seconds after the path's beginning.
+        weight: logarithm of the probability of the path with this switch.
+    """
+
+    path: _Path
+    dip: Dip
+    at: float
+    weight: float
+
+
+def _flights(
+    paths: Sequence[_Path],
+) -> tuple[Vector, Vector, list[GaussianState], list[float]]:
+    """Instants, durations, states and model errors of ``paths``, as the filter wants them."""
+    return (
+        np.array([path.t for path in paths]),
+        np.array([path.left for path in paths]),
+        [path.h.state for path in paths],
+        [path.h.acceleration_error for path in paths],
+    )
 
 
 class BetweenEvents:
@@ -102,20 +146,21 @@ class BetweenEvents:
                 h._replace(state=state, since=h.since + s)
                 for h, state in zip(hypotheses, states, strict=True)
             )
-        if len(hypotheses) == 1 and not (dips := self._dips(t, s, hypotheses))[0]:
-            return tuple(self._flown(t, s, hypotheses, dips))
         found: list[Hypothesis] = []
-        waiting, flights, most = deque([(t, s, hypotheses)]), 0, -math.inf
-        while waiting:
-            t, s, group = waiting.popleft()
-            flights += 1
-            dips = self._dips(t, s, group)
-            flown = [*self._flown(t, s, group, dips)]
+        paths, flights = [_Path(t, s, h) for h in hypotheses], 1
+        most = -math.inf
+        while paths:
+            dips = self._dips(paths)
+            flown = [*self._flown(paths, dips)]
+            most = most if found else max(h.weight for h in flown)
             found += flown
-            most = max(most, *(path.weight for path in flown))
-            for h, some in zip(group, dips, strict=True):
-                if some and flights + len(waiting) < _MOST_FLIGHTS:
-                    waiting += self._inserted(h, some, t, s, most + self._least(h))
+            missed: list[_Missed] = []
+            for path, some, after in zip(paths, dips, flown, strict=True):
+                most = max(most, after.weight)
+                if some and flights + len(missed) < _MOST_FLIGHTS:
+                    missed += self._missed_first(path, some, most + self._least(path.h))
+            flights += len(missed)
+            paths = self._inserted(missed) if missed else []
         if len(found) == 1:
             return tuple(found)
         found.sort(key=lambda each: -each.weight)
@@ -127,27 +172,23 @@ class BetweenEvents:
         """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
         return FORLORN if self._judges and h.is_exact else UNLIKELY
 
-    def _dips(self, t: float, s: float, group: Sequence[Hypothesis]) -> list[list[Dip]]:
-        """Of each hypothesis the dips in the ``s`` seconds after ``t``."""
-        by_kernel = self.filter.gaps((), s) is not None
-        free = [each for each in group if by_kernel and not each.state.closed]
-        states = [each.state for each in free]
-        levels = [each.acceleration_error for each in free]
-        found = iter(dips_of(self.filter, t, s, states, levels) or () if free else ())
+    def _dips(self, paths: Sequence[_Path]) -> list[list[Dip]]:
+        """Of each path its dips."""
+        by_kernel = self.filter.gaps((), max(path.left for path in paths)) is not None
+        free = [path for path in paths if by_kernel and not path.h.state.closed]
+        found = iter(dips_of(self.filter, *_flights(free)) or () if free else ())
         return [
             next(found)
             if by_kernel and not h.state.closed
             else self.forecast(t, h.state, h.acceleration_error).dips(s)
-            for h in group
+            for t, s, h in paths
         ]
 
     def _flown(
-        self, t: float, s: float, group: Sequence[Hypothesis], dips: Sequence[Sequence[Dip]]
+        self, paths: Sequence[_Path], dips: Sequence[Sequence[Dip]]
     ) -> Iterator[Hypothesis]:
-        """``group`` ``s`` seconds after ``t``; each pays for the dips it goes through."""
-        levels = [each.acceleration_error for each in group]
-        states = self.filter.priors(t, s, [each.state for each in group], levels)
-        for h, state, found in zip(group, states, dips, strict=True):
+        """The hypotheses of ``paths`` at their ends; each pays for the dips it goes through."""
+        for (_, s, h), state, found in zip(paths, self._priors(paths), dips, strict=True):
             some = [dip for dip in found if not self._is_now(dip, s, h.clock)]
             if not some:
                 yield h._replace(state=state, penetrating=NOTHING, since=h.since + s)
@@ -161,18 +202,24 @@ class BetweenEvents:
                 since=h.since + s,
             )
 
-    def _inserted(
-        self, h: Hypothesis, dips: Sequence[Dip], t: float, left: float, enough: float
-    ) -> Iterator[tuple[float, float, tuple[Hypothesis, ...]]]:
-        """``h`` after its first dip as a missed switch: instant, seconds left, hypothesis.
+    def _priors(self, paths: Sequence[_Path]) -> list[GaussianState]:
+        """The states of ``paths`` at their ends."""
+        t, s, states, levels = _flights(paths)
+        if len({(path.t, path.left) for path in paths}) == 1:
+            return self.filter.priors(float(t[0]), float(s[0]), states, levels)
+        return self.filter.flights(t, s, states, levels)
+
+    def _missed_first(self, path: _Path, dips: Sequence[Dip], enough: float) -> Iterator[_Missed]:
+        """The first of ``dips`` that may be a missed switch, if any.
 
         None below ``enough``, the logarithm of a probability.
         """
+        h = path.h
         likely = (
             dip
             for dip in dips
             if dip.depth > (POSSIBLE if dip.over else CONFIDENT)
-            and not self._is_now(dip, left, h.clock)
+            and not self._is_now(dip, path.left, h.clock)
         )
         dip = next(likely, None)
         if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
@@ -182,16 +229,26 @@ class BetweenEvents:
             return
         at = dip.began
         if at is None:
-            at = self.forecast(t, h.state, h.acceleration_error).root(dip)
-        t, left = t + at, left - at
-        (before,) = self.filter.priors(t - at, at, [h.state], [h.acceleration_error])
-        state, kind = insert_switch(self.filter, t, before, dip)
-        missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
-        h = h._replace(state=state, weight=weight, missed=missed)
-        if self.errors is not None:
-            hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
-            h = self.errors.kicked(h, before.x, hit)
-        yield t, left, (h,)
+            at = self.forecast(path.t, h.state, h.acceleration_error).root(dip)
+        yield _Missed(path, dip, at, weight)
+
+    def _inserted(self, missed: Sequence[_Missed]) -> list[_Path]:
+        """Paths after missed switches."""
+        before = self._priors([each.path._replace(left=each.at) for each in missed])
+        t = [each.path.t + each.at for each in missed]
+        after = insert_switches(self.filter, t, before, [each.dip for each in missed])
+        found = []
+        for (path, dip, at, weight), at_, prior, (state, kind) in zip(
+            missed, t, before, after, strict=True
+        ):
+            h, left = path.h, path.left - at
+            switches = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
+            h = h._replace(state=state, weight=weight, missed=switches)
+            if self.errors is not None:
+                hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
+                h = self.errors.kicked(h, prior.x, hit)
+            found.append(_Path(at_, left, h))
+        return found
 
     def _is_now(self, dip: Dip, now: float, clock: float) -> bool:
         """Whether an impact comes so late that it may be after the event, of which the stamp errs.

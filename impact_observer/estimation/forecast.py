@@ -171,20 +171,19 @@ class Flight:
 
 def dips_of(
     filter_: ImpactFilter,
-    t: float,
-    duration: float,
+    t: Vector,
+    duration: Vector,
     states: Sequence[GaussianState],
     levels: Sequence[float],
 ) -> list[list[Dip]] | None:
-    """The dips of states that start at ``t``, of the same closed contacts; see ``Forecast.dips``.
+    """The dips of states without contact, each from its ``t`` on; see ``Forecast.dips``.
 
     None where the kernel does not find them.
     """
-    gaps = filter_.gaps(states[0].closed, duration)
+    gaps = filter_.gaps((), float(max(duration, default=0.0)))
     if gaps is None:
         return None
-    count = len(states)
-    found = gaps.dips(np.full(count, t), np.full(count, duration), states, np.array(levels))
+    found = gaps.dips(t, duration, states, np.array(levels))
     return [[Dip(dip[0], Kind.IMPACT, *dip) for dip in some] for some in found]
 
 
@@ -224,9 +223,10 @@ class Forecast:
 
     def dips(self, duration: float) -> list[Dip]:
         """The dips within ``duration`` seconds, in the order in which they begin."""
-        found = dips_of(self._filter, self._t, duration, [self._state], [self._level])
-        if found is not None:
-            return found[0]
+        if not self._state.closed:
+            flight = np.array([self._t]), np.array([duration]), [self._state], [self._level]
+            if (found := dips_of(self._filter, *flight)) is not None:
+                return found[0]
         if not (self._flight.contacts and duration > 0):
             return []
         samples = self._flight.over(duration)

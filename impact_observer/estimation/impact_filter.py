@@ -140,6 +140,12 @@ class ImpactFilter:
         """The system with the parameters of an estimate."""
         return self.members.at(state.theta)
 
+    def rate_of(self, t: float, state: GaussianState) -> Vector:
+        """``dx/dt`` of a state at ``t``, s since the epoch, shape (2n,)."""
+        if self._is_free and not state.closed:
+            return self.members.free.rates(t, state.x, state.theta)
+        return self.member(state).moving.rate_of(t, state.x, state.closed)
+
     def correct(
         self, change: ContactChange, state: GaussianState, clock: float
     ) -> tuple[Likelihood, GaussianState]:
@@ -222,12 +228,10 @@ class ImpactFilter:
 
         Each has white accelerations of its own level, m/s^1.5, besides the declared ones.
         """
+        flown = self._flown(np.full(len(states), t), np.full(len(states), s), states, levels)
+        if flown is not None:
+            return flown
         found, moving = list[GaussianState](), self.members.given.moving
-        gaps = None if any(state.closed for state in states) else self.gaps((), s)
-        if gaps is not None and moving.is_short(s) and not self._drifts:
-            count, declared = len(states), self._declared.model_error
-            times = np.full(count, t), np.full(count, s)
-            return [*map(self.free_state, gaps.flown(*times, states, np.array(levels), declared))]
         if self.members.moving or moving.guided:
             return [
                 self.predict(t, state, level).prior(s)
@@ -248,6 +252,27 @@ class ImpactFilter:
                 prior = prior._replace(root=narrow(root))
             found.append(prior)
         return found
+
+    def flights(
+        self, t: Vector, s: Vector, states: Sequence[GaussianState], levels: Sequence[float]
+    ) -> list[GaussianState]:
+        """``priors`` of states with instants and durations of their own."""
+        flown = self._flown(t, s, states, levels)
+        if flown is not None:
+            return flown
+        each = zip(t.tolist(), s.tolist(), states, levels, strict=True)
+        return [self.priors(at, over, [one], [level])[0] for at, over, one, level in each]
+
+    def _flown(
+        self, t: Vector, s: Vector, states: Sequence[GaussianState], levels: Sequence[float]
+    ) -> list[GaussianState] | None:
+        """The same by the kernel; None where not by it."""
+        longest = float(max(s, default=0.0))
+        gaps = None if any(state.closed for state in states) else self.gaps((), longest)
+        if gaps is None or self._drifts or not self.members.given.moving.is_short(longest):
+            return None
+        made = gaps.flown(t, s, states, np.array(levels), self._declared.model_error)
+        return [self.free_state(each) for each in made]
 
     def gaps(self, closed: Contacts, s: float) -> Gaps | None:
         """The kernel's gaps for ``s`` seconds while contacts are ``closed``; None if not by it."""

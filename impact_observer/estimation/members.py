@@ -450,7 +450,7 @@ class Members:
         return rests and all(each <= _LINEAR for each in parts)
 
     @cached_property
-    def _free(self) -> Family:
+    def free(self) -> Family:
         """The motions of all members while no contact is closed."""
         moving, n = self.given.moving, self.family.system.n
         inverse, unit = moving.rates(()).B[n:], balanced(moving.rates(()).A)[1][:n]
@@ -467,7 +467,7 @@ class Members:
         lags = np.array([each.contact_time[contact] / 2 for each in effects])
         newton, system = self.given.newton, self.family.system
         return Impact(
-            self._free,
+            self.free,
             system.W[:, contact],
             -newton.kick(contact),
             float(system.q_r[contact]),
@@ -480,7 +480,7 @@ class Members:
     def free_gaps(self) -> Gaps:
         """All gaps while no contact is closed."""
         system = self.family.system
-        return Gaps(self._free, system.W.T, system.q_r, self._gap)
+        return Gaps(self.free, system.W.T, system.q_r, self._gap)
 
     def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
         return np.asarray(self._gap[:, list(contacts)].T)

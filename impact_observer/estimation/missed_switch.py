@@ -15,6 +15,7 @@
 """A missed switch: an impact, a rest or a release that was predicted and not reported."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.joint import Joint
 from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.square_root import lengths, triangular
-from impact_observer.events import Kind
+from impact_observer.events import Contacts, Kind
 
 _BRIEF = 1e-2
 """Flights that count as rest where the gap stays within its deviation, relative to the model's
@@ -40,17 +41,58 @@ def insert_switch(
     The dip begins at ``t``, s since the epoch, with ``state``. A contact that would leave its stop
     by less than the deviation of its gap rests on it.
     """
-    closed = state.closed
+    return insert_switches(filter_, [t], [state], [dip])[0]
+
+
+def insert_switches(
+    filter_: ImpactFilter,
+    t: Sequence[float],
+    states: Sequence[GaussianState],
+    dips: Sequence[Dip],
+) -> list[tuple[GaussianState, Kind]]:
+    """``insert_switch`` of each of ``dips``."""
+    changes = [
+        _missed(at, state.closed, dip) for at, state, dip in zip(t, states, dips, strict=True)
+    ]
+    after = _posteriors_of_missed(filter_, changes, states)
+    found = []
+    for change, state, dip, one in zip(changes, states, dips, after, strict=True):
+        if dip.kind is Kind.OPEN:
+            found.append((one, Kind.OPEN))
+            continue
+        speed = float(filter_.system.W[:, dip.contact].dot(one.x[filter_.system.n :]))
+        if not _comes_to_rest(filter_, change.t, dip.contact, one, speed):
+            found.append((one, Kind.IMPACT))
+            continue
+        resting = change._replace(closed=tuple(sorted({*state.closed, dip.contact})))
+        rested = posterior_of_missed(filter_, resting, state, max(speed, 0.0))
+        found.append((rested, Kind.CLOSE))
+    return found
+
+
+def _missed(t: float, closed: Contacts, dip: Dip) -> ContactChange:
+    """What happens at ``t`` where a ``dip`` begins while contacts are ``closed``."""
     if dip.kind is Kind.OPEN:
-        stay = tuple(i for i in closed if i != dip.contact)
-        return posterior_of_missed(filter_, ContactChange(t, closed, (), stay), state), Kind.OPEN
-    change = ContactChange(t, closed, (dip.contact,), closed)
-    after = posterior_of_missed(filter_, change, state)
-    speed = float(filter_.system.W[:, dip.contact].dot(after.x[filter_.system.n :]))
-    if not _comes_to_rest(filter_, t, dip.contact, after, speed):
-        return after, Kind.IMPACT
-    resting = change._replace(closed=tuple(sorted({*closed, dip.contact})))
-    return posterior_of_missed(filter_, resting, state, max(speed, 0.0)), Kind.CLOSE
+        return ContactChange(t, closed, (), tuple(i for i in closed if i != dip.contact))
+    return ContactChange(t, closed, (dip.contact,), closed)
+
+
+def _posteriors_of_missed(
+    filter_: ImpactFilter, changes: Sequence[ContactChange], states: Sequence[GaussianState]
+) -> list[GaussianState]:
+    """``posterior_of_missed`` of each of ``changes``; impacts alone by the kernel, all at once."""
+    found: dict[int, GaussianState] = {}
+    alone: dict[int, list[int]] = {}
+    for i, (change, state) in enumerate(zip(changes, states, strict=True)):
+        if filter_.is_alone(change):
+            alone.setdefault(change.hit[0], []).append(i)
+        else:
+            found[i] = posterior_of_missed(filter_, change, state)
+    for contact, which in alone.items():
+        t = np.array([changes[i].t for i in which])
+        made = filter_.members.free_impact(contact).missed(t, [states[i] for i in which])
+        found.update(zip(which, map(filter_.free_state, made), strict=True))
+    return [found[i] for i in range(len(changes))]
 
 
 def posterior_of_missed(
@@ -62,8 +104,7 @@ def posterior_of_missed(
     from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
     """
     if filter_.is_alone(change) and not leftover:
-        impact = filter_.members.free_impact(change.hit[0])
-        return filter_.free_state(impact.missed(np.array([change.t]), [state])[0])
+        return _posteriors_of_missed(filter_, [change], [state])[0]
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
     hit = bool(change.hit)
@@ -95,8 +136,8 @@ def _comes_to_rest(
     It does if its next flight is one that a plant may neglect, or short and not higher than the
     deviation of its gap.
     """
-    n, w, moving = filter_.system.n, filter_.system.W[:, contact], filter_.member(state).moving
-    rate = moving.rate_of(t, state.x, state.closed)
+    n, w = filter_.system.n, filter_.system.W[:, contact]
+    rate = filter_.rate_of(t, state)
     fall = -float(w.dot(rate[n:]))
     if fall <= 0:
         return False

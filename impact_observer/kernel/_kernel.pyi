@@ -67,6 +67,7 @@ class Family:
         lower: Sequence[Matrix],
         rate: Vector,
     ) -> None: ...
+    def rates(self, t: float, x: Vector, theta: Vector) -> Vector: ...
 
 class Sensitivity:
     first: Matrix

@@ -432,6 +432,11 @@ Array rates_of(const FreeMotion& motion, double t, const Array& x) {
     return to_python(found);
 }
 
+Array member_rates(const Family& family, double t, const Array& x, const Array& theta) {
+    const Vector at = vector(theta, "theta", py::ssize_t(family.count()));
+    return rates_of(*family.at(at.data()), t, x);
+}
+
 Array diffusion(const FreeMotion& motion, double s) {
     if (!(s >= 0 && s * motion.rate < 1e15))
         throw py::value_error("s: expected 0 or more, not long");
@@ -470,7 +475,9 @@ void bind_estimation(py::module_& module) {
     py::class_<Family, std::shared_ptr<Family>>(
         module, "Family", "Systems whose accelerations are linear in parameters.")
         .def(py::init(&family_of), py::arg("motion"), py::arg("sizes"), py::arg("parameters"),
-             py::arg("nominal"), py::arg("lower"), py::arg("rate"));
+             py::arg("nominal"), py::arg("lower"), py::arg("rate"))
+        .def("rates", &member_rates, py::arg("t"), py::arg("x"), py::arg("theta"),
+             "dx/dt of a state x at t, of the member with the parameters theta.");
     py::class_<Sensitivity>(module, "Sensitivity", "How a map changes with parameters.")
         .def(py::init(&sensitivity_of), py::arg("at"), py::arg("theta"), py::arg("steps"))
         .def_property_readonly(

@@ -71,7 +71,7 @@ struct Parameters {
                 change[i] += dot(root.row(i), row, root.columns) * (beyond / variance);
         }
         for (std::size_t j = 0; j < count(); ++j)
-            change[first + j] = clamped(j, theta[j]) - theta[j];
+            change[first + j] = clamped(j, theta[j] + change[first + j]) - theta[j];
         return change;
     }
 };
