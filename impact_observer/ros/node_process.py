@@ -113,10 +113,10 @@ def _warn_of_surroundings(node: "Node") -> None:
     """Warn of simulated time that has not begun, and of another node of the same name."""
     own = (node.get_name(), node.get_namespace())
     if (count := node.get_node_names_and_namespaces().count(own)) > 1:
+        line = f"{count} nodes are called {node.get_fully_qualified_name()}: their messages are"
+        remedy = "start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID"
         node.get_logger().warning(
-            f"{count} nodes are called {node.get_fully_qualified_name()}: their messages are"
-            " merged; start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID",
-            throttle_duration_sec=30.0,
+            printable(f"{line} merged; {remedy}"), throttle_duration_sec=30.0
         )
     clock = node.get_clock()
     if node.get_parameter("use_sim_time").value and clock.now().nanoseconds == 0:
