@@ -60,6 +60,7 @@ NODES = {
             interfaces.IMPACTS,
             interfaces.PLANT_JOINT_STATES,
             interfaces.PLANT_MODEL,
+            interfaces.PHASE_REFERENCE,
             interfaces.SIMULATED_CLOCK,
         ),
         LIVE,

@@ -67,7 +67,7 @@ def published_model(
     return model.text(provenance)
 
 
-def _index_pulses(system: System, epoch: int, last: int) -> Iterator[int]:
+def index_pulses(system: System, epoch: int, last: int) -> Iterator[int]:
     """Stamps (ns) at which the drive of a system, if any, has turned at its nominal speed."""
     if system.live is not None and system.live.nominal:
         period = math.tau / system.live.nominal
@@ -187,7 +187,7 @@ def write_run(
         )
         pulses = [
             (stamp, interfaces.PHASE_REFERENCE.topic, make.pulse(stamp))
-            for stamp in _index_pulses(model.system, run.epoch, last)
+            for stamp in index_pulses(model.system, run.epoch, last)
         ]
         if pulses:
             writer.declare(interfaces.PHASE_REFERENCE.topic)

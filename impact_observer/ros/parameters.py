@@ -69,6 +69,11 @@ PLANT = (
     ),
     Option("step", DEFAULT_STEP, "time step of the integrator moreau", "s", low=1e-9, high=1.0),
     Option("publish_clock", False, "publish /clock as the source of time"),
+    Option(
+        "publish_pulses",
+        False,
+        "publish the index pulses of a drive at its nominal speed, instead of receiving them",
+    ),
     Option("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
     Option(
         "realtime_factor",

@@ -41,7 +41,7 @@ from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.plant_sensors import PlantSensors
+from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
 from impact_observer.ros.qos import qos_profile
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, odd_epoch
@@ -93,7 +93,12 @@ class PlantNode(Node):
         self._sensor.check(self._model.system)
         declared = read_measurements(values.text("measurements"))
         of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
-        self._system, self._live = connected(self._model.system, causal=True)
+        self._pulses = PlantPulses(self, self._model.system, wanted=values.flag("publish_pulses"))
+        self._system, self._live = (
+            (self._model.system, None)
+            if values.flag("publish_pulses")
+            else connected(self._model.system, causal=True)
+        )
         self._timeout = values.number("input_timeout")
         clock = (self._clock_now, values.number("future"))
         self._inputs = LiveIntake(
@@ -228,6 +233,7 @@ class PlantNode(Node):
         )
         self._epoch, self._closed = epoch, ()
         self._sensors.start(epoch)
+        self._pulses.start(epoch, self._end)
         self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
@@ -295,6 +301,7 @@ class PlantNode(Node):
         assert self._plant is not None
         n, names = self._model.system.n, self._model.system.coordinates
         last = min(last, self._end)
+        self._pulses.publish(last)
         self._sensors.publish(last, self._state, self._closed)
         while (stamp := self._sample_stamp(self._next_sample)) <= last:
             x = self._state(stamp)
@@ -324,8 +331,9 @@ class PlantNode(Node):
             yield self._next_clock
         if now < self._end:
             yield self._sample_stamp(self._next_sample)
-            if (due := self._sensors.next_stamp) is not None:
-                yield due
+            for each in (self._sensors, self._pulses):
+                if (due := each.next_stamp) is not None:
+                    yield due
             switching = self._plant.next_switching(now + _LOOK_AHEAD)
             if switching is not None:
                 yield switching.instant.stamp

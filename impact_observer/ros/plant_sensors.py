@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What sensors beside the impacts measure on a plant that runs, published as they would."""
+"""What sensors beside the impacts measure on a plant that runs, and pulses of its drive."""
 
 import heapq
 from collections.abc import Callable, Sequence
@@ -22,15 +22,61 @@ from itertools import count
 import numpy as np
 from rclpy.node import Node
 
+from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
-from impact_observer.io.interfaces import SENSORS
+from impact_observer.io.interfaces import PHASE_REFERENCE, SENSORS
 from impact_observer.io.messages import AnyMessage
+from impact_observer.io.recordings import index_pulses
 from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation, SimulatedMessage
 from impact_observer.model import System
+from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
-from impact_observer.ros.message_classes import message_class
+from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.states import Vector
+
+
+class PlantPulses:
+    """Index pulses of a plant's own drive, which turns at its nominal speed."""
+
+    def __init__(self, node: Node, system: System, *, wanted: bool) -> None:
+        """A publisher of pulses, if they are ``wanted``.
+
+        Raises:
+            UsageError: nothing of the ``system`` turns with a drive, or something else is live.
+        """
+        self._system, self._publisher, self._next = system, None, -1
+        if not wanted:
+            return
+        if system.live is None or not system.live.nominal:
+            raise UsageError(
+                f"parameter publish_pulses: nothing of {system.name} turns with a drive; expected"
+                " a model whose forces have an order, or false"
+            )
+        refused(system, "a plant with publish_pulses")
+        self._publisher = node.create_publisher(
+            message_class(PHASE_REFERENCE.type),
+            PHASE_REFERENCE.name,
+            qos_profile(PHASE_REFERENCE.quality),
+        )
+
+    def start(self, epoch: int, last: int) -> None:
+        """Begin at an ``epoch``, up to the stamp ``last``, ns."""
+        pulses = index_pulses(self._system, epoch, last) if self._publisher else iter(())
+        self._pulses = pulses
+        self._next = next(self._pulses, -1)
+
+    @property
+    def next_stamp(self) -> int | None:
+        """When the next pulse is due, ns; None for none."""
+        return None if self._next < 0 else self._next
+
+    def publish(self, last: int) -> None:
+        """Publish the pulses up to ``last``, ns."""
+        while 0 <= self._next <= last:
+            assert self._publisher is not None, "there are pulses"
+            self._publisher.publish(ros_messages().pulse(self._next))
+            self._next = next(self._pulses, -1)
 
 
 class PlantSensors:

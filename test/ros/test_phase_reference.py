@@ -23,7 +23,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import ContactSwitch, ImpactEvent, ObserverState
-from processes import ros_arguments, running, running_node, spinning
+from processes import refusal, ros_arguments, running, running_node, spinning
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rigs import EPOCH
@@ -35,7 +35,7 @@ from impact_observer.io import BagReader, interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import read_estimate
 from impact_observer.resources import shared
-from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
@@ -166,3 +166,52 @@ def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str
             switch.publish(Bool(data=closed))
         spinner.until(lambda: bool(events))
     assert events[0].epoch == make.time(EPOCH)
+
+
+def test_the_plant_publishes_the_pulses_of_its_own_drive(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """On request; pulses and impacts are those that simulate writes."""
+    assert main(["simulate", "hammer", "--duration", "4", "-o", str(tmp_path / "bag")]) == 0
+    with BagReader(tmp_path / "bag") as reader:
+        wanted = [raw.log_time for raw in reader.raw(["/phase_reference"])]
+        impacts = [event.stamp for event in reader.events()]
+    parameters = {
+        "model": "hammer",
+        "publish_pulses": True,
+        "publish_clock": True,
+        "realtime_factor": 4.0,
+        "epoch": EPOCH,
+        "duration": 4.0,
+        "wait_for_subscribers": 1,
+    }
+    found, events = list[int](), list[int]()
+
+    def stamp_of(message: Header) -> int:
+        return int(message.stamp.sec * NS_PER_S + message.stamp.nanosec)
+
+    with (
+        spinning() as spinner,
+        running_node("plant", ros_arguments(parameters), ros_environment) as process,
+    ):
+        for interface, keep in (
+            (interfaces.PHASE_REFERENCE, lambda m: found.append(stamp_of(m))),
+            (interfaces.IMPACTS, lambda m: events.append(stamp_of(m.header))),
+            (interfaces.PLANT_JOINT_STATES, lambda _: None),
+        ):
+            kind, quality = message_class(interface.type), qos_profile(interface.quality)
+            spinner.probe.create_subscription(kind, interface.name, keep, quality)
+        spinner.until(lambda: process.poll() is not None)
+        spinner.settle()
+    assert process.returncode == 0
+    assert len(wanted) > 5
+    assert (found, events) == (wanted, impacts)
+
+
+def test_pulses_of_a_model_without_a_drive_are_refused(
+    ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One line with what is expected."""
+    assert ros_environment
+    arguments = ros_arguments({"model": "two_mass", "publish_pulses": True})
+    assert "nothing of two_mass turns with a drive; expected" in refusal("plant", arguments, capfd)
