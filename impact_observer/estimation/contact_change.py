@@ -96,6 +96,8 @@ class ContactChange(NamedTuple):
     @property
     def contacts(self) -> Contacts:
         """All contacts of the event: those that hit, and those that open."""
+        if not self.before:
+            return self.hit
         opened = self.opened
         return tuple(sorted({*self.hit, *opened})) if opened else self.hit
 

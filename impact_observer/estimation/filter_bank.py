@@ -384,10 +384,14 @@ class FilterBank:
         if len(made) <= 1:
             return [*made]
         found: dict[object, Hypothesis] = {}
-        known: dict[int, object] = {}  # hypotheses share notes
+        numbers: dict[object, int] = {}
+        known: dict[int, int] = {}  # hypotheses share notes
         for h in made:
             notes = h.notes[-self._scan :]
-            decisions = [known.get(id(n)) or known.setdefault(id(n), n.decision) for n in notes]
+            for note in notes:
+                if id(note) not in known:
+                    known[id(note)] = numbers.setdefault(note.decision, len(numbers))
+            decisions = [known[id(note)] for note in notes]
             inserted = tuple((each.contact, each.kind) for each in h.missed)
             same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             if same not in found or found[same].weight < h.weight:

@@ -21,11 +21,10 @@ more than its deviation explains, an impact or a release was missed.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache, partial
-from itertools import islice
+from itertools import count, islice
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from scipy import special
 
 from impact_observer.dynamics import Phase
@@ -54,6 +53,8 @@ _SHALLOW = 8.0
 """Depth of a dip that is rounding, in standard deviations of that."""
 _ROOT = 4 * _EPS
 _LEAST = 1e-15
+_FALSE = 40
+"""Turns of the regula falsi; more than any root takes at which a function is not flat."""
 
 
 class Dip(NamedTuple):
@@ -319,10 +320,7 @@ class Forecast:
             return dip.began
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
             return below  # negative from the start, or rounded otherwise when evaluated alone
-        found = scipy.optimize.brentq(
-            lambda at: self._value(dip.which, at), above, below, xtol=_LEAST, rtol=_ROOT
-        )
-        return float(found)
+        return falls_at(lambda at: self._value(dip.which, at), above, below)
 
     def confident_from(self, dip: Dip, depth: float) -> float:
         """From when on a dip is deeper than ``depth`` standard deviations, s."""
@@ -335,6 +333,27 @@ class Forecast:
             return gaps.root(self._t, self._state, self._level, *found)
         if not beyond(dip.above) > 0 > beyond(dip.deepest):
             return dip.deepest
-        return float(
-            scipy.optimize.brentq(beyond, dip.above, dip.deepest, xtol=_LEAST, rtol=_ROOT)
-        )
+        return falls_at(beyond, dip.above, dip.deepest)
+
+
+def falls_at(function: Callable[[float], float], above: float, below: float) -> float:
+    """Where a function of time falls through zero, between instants where it is above and below.
+
+    Regula falsi in which the end that stays counts half (Illinois), and halves where that is slow:
+    importing SciPy's root finders takes longer than a second of a rig.
+    """
+    low, high, at_low, at_high = above, below, function(above), function(below)
+    for turn in count():
+        if abs(high - low) <= _ROOT * abs(high) + _LEAST:
+            break
+        middle = low + (high - low) * (at_low / (at_low - at_high) if turn < _FALSE else 0.5)
+        if not min(low, high) < middle < max(low, high):
+            middle = low + (high - low) / 2
+        if not min(low, high) < middle < max(low, high):
+            break
+        now = function(middle)
+        if now > 0:
+            low, at_low, at_high = middle, now, at_high / 2
+        else:
+            high, at_high, at_low = middle, now, at_low / 2
+    return high

@@ -76,8 +76,10 @@ class GaussianState(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """Whether the states of all replicas are finite."""
+        if not math.isfinite(self.x.dot(self.x)):
+            return False
         others = self.differences.ravel()
-        return math.isfinite(self.x.dot(self.x)) and math.isfinite(others.dot(others))
+        return not others.size or math.isfinite(others.dot(others))
 
     def propagated(
         self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None

@@ -208,9 +208,12 @@ class ImpactFilter:
     def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
         """Contacts that impact alone, and None for all else, and where they are asked for."""
         found: dict[int | None, list[int]] = {}
+        known: dict[int, list[int]] = {}  # branches share changes
         for i, (change, *_) in enumerate(asked):
-            contact = change.hit[0] if self.is_alone(change) else None
-            found.setdefault(contact, []).append(i)
+            if id(change) not in known:
+                contact = change.hit[0] if self.is_alone(change) else None
+                known[id(change)] = found.setdefault(contact, [])
+            known[id(change)].append(i)
         return found.items()
 
     def _likelihood_of(self, asked: Asked) -> Likelihood:

@@ -26,9 +26,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.forecast import falls_at
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.model_error import unit_kicks
@@ -126,7 +126,7 @@ class Retracing:
             after = self._gaps(t, x, s)
             fallen = np.flatnonzero((before > 0) & (after < 0))
             if fallen.size:
-                roots = [self._root(t, x, i, (s, s + total / count)) for i in fallen.tolist()]
+                roots = [self._root(t, x, i, s + total / count, s) for i in fallen.tolist()]
                 s, i = max(zip(roots, fallen.tolist(), strict=True))
                 return self._hit(t, z, i, s)
             before = after
@@ -139,9 +139,8 @@ class Retracing:
         found: Vector = system.gap(moved[: system.n])
         return found
 
-    def _root(self, t: float, x: Vector, i: int, between: tuple[float, float]) -> float:
-        found = scipy.optimize.brentq(lambda s: self._gaps(t, x, s)[i], *between)
-        return float(found)
+    def _root(self, t: float, x: Vector, i: int, above: float, below: float) -> float:
+        return falls_at(lambda s: float(self._gaps(t, x, s)[i]), above, below)
 
     def _hit(self, t: float, z: Normal, i: int, s: float) -> _Hit:
         n = self._filter.system.n

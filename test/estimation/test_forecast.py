@@ -35,7 +35,7 @@ from systems import (
 )
 
 from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.forecast import Dip, Forecast
+from impact_observer.estimation.forecast import Dip, Forecast, falls_at
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.events import Kind
@@ -250,3 +250,23 @@ def test_rounding_is_no_dip(t: float, early: float, speed: float) -> None:
         x = np.array([-0.1 - early * speed, velocity])
         found = forecast(model, t, x, 1e-17 * np.eye(2), ())
         assert len(found.dips(seconds)) == count
+
+
+@given(
+    root=st.floats(-5.0, 5.0),
+    ends=st.tuples(st.floats(1e-6, 3.0), st.floats(1e-6, 3.0)),
+    power=st.sampled_from([1, 3, 9]),
+    back=st.booleans(),
+)
+@examples(60)
+def test_a_fall_through_zero_is_found_where_it_is(
+    root: float, ends: tuple[float, float], power: int, *, back: bool
+) -> None:
+    """Forwards and back in time, straight or flat, to the last digits."""
+    sign = -1.0 if back else 1.0
+    found = falls_at(
+        lambda s: sign * math.expm1(root - s) ** power,
+        root - sign * ends[0],
+        root + sign * ends[1],
+    )
+    assert found == pytest.approx(root, rel=1e-15, abs=1e-14)
