@@ -141,8 +141,6 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     for k in range(2):
         forces.splice(time.size - 1, time[-1:] + k, jets, float(time[-1]))  # type: ignore[attr-defined]
     forces.drop(1)  # type: ignore[attr-defined]
-    arena, _, _, x = calls["Arena.start"][0].given
-    arena.fly_all(0, 0.0, x[None], 2_000_000_000, 9)
 
 
 def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:

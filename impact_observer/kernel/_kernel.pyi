@@ -214,17 +214,6 @@ class Arena:
     ) -> None: ...
     def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...
     def start(self, stamp: int, remainder: float, x: Vector) -> Flights: ...
-    def fly_all(
-        self, stamp: int, remainder: float, x: Matrix, limit: int, most: int
-    ) -> list[
-        tuple[
-            NDArray[np.int64],
-            Vector,
-            NDArray[np.int64],
-            Matrix,
-            tuple[float, tuple[int, ...]] | None,
-        ]
-    ]: ...
 
 class Flights:
     def advance(

@@ -392,53 +392,13 @@ py::tuple advance(Flights& flights, std::int64_t limit, std::size_t most) {
     stamp_of(limit, "limit");
     {
         const py::gil_scoped_release unlocked;
-        flights.advance(limit, most, [&](Hit&& hit) { hits.push_back(std::move(hit)); });
+        hits = flights.advance(limit, most);
     }
     py::list found;
     for (const Hit& hit : hits)
         found.append(py::make_tuple(hit.instant.stamp, hit.instant.remainder, hit.contact,
                                     hit.energy, to_python(hit.before), to_python(hit.after)));
     return py::make_tuple(found, left_by(flights));
-}
-
-// The same of many starts, without the lock: arrays of stamps, remainders, contacts and states
-// after, and the crossing that is left, for each row of `x`.
-py::list fly_all(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
-                 const Array& x, std::int64_t limit, std::size_t most) {
-    const View starts = checked(x, "x", ANY, py::ssize_t(2 * arena->M.rows));
-    const Instant start{stamp_of(stamp, "stamp"), remainder_of(remainder)};
-    stamp_of(limit, "limit");
-    std::vector<std::vector<Hit>> hits(starts.rows);
-    std::vector<Flights> flights;
-    {
-        const py::gil_scoped_release unlocked;
-        for (std::size_t k = 0; k < starts.rows; ++k) {
-            flights.emplace_back(arena, start, starts.row(k));
-            flights.back().advance(limit, most, [&](Hit&& hit) {
-                hit.before.clear();
-                hits[k].push_back(std::move(hit));
-            });
-        }
-    }
-    py::list found;
-    for (std::size_t k = 0; k < starts.rows; ++k) {
-        std::vector<std::int64_t> stamps, contacts;
-        std::vector<double> remainders;
-        Matrix after(hits[k].size(), starts.columns);
-        for (std::size_t i = 0; i < hits[k].size(); ++i) {
-            const Hit& hit = hits[k][i];
-            stamps.push_back(hit.instant.stamp);
-            remainders.push_back(hit.instant.remainder);
-            contacts.push_back(std::int64_t(hit.contact));
-            std::copy(hit.after.begin(), hit.after.end(), after.row(i));
-        }
-        const auto integers = [](const std::vector<std::int64_t>& of) {
-            return ArrayOf<std::int64_t>(py::ssize_t(of.size()), of.data());
-        };
-        found.append(py::make_tuple(integers(stamps), to_python(remainders), integers(contacts),
-                                    to_python(after), left_by(flights[k])));
-    }
-    return found;
 }
 
 }  // namespace
@@ -489,9 +449,7 @@ void bind_dynamics(py::module_& module) {
         .def(py::init(&make_arena), py::arg("gaps").none(false), py::arg("M"), py::arg("W"),
              py::arg("q_r"), py::arg("length"), py::arg("times"), py::arg("lowest"))
         .def("learn", &learn, py::arg("contact"), py::arg("kick"), py::arg("Z"))
-        .def("start", &fly, py::arg("stamp"), py::arg("remainder"), py::arg("x"))
-        .def("fly_all", &fly_all, py::arg("stamp"), py::arg("remainder"), py::arg("x"),
-             py::arg("limit"), py::arg("most"));
+        .def("start", &fly, py::arg("stamp"), py::arg("remainder"), py::arg("x"));
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, py::arg("limit"), py::arg("most"));
 }

@@ -67,16 +67,21 @@ class Flights {
     Flights(std::shared_ptr<const Arena> in, const Instant& start, const double* x)
         : arena(std::move(in)), flight(begun(start, x)) {}
 
-    // Flies on through impacts with stamps up to `limit`, at most so many, and tells of each.
-    template <class Tell>
-    void advance(std::int64_t limit, std::size_t most, Tell tell) {
-        for (std::size_t k = 0; k < most && !ended; ++k) {
+    // Flies on through impacts with stamps up to `limit`, at most so many: these impacts.
+    std::vector<Hit> advance(std::int64_t limit, std::size_t most) {
+        std::vector<Hit> hits;
+        ended = false;  // a contact may be known now
+        while (hits.size() < most && !ended) {
             if (!crossing) crossing = flight.hunt.first(flight.start.until(limit) + 0.5e-9);
-            if (!crossing || crossing->s > flight.start.until(limit) + 1.0) return;
+            if (!crossing || crossing->s > flight.start.until(limit) + 1.0) break;
             const Instant instant = flight.start.after(crossing->s);
-            if (instant.stamp > limit) return;
-            if (!impact(instant, tell)) ended = true;
+            if (instant.stamp > limit) break;
+            if (std::optional<Hit> hit = impact(instant))
+                hits.push_back(std::move(*hit));
+            else
+                ended = true;
         }
+        return hits;
     }
 
   private:
@@ -98,40 +103,37 @@ class Flights {
     }
 
     // Goes through an impact if it is a plain one.
-    template <class Tell>
-    bool impact(const Instant& instant, Tell tell) {
-        if (crossing->which.size() > 1 || crossing->s <= 2 * arena->shortest) return false;
+    std::optional<Hit> impact(const Instant& instant) {
+        if (crossing->which.size() > 1 || crossing->s <= 2 * arena->shortest) return {};
         const std::size_t i = crossing->which.front(), n = arena->M.rows;
         const Contact& contact = arena->contacts[i];
-        if (contact.kick.empty()) return false;
+        if (contact.kick.empty()) return {};
         Hit hit{instant, i, 0.0, std::vector<double>(2 * n), {}};
         flight.motion->states(&crossing->s, 1, hit.before.data());
         hit.after = hit.before;
         const double gamma = dot(contact.W.data(), &hit.before[n], n);
-        if (!(gamma < 0)) return false;
+        if (!(gamma < 0)) return {};
         add(-gamma, contact.kick.data(), &hit.after[n], n);
         add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(),
             &hit.after[0], n);
         for (std::size_t k = 0; k < n; ++k)
             hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
         const double away = dot(contact.W.data(), &hit.after[n], n);
-        if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return false;
+        if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return {};
         Flight next = begun(instant, hit.after.data());
-        if (may_rest(i, away, next)) return false;
+        if (may_rest(i, away, next)) return {};
         flight = std::move(next);
         crossing.reset();
-        tell(std::move(hit));
-        return true;
+        return hit;
     }
 
     // Whether a contact that separates with speed gamma could be back at once: not if its flight
     // is long and high enough with the acceleration that it has, known to 1e-8 of the largest.
-    bool may_rest(std::size_t i, double gamma, const Flight& next) const {
-        const std::unique_ptr<Functions> gaps = arena->gaps->along(next.motion);
-        gaps->look(0.0);
+    bool may_rest(std::size_t i, double gamma, Flight& next) const {
+        Functions& gaps = next.hunt.look(0.0);
         const double fall =
-            std::max(-gaps->derivative(2, i), 0.0) + 1e-8 * gaps->largest(2, i, arena->timescale);
-        const double scale = std::abs(gaps->constant(i)) + gaps->largest(0, i, arena->timescale);
+            std::max(-gaps.derivative(2, i), 0.0) + 1e-8 * gaps.largest(2, i, arena->timescale);
+        const double scale = std::abs(gaps.constant(i)) + gaps.largest(0, i, arena->timescale);
         return gamma <= fall * arena->shortest ||
                gamma * gamma <= 4 * fall * arena->lowest * scale;
     }

@@ -32,18 +32,23 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
         const std::vector<Drive>* drives;
         std::vector<double> constant;                // w
         std::vector<Complex> harmonics;              // ORDERS x w x h
+        std::vector<double> driven;                  // ORDERS x w, sums of their sizes
         std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
     };
 
     std::shared_ptr<const ModalFlow> modal;
     std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
     Matrix reach;                     // what entries of r T are rounded against, w x 2n
+    Matrix growth;                    // |lambda|^k, ORDERS x n
     View early, late;
 
     // `seen` is r T; `waves` w x (1 + 2h).
     ModalGuards(std::shared_ptr<const ModalFlow> of, Matrix position, Matrix seen, Matrix rounded,
                 Matrix waves)
-        : Guards(of, std::move(position)), modal(std::move(of)), reach(std::move(rounded)) {
+        : Guards(of, std::move(position)),
+          modal(std::move(of)),
+          reach(std::move(rounded)),
+          growth(ORDERS, modal->pairs.size()) {
         rows[0] = std::move(seen);
         for (std::size_t k = 1; k < ORDERS; ++k) {
             rows[k] = Matrix(w, rows[0].columns);
@@ -53,6 +58,11 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
                     rows[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
                     rows[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
                 }
+        }
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
+            const Pair& pair = modal->pairs[p];
+            for (std::size_t k = 0; k < ORDERS; ++k)
+                growth(k, p) = std::pow(std::hypot(pair.a, pair.d), double(k));
         }
         early = view(modal->all, waves);
         const Matrix& response = modal->response;
@@ -67,7 +77,7 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
   private:
     View view(const std::vector<Drive>& drives, const Matrix& waves) const {
         const std::size_t h = flow->harmonics.size(), r = drives.size();
-        View found{&drives, {}, {}, {}, {}, {}};
+        View found{&drives, {}, {}, std::vector<double>(ORDERS * w), {}, {}, {}};
         for (std::size_t i = 0; i < w; ++i) {
             found.constant.push_back(waves(i, 0));
             for (std::size_t j = 0; j < h; ++j)
@@ -77,6 +87,8 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
         for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
             found.harmonics[k] =
                 found.harmonics[k - w * h] * Complex(0.0, flow->harmonics.frequency[k % h]);
+        for (std::size_t k = 0; k < ORDERS * w * h; ++k)
+            found.driven[k / h] += std::abs(found.harmonics[k]);
         for (auto* part : {&found.loads, &found.turned, &found.direct})
             part->resize(ORDERS * w * r);
         for (std::size_t k = 0; k < ORDERS; ++k)
@@ -153,17 +165,17 @@ class ModalFunctions : public Functions {
 
     double largest(std::size_t order, std::size_t i, double stop) override {
         const std::size_t k = order * size() + i, r = phase.size();
+        if (sizes[0].rows == 0) prepare(0);
         if (sizes[order].rows == 0) prepare(order);
         const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
-        double found = 0.0, other = 0.0;
+        Two sum = {0, 0};
         std::size_t p = 0;
-        for (; p + 2 <= n; p += 2) {  // side by side
-            found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
-            other += decay[p + 1] * std::min(flat[p + 1], value[p + 1] + rate[p + 1] * stop);
+        for (; p + 2 <= n; p += 2) {
+            const Two early = two(value + p) + two(rate + p) * stop, late = two(flat + p);
+            sum += two(&decay[p]) * (early < late ? early : late);
         }
+        double found = sum[0] + sum[1] + view->driven[k];
         if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
-        found += other;
-        for (std::size_t j = 0; j < h; ++j) found += std::abs(view->harmonics[k * h + j]);
         for (std::size_t j = 0; j < r; ++j) {
             const Drive& drive = (*view->drives)[j];
             found += std::abs(view->direct[k * r + j]);
@@ -207,15 +219,19 @@ class ModalFunctions : public Functions {
                                 guards->reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
     }
 
+    // The k-th derivative of a pair that oscillates is |lambda|^k as large as its value.
     void prepare(std::size_t order) {
         const std::vector<double>& z = motion->free(early);
         sizes[order] = Matrix(size(), 3 * n);
         for (std::size_t i = 0; i < size(); ++i)
             for (std::size_t p = 0; p < n; ++p) {
+                const Pair& pair = guards->modal->pairs[p];
                 const double *row = guards->rows[order].row(i) + 2 * p, *of = &z[4 * p];
                 const double A = row[0] * of[0] + row[1] * of[1];
                 const double B = row[0] * of[2] + row[1] * of[3];
-                sizes[order](i, p) = guards->modal->pairs[p].amplitude(A, B);
+                sizes[order](i, p) = order > 0 && pair.oscillates
+                                         ? sizes[0](i, p) * guards->growth(order, p)
+                                         : pair.amplitude(A, B);
                 sizes[order](i, n + p) = std::abs(A);
                 sizes[order](i, 2 * n + p) = std::abs(B);
             }

@@ -27,7 +27,8 @@ constexpr double ROUNDED = 1e-14;  // from which one more step of Newton's metho
 constexpr double ROOT = 8.8817841970012523e-16;  // relative accuracy of a root: 4 eps
 constexpr double FIRST =
     1e-9;  // of a window: steps after a start are never shorter than ROOT of it
-constexpr double SHORT = 1.0 / 128;  // of a window: where shorter steps are worth a closer look
+constexpr double FALLS = 0.02;  // of a parabola: that is straight enough
+constexpr double CLOSE = 1e-6;  // to a root, relative, of a polynomial
 
 struct Crossing {
     double s;
@@ -63,15 +64,22 @@ class Hunt {
 
     std::size_t looks = 0;  // instants at which it has looked
 
+    // The functions at an instant.
+    Functions& look(double where) {
+        if (where != there) functions->look(there = where);
+        return *functions;
+    }
+
   private:
     std::unique_ptr<Functions> functions;
+    double there = NAN;  // where it has looked last
     double window, s, last, stretch;
     std::vector<double> values, before;  // at s and at `last`
     std::optional<Crossing> found;
 
     // Whether one of the functions is below zero at s by more than rounding.
     bool is_below() {
-        functions->look(s);
+        look(s);
         for (std::size_t i = 0; i < values.size(); ++i)
             if (functions->derivative(0, i) < -DEPTH / 2 * functions->scale(i)) return true;
         return false;
@@ -79,7 +87,7 @@ class Hunt {
 
     void step(double end) {
         ++looks;
-        functions->look(s);
+        look(s);
         const double stop = std::min({s + stretch, functions->smooth_until(), end});
         double h = stop - s;
         bool deep = false;
@@ -107,36 +115,60 @@ class Hunt {
         if (slope <= 0 && (slope < 0 || bend > 0)) h = root > 0 ? 2 * value / (root - slope) : 0.0;
         if (h >= most) return most;
         if (functions->constant(i) >= functions->largest(0, i, stop)) return most;
-        const bool falls = slope < 0 && bend * value < slope * slope / 4;
-        if (h < SHORT * window && !falls) h = std::max(h, closely(i, value, h, most, stop));
-        return std::min(h, most);
+        if (slope < 0 && bend * value < FALLS * slope * slope) return h;  // nearly at the root
+        return std::min(closely(i, value, h, most, stop), most);
     }
 
-    // The same by a Taylor polynomial of order 8 with bounded remainder: where a function stays
-    // near zero for long. Its least Bernstein coefficient decides.
+    // The same by a Taylor polynomial of order 8 with bounded remainder: up to its root, if its
+    // Bernstein coefficients show that there is none before. `least` is safe in any case.
     double closely(std::size_t i, double value, double least, double most, double stop) {
-        double taylor[ORDERS];
-        taylor[0] = value;
-        for (std::size_t k = 1; k + 1 < ORDERS; ++k) taylor[k] = functions->derivative(k, i);
-        taylor[8] = -functions->largest(8, i, stop);
+        const double fast = functions->largest(8, i, stop);
         // Where the remainder has grown to what the acceleration makes.
-        const double bend = functions->largest(2, i, stop);
-        double h =
-            taylor[8] < 0 ? std::min(most, std::pow(-20160 * bend / taylor[8], 1.0 / 6)) : most;
-        for (; h > 2 * least; h /= 2)
-            if (lowest(taylor, h) >= 0) return h;
+        if (fast > 0)
+            most = std::min(most, std::pow(20160 * functions->largest(2, i, stop) / fast, 1. / 6));
+        double taylor[ORDERS] = {value}, factor = 1.0;  // powers of h / most
+        for (std::size_t k = 1; k < ORDERS; ++k) {
+            factor *= most / double(k);
+            taylor[k] = factor * (k + 1 < ORDERS ? functions->derivative(k, i) : -fast);
+        }
+        for (double h = before_root(taylor, least / most); h * most > least; h /= 2)
+            if (lowest(taylor, h) >= 0) return h * most;
         return least;
     }
 
-    // The least Bernstein coefficient on [0, h] of a function with derivatives `taylor` at 0.
-    static double lowest(const double* taylor, double h) {
-        // b_i = sum_j binomial(i, j) / binomial(8, j) h^j / j! taylor_j: sums as in Pascal's
-        // triangle
-        double sums[ORDERS], factor = 1.0;
-        for (std::size_t k = 0; k < ORDERS; ++k) {
-            sums[k] = taylor[k] * factor;
-            factor *= h / std::max(double(ORDERS - 1) - double(k), 1.0);
+    static double polynomial(const double* c, double x) {
+        double sum = c[ORDERS - 1];
+        for (std::size_t k = ORDERS - 1; k-- > 0;) sum = c[k] + sum * x;
+        return sum;
+    }
+
+    // Just before a root between `least` and 1, if it finds one.
+    static double before_root(const double* taylor, double least) {
+        double low = std::max(least, 1e-9), high = low, at_low = polynomial(taylor, low), at_high;
+        do {
+            if (!(high < 1)) return 1;
+            high = std::min(2 * high, 1.0), at_high = polynomial(taylor, high);
+        } while (at_high >= 0);
+        // Regula falsi, where the end that stays counts half (Illinois).
+        for (int turn = 0; turn < 30 && high - low > CLOSE * high; ++turn) {
+            const double x = low + (high - low) * (at_low / (at_low - at_high));
+            const double now = polynomial(taylor, x);
+            if (!(x > low && x < high)) break;
+            if (now >= 0)
+                low = x, at_low = now, at_high /= 2;
+            else
+                high = x, at_high = now, at_low /= 2;
         }
+        return low;
+    }
+
+    // The least Bernstein coefficient of a polynomial on [0, h].
+    static double lowest(const double* taylor, double h) {
+        // b_i = sum_j binomial(i, j) / binomial(8, j) h^j taylor_j: sums as in Pascal's triangle
+        constexpr double part[ORDERS] = {1,       1. / 8,  1. / 28, 1. / 56, 1. / 70,
+                                         1. / 56, 1. / 28, 1. / 8,  1};
+        double sums[ORDERS], power = 1.0;
+        for (std::size_t k = 0; k < ORDERS; ++k, power *= h) sums[k] = taylor[k] * power * part[k];
         double least = sums[0];
         for (std::size_t i = 1; i < ORDERS; ++i) {
             for (std::size_t j = 0; j + i < ORDERS; ++j) sums[j] += sums[j + 1];
@@ -154,17 +186,14 @@ class Hunt {
             const double x = root(i);
             if (x < first.s) first.s = x, earliest = i;
         }
-        functions->look(first.s);
+        look(first.s);
         for (std::size_t i = 0; i < functions->size(); ++i)
             if (i == earliest || functions->derivative(0, i) <= ZERO * functions->scale(i))
                 first.which.push_back(i);
         found = first;
     }
 
-    double at(std::size_t i, double where) {
-        functions->look(where);
-        return functions->derivative(0, i);
-    }
+    double at(std::size_t i, double where) { return look(where).derivative(0, i); }
 
     // The last root of one function before s, by Newton's method between points of both signs.
     double root(std::size_t i) {

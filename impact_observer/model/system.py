@@ -374,7 +374,21 @@ def _check_symmetric(key: str, matrix: Matrix) -> None:
     )
 
 
+def _is_clearly_definite(symmetric: Matrix, *, strictly: bool) -> bool:
+    """Whether a Cholesky factor exists with a margin: it takes far less than eigenvalues."""
+    least = -_SEMIDEFINITE / 2 * float(np.max(np.abs(np.diag(symmetric))))
+    if strictly:
+        least = 2 * max(_SINGULAR * float(np.max(np.sum(np.abs(symmetric), axis=1))), 1 / LARGEST)
+    try:
+        np.linalg.cholesky(symmetric - least * np.eye(len(symmetric)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
+    if _is_clearly_definite(symmetric, strictly=strictly):
+        return
     eigenvalues = np.linalg.eigvalsh(symmetric)
     smallest, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
     if strictly and smallest <= _SINGULAR * largest:

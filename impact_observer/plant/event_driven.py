@@ -98,7 +98,7 @@ class Plant:
         self._searcher = lru_cache(KEPT)(self._search_of)
         self._switches = lru_cache(KEPT)(partial(switches, system))
         gaps = self._searcher(self._phases.phase(), tuple(range(system.m)), ())
-        self.impacts = PlainImpacts(self._phases, gaps, self._zeno.shortest, LOW)
+        self.impacts = PlainImpacts(self._phases, self._law, gaps, self._zeno.shortest, LOW)
         self._last, self._energetic = None, 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
@@ -328,9 +328,6 @@ class Plant:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
         after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
         resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
-        special = self.system.curved | set(np.flatnonzero(self.system.contact_time).tolist())
-        if len(contacts) == 1 and contacts[0] not in special:
-            self.impacts.learn(contacts[0], self._law)
         return self._switched(instant, x, after, contacts, resting)
 
     def _energy(self, u: Vector) -> float:

@@ -15,12 +15,14 @@
 """Impacts of one open contact after the other, computed ahead by the kernel.
 
 They are nearly all that a plant does. The kernel leaves anything else to the plant: several
-contacts at once, one that may come to rest, flights so short that impacts might accumulate, and
-the first impact of each contact.
+contacts at once, one that may come to rest or has no restitution, impacts that last or depend on
+their speed, and flights so short that impacts might accumulate.
 """
 
 from collections import deque
 from typing import NamedTuple
+
+import numpy as np
 
 from impact_observer.dynamics import ImpactLaw, Phases, Search
 from impact_observer.kernel import Arena, Flights
@@ -59,11 +61,14 @@ class PlainImpacts:
         left: the crossing that the kernel leaves to the plant, if there is one.
     """
 
-    def __init__(self, phases: Phases, search: Search, shortest: float, lowest: float) -> None:
+    def __init__(
+        self, phases: Phases, law: ImpactLaw, search: Search, shortest: float, lowest: float
+    ) -> None:
         """Prepare the flights.
 
         Args:
             phases: of the plant's system.
+            law: of its impacts.
             search: of all gaps while no contact is closed.
             shortest: flight that counts as none, s.
             lowest: height of a flight that counts as none, relative to what gaps are rounded
@@ -73,9 +78,10 @@ class PlainImpacts:
         self.arena = Arena(
             search.guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
         )
-        self._phases = phases
+        self._phases, self._law = phases, law
         self._flights: Flights | None = None
-        self._known: set[int] = set()
+        simple = (system.eps > 0) & (system.contact_time == 0)
+        self._unknown = set(np.flatnonzero(simple).tolist()) - system.curved
         self._most = max(16, _NUMBERS // (4 * system.n))
         self._hits: deque[Hit] = deque()
         self.left: tuple[float, tuple[int, ...]] | None = None
@@ -86,14 +92,6 @@ class PlainImpacts:
         self.left = None
         self._flights = self.arena.start(t.ns, t.remainder, x)
 
-    def learn(self, contact: int, law: ImpactLaw) -> None:
-        """From now on the kernel makes the impacts of ``contact`` by ``law``."""
-        if contact in self._known:
-            return
-        self._known.add(contact)
-        Z = self._phases.projection.jump((contact,))[:, 0]
-        self.arena.learn(contact, law.kick(contact), Z)
-
     def next(self, limit: int) -> Hit | None:
         """The next impact, if it is computed or not later than ``limit``, ns since the epoch.
 
@@ -102,5 +100,17 @@ class PlainImpacts:
         assert self._flights is not None, "not started"
         if not self._hits and self.left is None:
             hits, self.left = self._flights.advance(limit, self._most)
+            while self.left is not None and self._learn(self.left[1]):
+                more, self.left = self._flights.advance(limit, self._most)
+                hits += more
             self._hits.extend(Hit(*each) for each in hits)
         return self._hits.popleft() if self._hits else None
+
+    def _learn(self, contacts: tuple[int, ...]) -> bool:
+        """Prepare the impact of a single contact for the kernel, unless it knows it."""
+        if len(contacts) > 1 or contacts[0] not in self._unknown:
+            return False
+        self._unknown.discard(contacts[0])
+        Z = self._phases.projection.jump(contacts)[:, 0]
+        self.arena.learn(contacts[0], self._law.kick(contacts[0]), Z)
+        return True

@@ -83,8 +83,8 @@ def simulate(
     last = int(stamps[-1]) if stamps.size else plant.epoch
     while (switching := plant.next_switching(last)) is not None:
         stamp = switching.instant.stamp
-        upto = int(np.searchsorted(stamps, stamp))
-        if upto > done:
+        if done < stamps.size and stamps[done] < stamp:
+            upto = int(np.searchsorted(stamps, stamp))
             states[done:upto] = plant.states(stamps[done:upto])
             done = upto
         plant.cross(switching)

@@ -25,7 +25,7 @@ import numpy as np
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.dynamics.contact.friction import Grip, grip
-from impact_observer.dynamics.flow.phase import RANK, Phases, without
+from impact_observer.dynamics.flow.phase import RANK, Phases, orthonormal, without
 from impact_observer.errors import DynamicsError
 from impact_observer.states import Matrix, Vector
 
@@ -61,7 +61,7 @@ def persistent_contacts(
         terms = phases.white(
             np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
         )
-        basis = np.linalg.qr(phases.B[:, pressing])[0]
+        basis = orthonormal(phases.B[:, pressing])
         directions = without(basis, phases.B[:, undecided])
         free = without(basis, terms.sum(axis=1))
         # Rounding is relative to the terms of the sum, those of the force included.

@@ -139,4 +139,6 @@ class PositionProjection:
 
 def _inverse(gaps: Matrix, least: float) -> Matrix:
     """Pseudo-inverse of gaps per mode; singular values below ``least`` count as zero."""
-    return np.asarray(linalg.pinv(gaps, atol=least, rtol=0.0) if gaps.size else gaps.T)
+    U, size, V = np.linalg.svd(gaps, full_matrices=False)
+    inverse = np.divide(1.0, size, out=np.zeros(size.size), where=size > least)
+    return np.asarray((V.T * inverse) @ U.T)

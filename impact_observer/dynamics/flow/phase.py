@@ -208,6 +208,8 @@ class Phases:
 
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
         """Those of ``contacts`` whose direction does not depend on others before them."""
+        if len(contacts) < 2:
+            return contacts
         chosen: list[int] = []
         basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
         for i in contacts:
@@ -245,7 +247,7 @@ class Phases:
             projection: of a system that differs by its gaps only; None for this one.
         """
         n = self.system.n
-        basis = linalg.qr(self.B[:, list(self.independent(contacts))], mode="economic")[0]
+        basis = orthonormal(self.B[:, list(self.independent(contacts))])
         velocity = self._factor.transposed(x[n:])
         velocity -= basis @ (basis.T @ velocity)
         position = (projection or self.projection).position_after(x[:n], contacts)
@@ -400,6 +402,13 @@ class Phases:
 
 def _symmetric(matrix: Matrix) -> Matrix:
     return np.asarray((matrix + matrix.T) / 2)
+
+
+def orthonormal(vectors: Matrix) -> Matrix:
+    """A basis of what ``vectors`` span, independent columns, shape (n, k), of the same shape."""
+    if vectors.shape[1] < 2:  # nearly always
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
+    return np.linalg.qr(vectors)[0]
 
 
 def without(basis: Matrix, vectors: Matrix) -> Matrix:
