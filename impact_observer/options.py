@@ -215,6 +215,14 @@ class Options:
         low=0.0,
         high=0.9,
     )
+    dead_time: float = option(
+        0.0,
+        "minimum-variance: time after an event in which the sensor reports no other hit of that"
+        " contact: hits then are no missed detections",
+        "s",
+        low=0.0,
+        high=10.0,
+    )
     model_error: float = option(
         -1.0,
         "process noise: white noise of the model's accelerations; 0: the model is exact; negative:"

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 CONVERGENCE = ("ensemble", "agreed")
 """Options on whether an estimate has converged; only ``observe`` offers them."""
+_OF_SENSORS_TOO = {"missed", "spurious", "mislabelled", "dead_time"}
+"""Options of observers that are faults of a simulated sensor by the same names."""
 _ELSEWHERE = ("law", "history")
 """Chosen by arguments of the subcommands themselves, or of no use with a bag."""
 
@@ -54,7 +56,7 @@ def add_observer_arguments(
             continue
         if simulated and each.name == "epoch":
             continue
-        clash = simulated and each.name in {"missed", "spurious", "mislabelled"}
+        clash = simulated and each.name in _OF_SENSORS_TOO
         add_option(
             parser,
             each,

@@ -29,6 +29,7 @@ from impact_observer.cli.arguments import (
     stamp,
 )
 from impact_observer.errors import BagError, UsageError
+from impact_observer.options import Options
 from impact_observer.plain_text import say
 
 _MOST_HELD_BACK = 0.5
@@ -55,6 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number,
         default=-1.0,
         help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
+    )
+    parser.add_argument(
+        "--dead-time",
+        metavar="S",
+        type=number,
+        default=Options.dead_time,
+        help="time after an event in which the sensor reports no other hit of that contact, s:"
+        " hits then are no missed detections (default 0)",
     )
     parser.add_argument(
         "--epoch",
@@ -123,6 +132,7 @@ def run(args: argparse.Namespace) -> int:
         initial_state=args.initial_state,
         plot=args.plot,
         json=args.json,
+        dead_time=Options(dead_time=args.dead_time).dead_time,
     )
 
 
@@ -143,6 +153,7 @@ def identify(
     initial_state: bool = False,
     plot: Path | None = None,
     json: bool = False,
+    dead_time: float = 0.0,
 ) -> int:
     """Fit a model to the impacts in a bag, and to samples if any, and print the result.
 
@@ -199,6 +210,7 @@ def identify(
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
                 measurements=declared,
                 samples=recorded.samples,
+                dead_time=dead_time,
             )
         except BagError as error:
             raise type(error)(f"{bag}: {error}") from None

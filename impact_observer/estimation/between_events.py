@@ -43,6 +43,8 @@ CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
 LATE = 4.0
 """Deviations of a stamp by which an impact may seem to be before an event, and be after it."""
+DEAD = 0.5
+"""Probability of the dead time from which on a switch counts as one in it."""
 _MOST_MISSED = 256
 """Missed switches that a hypothesis may insert."""
 _MOST_FLIGHTS = 256
@@ -73,12 +75,14 @@ class _Missed(NamedTuple):
         dip: the penetration that begins there.
         at: seconds after the path's beginning.
         weight: logarithm of the probability of the path with this switch.
+        is_dead: whether it is in the sensor's dead time.
     """
 
     path: _Path
     dip: Dip
     at: float
     weight: float
+    is_dead: bool
 
 
 def _flights(
@@ -108,6 +112,7 @@ class BetweenEvents:
         *,
         trusts_events: bool,
         missed: float,
+        dead_time: float,
         most: int,
         judges: bool,
     ) -> None:
@@ -117,7 +122,8 @@ class BetweenEvents:
             filter_: predicts the state of each.
             errors: that a model may have, or None.
             trusts_events: whether none is spurious and none is missed: then nothing is inserted.
-            missed: logarithm of the probability that the sensor misses a switch.
+            missed: probability that the sensor misses a switch.
+            dead_time: after an event, in which it reports no other hit of the contact, s.
             most: hypotheses of which twice as many are kept.
             judges: whether hypotheses with an exact model are kept for the sake of comparison.
         """
@@ -125,6 +131,7 @@ class BetweenEvents:
         self.errors = errors
         self._trusts_events = trusts_events
         self._missed = missed
+        self._dead_time = dead_time
         self._most = most
         self._judges = judges
         self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
@@ -222,15 +229,16 @@ class BetweenEvents:
             and not self._is_now(dip, path.left, h.clock)
         )
         dip = next(likely, None)
-        if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
-            return
-        weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
-        if weight < enough:
+        if dip is None or len(h.missed) >= _MOST_MISSED:
             return
         at = dip.began
+        dead = self.dead(h, dip.contact, dip.kind, path.t + (dip.below if at is None else at))
+        weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
+        if weight < enough:
+            return
         if at is None:
             at = self.forecast(path.t, h.state, h.acceleration_error).root(dip)
-        yield _Missed(path, dip, at, weight)
+        yield _Missed(path, dip, at, weight, dead > DEAD)
 
     def _inserted(self, missed: Sequence[_Missed]) -> list[_Path]:
         """Paths after missed switches."""
@@ -238,11 +246,12 @@ class BetweenEvents:
         t = [each.path.t + each.at for each in missed]
         after = insert_switches(self.filter, t, before, [each.dip for each in missed])
         found = []
-        for (path, dip, at, weight), at_, prior, (state, kind) in zip(
+        for (path, dip, at, weight, is_dead), at_, prior, (state, kind) in zip(
             missed, t, before, after, strict=True
         ):
             h, left = path.h, path.left - at
-            switches = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
+            switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
+            switches = (*h.missed, switch)
             h = h._replace(state=state, weight=weight, missed=switches)
             if self.errors is not None:
                 hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
@@ -258,6 +267,26 @@ class BetweenEvents:
         estimates = self.filter.members.family.size > 0
         began = dip.below if dip.began is None or estimates else dip.began
         return not dip.over and now - began <= LATE * clock
+
+    def dead(self, h: Hypothesis, contact: int, kind: Kind, t: float) -> float:
+        """Probability that the sensor could not report a switch of ``contact`` at ``t``, s.
+
+        It cannot in its dead time after the last report, of which the stamp has an error, nor can
+        it report the end of a rest that it has not reported.
+        """
+        if kind is Kind.OPEN and self._dead_time:
+            return float(h.closed_unreported(contact))
+        if (last := h.reported.get(contact)) is None:
+            return 0.0
+        return float(special.ndtr((last + self._dead_time - t) / h.clock))
+
+    def log_missed(self, dead: float) -> float:
+        """Logarithm of the probability that a switch is not reported.
+
+        ``dead`` is that with which the sensor could not.
+        """
+        missed = dead + (1.0 - dead) * self._missed
+        return math.log(missed) if missed else -math.inf
 
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""

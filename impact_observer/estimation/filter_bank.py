@@ -146,6 +146,7 @@ class FilterBank:
         learns_error = uncertainty.model_error is None and clocks
         self.errors = ErrorAccounts(filter_, clocks) if learns_error else None
         self._missed, self._reported = _logs(uncertainty.missed)
+        self._has_dead_time = uncertainty.dead_time > 0
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
         self._rate = -math.log(filter_.phases.scales.timescale)
         spurious, true = _logs(uncertainty.spurious)
@@ -157,7 +158,8 @@ class FilterBank:
             filter_,
             self.errors,
             trusts_events=self.trusts_events,
-            missed=self._missed,
+            missed=uncertainty.missed,
+            dead_time=uncertainty.dead_time,
             most=self._most,
             judges=self._judges,
         )
@@ -184,6 +186,16 @@ class FilterBank:
 
         ``restarts`` makes those of a restart.
         """
+        if not self._has_dead_time:
+            return self._corrected(change, hypotheses, restarts)
+        reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
+        found = self._corrected(change, hypotheses, restarts)
+        return tuple([h._replace(reported=reported) for h in found])
+
+    def _corrected(
+        self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
+    ) -> tuple[Hypothesis, ...]:
+        """``hypotheses`` after an event, but for what has been reported."""
         if len(hypotheses) == 1 and (clear := self._clear(change, hypotheses[0])):
             return clear
         branches = self._branches(change, hypotheses)
@@ -463,10 +475,11 @@ def _noted(
             change.stamp - round(each.ago * 1e9),
             each.contact,
             Ruling.INSERTED,
-            f"{each.kind.name} missed: without it the estimate would penetrate by"
-            f" {each.depth:.3g} standard deviations",
+            f"{each.kind.name} {'in the dead time' if each.is_dead else 'missed'}: without it the"
+            f" estimate would penetrate by {each.depth:.3g} standard deviations",
             switched=each.contact,
             kind=each.kind,
+            is_dead=each.is_dead,
         )
         for each in h.missed
     ]

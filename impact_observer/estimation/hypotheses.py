@@ -52,6 +52,7 @@ class Note(NamedTuple):
         innovation: in standard deviations; -1 where there is none.
         switched: index of the contact that has switched: another one where it was mislabelled.
         kind: how it has switched, of an inserted one.
+        is_dead: whether it was in the sensor's dead time, which could not report it.
     """
 
     event: tuple[int, int]
@@ -62,6 +63,7 @@ class Note(NamedTuple):
     innovation: float = -1.0
     switched: int = -1
     kind: Kind = Kind.IMPACT
+    is_dead: bool = False
 
     @property
     def is_inserted(self) -> bool:
@@ -82,12 +84,14 @@ class MissedSwitch(NamedTuple):
         kind: how it switches.
         ago: when, seconds before the next event.
         depth: penetration that the estimate would reach without it, in standard deviations.
+        is_dead: whether it is in the sensor's dead time, which cannot report it.
     """
 
     contact: int
     kind: Kind
     ago: float
     depth: float
+    is_dead: bool = False
 
 
 class Hypothesis(NamedTuple):
@@ -110,6 +114,8 @@ class Hypothesis(NamedTuple):
         subset: which of the parameters it estimates, as a number; 0 for all.
         events: that it has explained.
         last_error: which of them it has explained by an error of the model, the last; 0 for none.
+        reported: when the sensor has reported each contact last, s since the epoch; empty where it
+            has no dead time.
     """
 
     state: GaussianState
@@ -126,6 +132,7 @@ class Hypothesis(NamedTuple):
     subset: int = 0
     events: int = 0
     last_error: int = 0
+    reported: Mapping[int, float] = NOTHING
 
     @property
     def is_exact(self) -> bool:
@@ -158,9 +165,22 @@ class Hypothesis(NamedTuple):
         return self._replace(missed=tuple(m._replace(ago=m.ago + s) for m in self.missed))
 
     def is_as_reported(self, event: tuple[int, int]) -> bool:
-        """Whether ``event``, the latest, happened as it was reported, and nothing before it."""
+        """Whether ``event``, the latest, happened as it was reported, and nothing before it.
+
+        Nothing that the sensor could have reported.
+        """
         latest = [*takewhile(lambda note: note.event == event, reversed(self.notes))]
-        return all(note.ruling is Ruling.APPLIED and not note.reason for note in latest)
+        return all(
+            note.is_dead or (note.ruling is Ruling.APPLIED and not note.reason) for note in latest
+        )
+
+    def closed_unreported(self, contact: int) -> bool:
+        """Whether ``contact``, which is closed, was closed in the sensor's dead time."""
+        latest = next((each for each in reversed(self.missed) if each.contact == contact), None)
+        if latest is not None:
+            return latest.is_dead
+        notes = (each for each in reversed(self.notes) if each.switched == contact)
+        return next((each.is_dead for each in notes), False)
 
     def notes_on(self, event: tuple[int, int]) -> list[Note]:
         """Its notes on the contacts of ``event``, which is the latest."""

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from impact_observer.estimation.between_events import CONFIDENT, LATE, POSSIBLE
+from impact_observer.estimation.between_events import CONFIDENT, DEAD, LATE, POSSIBLE
 from impact_observer.estimation.filter_bank import RESTART, FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -431,13 +431,15 @@ class SampleUpdate:
         yield h._replace(weight=h.weight + error, penetrating=NOTHING)
         for contact, unlikely in h.penetrating.items():
             depth = -float(special.ndtri_exp(unlikely))
-            missed = self.bank.log_priors.missed
+            between = self.bank.between
+            dead = between.dead(h, contact, Kind.IMPACT, reading.t)
+            missed = between.log_missed(dead)
             if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
                 continue
             dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, over=False)
             state, kind = insert_switch(self.bank.filter, reading.t, h.state, dip)
             weight = h.weight + missed + float(special.log_ndtr(depth)) + error - unlikely
-            inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth))
+            inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
             yield h._replace(
                 state=state, weight=weight, missed=inserted, penetrating=NOTHING, since=0.0
             )

@@ -40,6 +40,7 @@ _LIMITED = (
     "missed",
     "spurious",
     "mislabelled",
+    "dead_time",
 )
 _SEED = 2014
 """Of the replicas' initial states: always the same, and not a seed that users give."""
@@ -52,7 +53,7 @@ class Uncertainty:
     """Errors of the initial state, the sensor and the model.
 
     Deviations are standard deviations. ``missed``, ``spurious`` and ``mislabelled`` are
-    probabilities; where all are 0 every event is trusted.
+    probabilities; where all are 0, and the dead time too, every event is trusted.
 
     Attributes:
         deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
@@ -66,6 +67,7 @@ class Uncertainty:
         spurious: of an event, that nothing has happened.
         mislabelled: of an impact, that it was one of another contact.
         unknowns: parameters of the model that are estimated; None for none.
+        dead_time: after an event, in which the sensor reports no other hit of the contact, s.
     """
 
     deviation: Vector | float = float(Options.initial_deviation)
@@ -76,6 +78,7 @@ class Uncertainty:
     spurious: float = Options.spurious
     mislabelled: float = Options.mislabelled
     unknowns: UnknownParameters | None = None
+    dead_time: float = Options.dead_time
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.
@@ -96,8 +99,8 @@ class Uncertainty:
 
     @property
     def trusts_events(self) -> bool:
-        """Whether every event is trusted."""
-        return not (self.missed or self.spurious or self.mislabelled)
+        """Whether every event is trusted, and each hit is one."""
+        return not (self.missed or self.spurious or self.mislabelled or self.dead_time)
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).

@@ -261,7 +261,9 @@ def _about_fit(found: Identification) -> Iterator[str]:
     if found.recording.rejected:
         yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
-        yield _listed(found, found.recording.inserted, "inserted as missed")
+        dead = len(found.recording.in_dead_time)
+        known = f" ({dead} of them in the dead time)" if dead else ""
+        yield _listed(found, found.recording.inserted, f"inserted as missed{known}")
     if found.recording.settled:
         yield (
             f"{len(found.recording.settled)} impacts left out: in bounces that settle, flights"

@@ -168,6 +168,7 @@ def identify(
     progress: Callable[[str], None] = lambda _: None,
     measurements: Sequence[Measurement] = (),
     samples: Sequence[SensorSample] = (),
+    dead_time: float = 0.0,
 ) -> Identification:
     """Fit the parameters of a family, and the initial state, to impact times and to samples.
 
@@ -182,6 +183,7 @@ def identify(
         progress: receives what is being done.
         measurements: what sensors measure beside the impacts.
         samples: of them; those up to the last impact count.
+        dead_time: after an event, in which the sensor reports no other hit of the contact, s.
 
     Raises:
         UsageError: something arrives live, the clock's offset is free under a sampled forcing,
@@ -207,7 +209,7 @@ def identify(
     if family.system.guides:
         episode, state = late_start(family.system, episode, events)
     report = _Report(progress)
-    whole = Recording(episode, state=state, report=report)
+    whole = Recording(episode, state=state, report=report, dead_time=dead_time)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
     found, problem, solution = search.found()

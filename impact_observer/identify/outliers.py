@@ -75,6 +75,7 @@ def outliers_by_observer(
         deviation=np.repeat([reach, reach * rate], n),
         clock_error=None if wrong is None else min(wrong, _LARGEST),
         model_error=_MODEL_ERROR * reach * rate**1.5 if wrong is None else 0.0,
+        dead_time=recording.dead_time,
     )
     observer = Observer(
         system,

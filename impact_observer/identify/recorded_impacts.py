@@ -29,7 +29,7 @@ from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
-from impact_observer.stamps import seconds_between
+from impact_observer.stamps import from_seconds, seconds_between
 from impact_observer.states import Vector
 
 NEAR = 4.0
@@ -54,6 +54,7 @@ class Recording:
             closing of its contact.
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
         report: receives how far a fit is.
+        dead_time: after an event, in which the sensor reports no other hit of the contact, s.
     """
 
     episode: Episode
@@ -66,6 +67,7 @@ class Recording:
     settled: frozenset[Hit] = field(default=frozenset())
     instants: Instants = field(default_factory=lambda: AT_STAMPS)
     report: Callable[[str], None] = no_report
+    dead_time: float = 0.0
 
     @property
     def start(self) -> float:
@@ -74,8 +76,19 @@ class Recording:
 
     @property
     def outliers(self) -> int:
-        """Number of impacts that are rejected or inserted."""
-        return len(self.rejected) + len(self.inserted)
+        """Number of impacts that are rejected or inserted, but for those in a dead time."""
+        return len(self.rejected) + len(self.inserted) - len(self.in_dead_time)
+
+    @property
+    def in_dead_time(self) -> set[Hit]:
+        """The inserted impacts that the sensor could not report."""
+        events = {(key.stamp, i) for key in self.episode.keys for i, _ in key.switches}
+        after = from_seconds(self.dead_time + NEAR * self.clock)
+        return {
+            (stamp, i)
+            for stamp, i in (self.inserted if self.dead_time else ())
+            if any(0 <= stamp - at <= after for at, j in events - self.inserted if j == i)
+        }
 
     def with_outliers(self, rejected: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
         """The same events, with other impacts rejected and inserted."""

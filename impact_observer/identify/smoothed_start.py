@@ -100,7 +100,8 @@ def smoothed_start(
     own = [each for each in events if (each.stamp, each.sequence) in known]
     end = recording.episode.keys[-1].stamp
     learned = tuple(each for each in family.parameters if is_observed(each.name))
-    options = Options(clock_error=min(clock, highest("clock_error")), model_error=0.0)
+    declared = min(clock, highest("clock_error"))
+    options = Options(clock_error=declared, model_error=0.0, dead_time=recording.dead_time)
     if trust_events:
         options = replace(options, missed=0.0, spurious=0.0, mislabelled=0.0)
     try:

@@ -65,6 +65,7 @@ def make_observer(
         options.spurious,
         options.mislabelled,
         unknowns or _unknown_parameters(system, options, elements),
+        options.dead_time,
     )
     return Observer(
         system,

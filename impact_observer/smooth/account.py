@@ -18,6 +18,8 @@ The observer runs through the recording first. A hypothesis keeps its latest dec
 on older events are the ones of the last hypothesis that still had them.
 """
 
+import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -93,6 +95,28 @@ class EventAccount(NamedTuple):
     def rejected(self) -> int:
         """Number of switches that are false."""
         return sum(each.ruling is Ruling.REJECTED and bool(each.contact) for each in self.verdicts)
+
+    def in_dead_time(self, dead_time: float) -> set[int]:
+        """Indices of the inserted moments that the sensor could not report.
+
+        They are within its ``dead_time``, s, after a report of the contact, or the end of a rest
+        that has begun so.
+        """
+        last, rests, found = dict[int, float](), set[int](), set[int]()
+        reports = deque(self.reported if dead_time else ())
+        for k, moment in enumerate(self.moments if dead_time else ()):
+            change = moment.change
+            while reports and reports[0].change.stamp < change.stamp:
+                report = reports.popleft().change
+                last |= dict.fromkeys(report.hit, report.t)
+            if not moment.is_inserted:
+                continue
+            limit = dead_time + moment.clock
+            is_dead = all(change.t - last.get(i, -math.inf) <= limit for i in change.hit)
+            if is_dead if change.hit else rests.issuperset(change.opened):
+                found.add(k)
+                rests |= {*change.hit} & {*change.closed}
+        return found
 
     @property
     def decisions(self) -> tuple[object, ...]:

@@ -147,11 +147,14 @@ class _Trial(NamedTuple):
 def _evidence(trial: _Trial) -> float:
     """Logarithm of the probability density of the events by an account."""
     prior = trial.law.log_priors
+    dead = trial.account.in_dead_time(trial.law.uncertainty.dead_time)
     return (
         trial.smoothed.evidence
         + trial.account.rejected * prior.spurious
         + sum(
-            prior.missed if each.is_inserted else prior.reported for each in trial.account.moments
+            prior.missed if each.is_inserted else prior.reported
+            for k, each in enumerate(trial.account.moments)
+            if k not in dead
         )
     )
 

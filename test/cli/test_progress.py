@@ -132,7 +132,7 @@ def test_without_cursor_movement_only_lines_are_written(terminal: bool) -> None:
 def test_long_work_without_a_terminal_says_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After four seconds, and less and less often; on standard error."""
+    """After two seconds, and less and less often; on standard error."""
     seconds = itertools.count()
     monkeypatch.setattr(time, "process_time", lambda: next(seconds))
     with Progress() as progress:
