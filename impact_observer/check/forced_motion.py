@@ -71,6 +71,11 @@ class ForcedMotion:
         reach = np.abs(self.sag) + self.swing
         return _where((self.swing > 0) & (self.rest > _NEVER * reach))
 
+    def not_reached_alone(self) -> list[int]:
+        """Contacts whose gap at rest is larger than its swing, though not far larger."""
+        far = set(self.never_reached())
+        return [i for i in _where((self.swing > 0) & (self.rest > self.swing)) if i not in far]
+
     def never_left(self) -> list[int]:
         """Contacts on which a body without springs rests for good once it has come to rest."""
         pressed = (self.pull > 0) & (self.shake > 0) & (self.shake < self.pull)

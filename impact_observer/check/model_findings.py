@@ -234,6 +234,13 @@ def _forced(system: System) -> Iterator[ModelFinding]:
             f" {motion.rest[i]:.3g} {system.unit} by {moved:.3g} at most. Are all numbers in SI"
             " units?",
         )
+    for i in motion.not_reached_alone()[:_SHOWN]:
+        yield ModelFinding(
+            "note",
+            f"Excitations alone do not reach {names[i]}: they move its gap of"
+            f" {motion.rest[i]:.3g} {system.unit} by {motion.swing[i]:.3g} at most. Impacts may"
+            " end once the start is forgotten.",
+        )
     for i in motion.too_fast()[:_SHOWN]:
         yield ModelFinding(
             "warning",

@@ -344,6 +344,8 @@ def _about_parameters(found: Identification) -> Iterator[str]:
             f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
             f" that into the model and leave it out of --free.{_about_time(found.family.system)}"
         )
+    if found.converged and found.family.size:
+        yield "Standard errors hold if the model is right in all that was not free."
     names, correlation = found.family.names, found.correlation
     for i in range(len(names)):
         for j in range(i):

@@ -104,7 +104,7 @@ def parametric_family(
             if name.partition("-")[0].partition(".")[0] in _SCALES:
                 raise UsageError(
                     f"parameter {name!r}: changes what moving grounds do to the bodies, too;"
-                    " expected others"
+                    " expected restitution, gap, ground-amplitude or another that does not"
                 )
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":

@@ -68,9 +68,12 @@ def event(stamp: int) -> object:
 
 
 def salvaged(bag: Path) -> list[int]:
-    """The stamps of the events that a salvage brings back."""
+    """The stamps of the events that a salvage brings back; none where nothing can be read."""
     new = bag.with_name(f"{bag.name}_new")
-    salvage(Salvage(bag), new)
+    try:
+        salvage(Salvage(bag), new)
+    except BagError:
+        return []
     with BagReader(new) as reader:  # the first flush may come before the first event
         stamps = [each.stamp for each in reader.events()] if "/impacts" in reader.topics else []
     shutil.rmtree(new)

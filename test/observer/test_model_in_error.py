@@ -105,7 +105,7 @@ def test_wrong_restitution_is_warned_of_and_found() -> None:
     value, deviation = learned["restitution.stop"]
     assert value == pytest.approx(1.03 * 0.7, abs=1e-6)
     assert abs(value - 1.03 * 0.7) < 5 * deviation
-    assert last.misfit.endswith("; with restitution.stop 0.721 the impacts are explained")
+    assert last.misfit.endswith("; restitution.stop 0.721 would explain the impacts")
     assert watched().remarks[Remark.MISFIT] > 0
     assert 0.2 < z_of(watched(), wrong()) < 3
     assert z_of(fed(watching(**TRUSTING), wrong().events), wrong()) > 10

@@ -206,7 +206,7 @@ class ParameterAccounts:
             f"{name} {found[name][0]:.4g} {UNITS[kind_of(name)]}".rstrip() for name in names
         )
         better = "" if account.is_explained else " better, not fully"
-        return f"; with {values} the impacts are explained{better}"
+        return f"; {values} would explain the impacts{better}"
 
     def predicted(self, t: float, account: Account, s: float) -> Account:
         """The account of ``t`` (s since the epoch) ``s`` seconds later."""
