@@ -200,8 +200,8 @@ class Source:
             "dead_time"
         ):
             problem = f"{self.min_contact_duration:g} found; expected 0, or at least the dead time"
-            unit = "; or is that in ms?" if self.number("dead_time") > 1.0 else ""
-            raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s{unit}")
+            doubt = f"; {self.doubt}" if self.doubt else ""
+            raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s{doubt}")
 
     def number(self, key: str) -> float:
         """A number of a complete source."""

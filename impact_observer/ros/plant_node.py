@@ -93,10 +93,11 @@ class PlantNode(Node):
         self._sensor.check(self._model.system)
         declared = read_measurements(values.text("measurements"))
         of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
-        self._pulses = PlantPulses(self, self._model.system, wanted=values.flag("publish_pulses"))
+        own_pulses = values.flag("publish_pulses")
+        self._pulses = PlantPulses(self, self._model.system, wanted=own_pulses)
         self._system, self._live = (
             (self._model.system, None)
-            if values.flag("publish_pulses")
+            if own_pulses
             else connected(self._model.system, causal=True)
         )
         self._timeout = values.number("input_timeout")

@@ -62,8 +62,7 @@ class PlantPulses:
 
     def start(self, epoch: int, last: int) -> None:
         """Begin at an ``epoch``, up to the stamp ``last``, ns."""
-        pulses = index_pulses(self._system, epoch, last) if self._publisher else iter(())
-        self._pulses = pulses
+        self._pulses = index_pulses(self._system, epoch, last) if self._publisher else iter(())
         self._next = next(self._pulses, -1)
 
     @property
