@@ -130,7 +130,7 @@ def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contes
         _command(*simulated, f"{seconds}", *faults, "-o", str(bags[name]))
 
     def ours(place: Path) -> Metrics:
-        start = _observed(folder / "empty", place / "empty")
+        start = _observed(folder / "empty", place / "empty", "--epoch", f"{EPOCH / NS_PER_S}")
         return {
             name: (_observed(bag, place / bag.name) - start) / seconds
             for name, bag in bags.items()
@@ -142,9 +142,10 @@ def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contes
     )
 
 
-def _observed(bag: Path, output: Path) -> float:
+def _observed(bag: Path, output: Path, *options: str) -> float:
     """Processor time of observing ``bag``, s."""
-    return _command("observe", str(bag), "--law", "minimum-variance", "-o", str(output))
+    law = ("--law", "minimum-variance")
+    return _command("observe", str(bag), *law, *options, "-o", str(output))
 
 
 def _command(*arguments: str) -> float:

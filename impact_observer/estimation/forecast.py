@@ -20,7 +20,7 @@ more than its deviation explains, an impact or a release was missed.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from itertools import count, islice
 from typing import NamedTuple
 
@@ -28,12 +28,15 @@ import numpy as np
 from scipy import special
 
 from impact_observer.dynamics import Phase
+from impact_observer.dynamics.flow.flow import Motion
+from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
+from impact_observer.kernel import Guards, PhaseMotion
 from impact_observer.states import Matrix, Vector
 
 FINE = 6.0
@@ -42,8 +45,6 @@ _FINER = 8.0 ** np.arange(-8, 0)
 """Additional samples in the first interval: a flight after an impact may be short."""
 _MOST = 4096
 """Most samples of a flight; in a longer flight their distance is larger."""
-_KEPT = 8
-"""Durations of which a flight keeps the samples: hypotheses share them."""
 _EPS = float(np.finfo(np.float64).eps)
 _ROUNDED = 64 * _EPS
 """Rounding of a guard function, relative to the terms of its sum."""
@@ -85,33 +86,12 @@ class Dip(NamedTuple):
     began: float | None = None
 
 
-class _Samples(NamedTuple):
-    """Functions ``rows x + constant`` of the state at the start, one for each instant.
-
-    Attributes:
-        s: instants, seconds after the start, shape (samples,).
-        rows: shape (samples, functions, 2n).
-        constant: shape (samples, functions).
-    """
-
-    s: Vector
-    rows: Matrix
-    constant: Matrix
-
-    def values(self, x: Vector) -> Matrix:
-        """Of a motion that starts at ``x``, shape (samples, functions)."""
-        return np.asarray(self.rows.dot(x) + self.constant)
-
-
 class Flight:
     """The guard functions of a flight: gaps of open contacts, then loads of held ones.
-
-    They are affine in the state at the start, so that hypotheses of one system share them.
 
     Attributes:
         contacts: the contact of each function.
         gaps: how many of them are gaps.
-        guided: whether guides rub: then there are gaps only, and hypotheses share nothing.
         c: the functions are ``c x`` and an offset, shape (functions, 2n).
     """
 
@@ -123,29 +103,36 @@ class Flight:
         self._scales = member.moving.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
-        self.guided = member.moving.guided  # then loads of contacts depend on the motion
-        self._pressed = self._phase.held if closed and not self.guided else ()
+        self._guided = member.moving.guided  # then loads of contacts depend on the motion
+        self._pressed = self._phase.pressed if closed and not self._guided else ()
         self.gaps, self.contacts = len(open_), (*open_, *self._pressed)
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]
         if self._pressed:
-            loads = Measured.loads(self._phase, self._phase.held)
+            loads = Measured.loads(self._phase, self._pressed)
             self.c = np.vstack([self.c, loads.c])
-        self.over = lru_cache(_KEPT)(self._over)
 
     @cached_property
     def _phase(self) -> Phase:
         return self._prepare()
 
-    def _over(self, duration: float) -> _Samples:
-        """Samples of the next ``duration`` seconds."""
+    @cached_property
+    def _guards(self) -> Guards:
+        gaps = Watched.gaps(self._system, list(self.contacts[: self.gaps]), self._phase)
+        watched = gaps.and_also(Watched.loads(self._phase))
+        return self._phase.flow.guards(watched.functions(self._phase.equations.forcing))
+
+    def instants(self, duration: float) -> Vector:
+        """Samples of the next ``duration`` seconds, shape (samples,)."""
         count = min(max(math.ceil(duration / self._step), 4), _MOST)
         s = np.linspace(0.0, duration, count + 1)
-        s = np.concatenate([s[:1], s[1] * _FINER, s[1:]])
-        start = np.eye(2 * self._system.n)
-        forced = self._phase.start(self._t, np.zeros(2 * self._system.n)).states(s)
-        moved = [self._phase.start(self._t, x).states(s) - forced for x in start]
-        return _Samples(s, self.c @ np.stack(moved, axis=2), forced @ self.c.T + self.offset(s))
+        return np.concatenate([s[:1], s[1] * _FINER, s[1:]])
+
+    def values(self, motion: Motion, s: Vector) -> Matrix:
+        """The functions along a motion, at ``s`` seconds in rising order, (samples, functions)."""
+        if isinstance(motion, PhaseMotion):
+            return self._guards.values(motion, s)
+        return np.asarray(motion.states(s) @ self.c.T + self.offset(s))
 
     def rounding(self, j: int, s: float, x: Vector) -> float:
         """Deviation of the rounding of function ``j`` after ``s`` seconds, at the state ``x``.
@@ -230,17 +217,15 @@ class Forecast:
                 return found[0]
         if not (self._flight.contacts and duration > 0):
             return []
-        samples = self._flight.over(duration)
-        values = samples.values(self._state.x)
-        if self._flight.guided:
-            values = self._all_values(samples.s)
-        each = [self._of(j, samples, values[:, j]) for j in range(values.shape[1])]
+        s = self._flight.instants(duration)
+        values = self._flight.values(self.prediction.motion, s)
+        each = [self._of(j, s, values[:, j]) for j in range(values.shape[1])]
         dips = [dip for some in each for dip in islice(some, _MOST_DIPS)]
         return sorted(dips, key=lambda dip: dip.below)
 
-    def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
+    def _of(self, j: int, s: Vector, values: Vector) -> Iterator[Dip]:
         """The first dips of one function."""
-        s, values = self._with_minima(j, samples.s, values)
+        s, values = self._with_minima(j, s, values)
         below = np.flatnonzero(values < 0)
         if not below.size:
             return
@@ -276,18 +261,8 @@ class Forecast:
         if not lowest.any():
             return s, values
         at = s[1:-1][lowest] - (slope / (2 * bend))[lowest]
-        where = np.searchsorted(s, at)
-        return np.insert(s, where, at), np.insert(values, where, self._values(j, at))
-
-    def _all_values(self, s: Vector) -> Matrix:
-        """All functions after ``s`` seconds, shape (samples, functions)."""
-        states = self.prediction.motion.states(s)
-        return np.asarray(states @ self._flight.c.T + self._flight.offset(s))
-
-    def _values(self, j: int, s: Vector) -> Vector:
-        """Function ``j`` after ``s`` seconds, shape (samples,)."""
-        x = self.prediction.motion.states(s)
-        return np.asarray(x @ self._flight.c[j] + self._flight.offset(s)[:, j])
+        where, now = np.searchsorted(s, at), self._flight.values(self.prediction.motion, at)[:, j]
+        return np.insert(s, where, at), np.insert(values, where, now)
 
     def _value(self, j: int, s: float) -> float:
         x = self.prediction.state(s)

@@ -248,8 +248,8 @@ Started start(const std::shared_ptr<Flow>& flow, const py::object& t, const Arra
     return found;
 }
 
-Array transition(const ModalFlow& flow, double s) {
-    return to_python(flow.transition(finite(s, "s")));
+Array propagated(const ModalFlow& flow, double s) {
+    return to_python(flow.propagated(finite(s, "s")));
 }
 
 Array states(const Started& started, const Array& s) {
@@ -318,6 +318,23 @@ py::tuple known(const Guards& guards, const Started& started, double s, double s
     }
     return py::make_tuple(to_python(derivatives), to_python(bounds), to_python(scales),
                           trace->smooth_until());
+}
+
+// The functions along a motion at each of s, in rising order, a row each.
+Array values(const Guards& guards, const Started& started, const Array& s) {
+    const View at = checked(s, "s", ANY);
+    started.check(at.data, at.rows);
+    const std::unique_ptr<Functions> trace = guards.along(started.motion);
+    Matrix found(at.rows, trace->size());
+    {
+        const py::gil_scoped_release unlocked;
+        for (std::size_t k = 0; k < at.rows; ++k) {
+            if (k > 0 && at[k] < at[k - 1]) throw py::value_error("s: expected a rising order");
+            trace->look(at[k]);
+            for (std::size_t i = 0; i < found.columns; ++i) found(k, i) = trace->derivative(0, i);
+        }
+    }
+    return to_python(found);
 }
 
 Hunt hunt(const Guards& guards, const Started& started, double window, double start) {
@@ -423,7 +440,7 @@ void bind_dynamics(py::module_& module) {
         .def(py::init(&make_modal), py::arg("coordinates"), py::arg("splitting"), py::arg("waves"),
              py::arg("response"), py::arg("load"), py::arg("near"), py::arg("driven"),
              py::arg("energy"), py::arg("small"), py::arg("young"))
-        .def("transition", &transition, py::arg("s"))
+        .def("propagated", &propagated, py::arg("s"))
         .def("guards", &modal_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
              py::arg("waves"));
     py::class_<SampledForces, std::shared_ptr<SampledForces>>(module, "SampledForces")
@@ -439,7 +456,8 @@ void bind_dynamics(py::module_& module) {
         .def("guards", &series_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
              py::arg("waves"), py::arg("force"));
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
-        .def("known", &known, py::arg("motion"), py::arg("s"), py::arg("stop"));
+        .def("known", &known, py::arg("motion"), py::arg("s"), py::arg("stop"))
+        .def("values", &values, py::arg("motion"), py::arg("s"));
     py::class_<Hunt>(module, "RootSearch")
         .def(py::init(&hunt), py::arg("guards"), py::arg("motion"), py::arg("window"),
              py::arg("start") = 0.0)

@@ -55,18 +55,16 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
 
     std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
 
-    // T e^{Js} T^-1, for s of any sign; nothing at rest.
-    Matrix transition(double s) const {
-        Matrix found(2 * coordinates.n, 2 * coordinates.n);
+    // T e^{Js}, transposed, for s of any sign.
+    Matrix propagated(double s) const {
+        std::vector<double> carried(4 * pairs.size());  // of each pair e^{Js}
         for (std::size_t p = 0; p < pairs.size(); ++p) {
             if (pairs[p].dead(s)) continue;
             const Propagated by = pairs[p].propagated(s);
-            for (std::size_t k = 0; k < 4; ++k) {  // carries y_j to y_i
-                const double e = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
-                if (e != 0) coordinates.add_product(2 * p + k / 2, 2 * p + k % 2, e, found);
-            }
+            for (std::size_t k = 0; k < 4; ++k)
+                carried[4 * p + k] = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
         }
-        return found;
+        return coordinates.carried(carried);
     }
 };
 

@@ -115,15 +115,18 @@ class Coordinates {
         }
     }
 
-    // found += factor times column i of T times row j of T^-1.
-    void add_product(std::size_t i, std::size_t j, double factor, Matrix& found) const {
-        const std::size_t k = paired ? n : 2 * n;  // numbers in either
-        const std::size_t down = paired ? i % 2 * n : 0, right = paired ? j % 2 * n : 0;
-        const double* column = forward.row(paired ? i / 2 : i);
-        std::vector<double> row(k);
-        for (std::size_t c = 0; c < k; ++c) row[c] = factor * backward(c, paired ? j / 2 : j);
-        for (std::size_t c = 0; c < k; ++c)
-            add(column[c], row.data(), found.row(down + c) + right, k);
+    // T E, transposed, size x 2n. E carries each pair by itself: four numbers e_ij.
+    Matrix carried(const std::vector<double>& E) const {
+        Matrix found(size, 2 * n);
+        for (std::size_t k = 0; k < 2 * size; ++k) {
+            const std::size_t p = k / 4, i = k / 2 % 2, j = k % 2;
+            double* to = found.row(2 * p + j);
+            if (paired)
+                add(E[k], forward.row(p), to + i * n, n);
+            else
+                add(E[k], forward.row(2 * p + i), to, 2 * n);
+        }
+        return found;
     }
 
   private:

@@ -29,6 +29,8 @@ a soft spring: then both are rounded to the motion's own size. No constant here 
 What is the same for all motions is prepared here; the kernel computes motions (``motion.hpp``).
 """
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,7 +102,18 @@ class SpectralFlow(Flow):
 
     def moving(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``."""
-        return self._kernel.transition(s)
+        return np.asarray(self._kernel.propagated(s).T @ self._inverse)
+
+    @cached_property
+    def _inverse(self) -> Matrix:
+        """``T^{-1}`` of states in their frame, shape (2r, 2n)."""
+        inverse = self.modes.coordinates(self._frame)[1]
+        if not self.modes.proportional:
+            return inverse
+        r, n = inverse.shape
+        found = np.zeros((2 * r, 2 * n))
+        found[0::2, :n] = found[1::2, n:] = inverse
+        return found
 
 
 def _steady(modes: Modes, mu: Complex, beta: Complex, far: NDArray[np.bool_]) -> Complex:
