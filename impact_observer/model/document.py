@@ -164,13 +164,15 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
     if array.shape != shape:
         found = " x ".join(map(str, array.shape)) or "a single number"
         raise ModelError(key, f"has shape {found}; expected {what}")
+    sizes = np.abs(array)
+    if (sizes <= LARGEST).all():
+        return array
+    unfit = sizes > LARGEST
+    why = f"is too large; expected at most {LARGEST:g}"
     if not np.all(np.isfinite(array)):
-        at = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(array))[0])
-        raise ModelError(f"{key}{at}", "is not finite; expected a number")
-    if np.any(np.abs(array) > LARGEST):
-        at = "".join(f"[{i}]" for i in np.argwhere(np.abs(array) > LARGEST)[0])
-        raise ModelError(f"{key}{at}", f"is too large; expected at most {LARGEST:g}")
-    return array
+        unfit, why = ~np.isfinite(array), "is not finite; expected a number"
+    at = "".join(f"[{i}]" for i in np.argwhere(unfit)[0])
+    raise ModelError(f"{key}{at}", why)
 
 
 def file_beside(key: str, relative: str, folder: Path | None) -> Path:

@@ -28,6 +28,7 @@ from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.flow.few import Factor
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -52,12 +53,12 @@ class ImpactLaw:
 
     def __init__(self, system: System, restitution: Vector | None = None) -> None:
         """Prepare the law; ``restitution``, shape (m,), is used instead of the system's."""
-        factor = linalg.cholesky(system.M, lower=True)
+        factor = Factor(system.M)
         self.system = system
         self._eps = system.eps if restitution is None else restitution
         self._curved = system.curved if restitution is None else frozenset[int]()
-        self._B = linalg.solve_triangular(factor, system.W, lower=True)
-        self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
+        self._B = factor.solved(system.W)
+        self._Minv_W = factor.solved_transposed(self._B)
         # Nearly every event has a single contact: u+ = u- - kick gamma.
         self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
         stops = self._Minv_W / np.sum(self._B**2, axis=0)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from impact_observer.dynamics.flow.few import Factor
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -75,7 +76,7 @@ class PositionProjection:
         self._rigid = shapes[:, ~elastic]
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
         self._softest = float(np.min(stiffness[elastic], initial=np.inf))
-        self._M = linalg.cho_factor(system.M)
+        self._inertia = Factor(system.M)
         self._jumps = lru_cache(KEPT)(self._solve)
         self.reactions = lru_cache(KEPT)(self._reactions_of)
 
@@ -129,7 +130,7 @@ class PositionProjection:
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
         # The shapes are M-orthonormal: no mode moves a gap by more than sqrt(w^T M^-1 w). Rigid
         # motion does not move the gap between two bodies; rounding there is not counted as rank.
-        least = _RANK * np.sqrt(np.trace(W.T @ linalg.cho_solve(self._M, W)))
+        least = _RANK * float(np.linalg.norm(self._inertia.solved(W)))
         rigid_inverse = _inverse(rigid, least)
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
         elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond

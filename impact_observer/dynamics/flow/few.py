@@ -19,6 +19,7 @@ its product with a vector costs.
 """
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -42,28 +43,37 @@ def product_with(A: Matrix) -> Product:
 
 
 class Factor:
-    """``L`` of a positive definite ``M = L L^T``, which has no more diagonals than ``M``.
-
-    Attributes:
-        transposed: ``L^T x`` as a function of ``x``.
-    """
+    """``L`` of a positive definite ``M = L L^T``, which has no more diagonals than ``M``."""
 
     def __init__(self, M: Matrix) -> None:
         """Factorise ``M``, shape (n, n)."""
-        self._lower = linalg.cholesky(M, lower=True)
+        self._lower = linalg.lapack.dpotrf(M, lower=1)[0]
         self._band = _band_of(self._lower)
-        self.transposed = product_with(self._lower.T)
 
-    # LAPACK's routines themselves: on the path of every impact, where checks cost more.
+    @cached_property
+    def transposed(self) -> Product:
+        """``L^T x`` as a function of ``x``."""
+        return product_with(self._lower.T)
+
+    # LAPACK's routines themselves: on the path of every impact, where checks cost more. A model
+    # has been checked.
+
+    def solution(self, B: Matrix) -> Matrix:
+        """``M^-1 B``, of shape (n,) or (n, columns) like ``B``."""
+        return self.solved_transposed(self.solved(B))
 
     def solved(self, B: Matrix) -> Matrix:
         """``L^-1 B``, of shape (n,) or (n, columns) like ``B``."""
+        if not B.size:
+            return B
         if self._band is not None:
             return np.reshape(linalg.lapack.dtbtrs(self._band, B, uplo="L")[0], B.shape)
         return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1)[0])
 
     def solved_transposed(self, B: Matrix) -> Matrix:
         """``L^-T B``, of the same shape."""
+        if not B.size:
+            return B
         if self._band is not None:
             found = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="T")[0]
             return np.reshape(found, B.shape)

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.flow.few import Factor
 from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 from impact_observer.kernel import Guards, PhaseMotion
 from impact_observer.model import Forcing
@@ -196,12 +197,11 @@ class Flow(ABC):
 
     def _accelerated(self, forces: Matrix) -> Matrix:
         """``M^-1 forces``, shape (r, k)."""
-        return linalg.cho_solve(self._inertia, forces) if forces.size else forces
+        return self._inertia.solution(forces) if forces.size else forces
 
     @cached_property
-    def _inertia(self) -> tuple[Matrix, bool]:
-        factor: tuple[Matrix, bool] = linalg.cho_factor(self._system.M)
-        return factor
+    def _inertia(self) -> Factor:
+        return Factor(self._system.M)
 
     def _seen(
         self, functions: Functions, T: Matrix, time: float

@@ -226,12 +226,10 @@ class Phases:
 
     def white(self, loads: Matrix) -> Matrix:
         """``L^-1 loads``, ``M = L L^T``: accelerations in coordinates with unit mass matrix."""
-        return self._factor.solved(loads) if loads.size else loads
+        return self._factor.solved(loads)
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
         """``L^-T accelerations``: the inverse of ``white``, in the system's coordinates."""
-        if not accelerations.size:
-            return accelerations
         return self._factor.solved_transposed(accelerations)
 
     def stopped(
