@@ -261,6 +261,7 @@ class Forecast:
         if not lowest.any():
             return s, values
         at = s[1:-1][lowest] - (slope / (2 * bend))[lowest]
+        at = np.sort(np.clip(at, s[:-2][lowest], s[2:][lowest]))  # a flat one may be rounded away
         where, now = np.searchsorted(s, at), self._flight.values(self.prediction.motion, at)[:, j]
         return np.insert(s, where, at), np.insert(values, where, now)
 

@@ -324,14 +324,12 @@ class ImpactFilter:
         """
         contacts = self.measured_contacts(change)
         found, member = prior, self.member(prior)
-        linear = likelihood and likelihood.linear
+        first = likelihood and likelihood.expected
         for _ in range(ROUNDS if contacts else 0):
             view = self._propagated(member, change.before, prior, found.t - prior.t)
-            if linear is None:
-                expected = self._expected(member, change, contacts, view, found)
-                update = expected.correction(view)
-                linear = expected, update, update.whitened(expected.innovation.tolist())
-            (expected, update, white), linear = linear, None
+            expected = first or self._expected(member, change, contacts, view, found)
+            first, update = None, expected.correction(view)
+            white = update.whitened(expected.innovation.tolist())
             found = view.corrected(update, expected.rows(view), white)
             settled = expected.settled(found)
             if found.parameters:

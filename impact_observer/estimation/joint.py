@@ -22,7 +22,13 @@ import numpy as np
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.saltation import Expansion
-from impact_observer.estimation.square_root import Correction, correction, lengths, product
+from impact_observer.estimation.square_root import (
+    Correction,
+    correction,
+    innovation_root,
+    lengths,
+    product,
+)
 from impact_observer.states import Matrix, Vector
 
 SETTLED = 0.05
@@ -153,6 +159,10 @@ class Expected(NamedTuple):
     def correction(self, view: Joint) -> Correction:
         """The Kalman correction of ``view`` by this measurement."""
         return correction(view.root, self.rows(view), self.nonlinear, self.rounded)
+
+    def innovation_root(self, view: Joint) -> Matrix:
+        """A square root of the innovation's covariance, lower triangular, shape (k, k)."""
+        return innovation_root(view.root, self.rows(view), self.nonlinear, self.rounded)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change next to nothing."""

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import special
 
 from impact_observer.estimation.joint import Expected, Joint
-from impact_observer.estimation.square_root import Correction, lengths
+from impact_observer.estimation.square_root import lengths, whitened
 from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
@@ -44,15 +44,15 @@ class Likelihood(NamedTuple):
         normalised: innovation of the first contact, in standard deviations; positive where its
             predicted gap is negative.
         deviation: standard deviation of that innovation, m.
-        linear: the predicted measurement, linearised about the prior, the correction and the
-            whitened innovations; None where they were not computed.
+        expected: the predicted measurement, linearised about the prior; None where it was not
+            computed.
     """
 
     density: float
     innovations: dict[int, float]
     normalised: float = 0.0
     deviation: float = math.inf
-    linear: tuple[Expected, Correction, list[float]] | None = None
+    expected: Expected | None = None
 
     @classmethod
     def of_single(
@@ -72,20 +72,20 @@ def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likel
     The density of the instant is that of the gap at the stamp, times the speed at which the gap
     goes through zero, times the probability that it does so from above.
     """
-    update, innovation = expected.correction(prior), expected.innovation.tolist()
-    white = update.whitened(innovation)
+    root, innovation = expected.innovation_root(prior), expected.innovation.tolist()
+    white = whitened(root, innovation)
     slopes = expected.expansion.H[:, 0].tolist()
     spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
     density = 0.0
     for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-        density += _density(each, update.innovation[i, i], slope, spread)
+        density += _density(each, root[i, i], slope, spread)
     if len(contacts) == 1:
         density += _from_above(slopes[0], spreads[0])
-    sizes = [abs(each) / s for each, s in zip(innovation, update.deviations, strict=True)]
+    deviations = lengths(root)
+    sizes = [abs(each) / s for each, s in zip(innovation, deviations, strict=True)]
     innovations = dict(zip(contacts, sizes, strict=True))
-    deviation = update.deviations[0]
-    normalised = float(innovation[0]) / deviation
-    return Likelihood(density, innovations, normalised, deviation, (expected, update, white))
+    normalised = float(innovation[0]) / deviations[0]
+    return Likelihood(density, innovations, normalised, deviations[0], expected)
 
 
 def _density(white: float, deviation: float, slope: float, spread: float) -> float:

@@ -49,22 +49,22 @@ class Correction(NamedTuple):
     innovation: Matrix
     root: Matrix
 
-    @property
-    def deviations(self) -> list[float]:
-        """Standard deviations of the innovations."""
-        return lengths(self.innovation)
-
     def whitened(self, seen: Iterable[Any]) -> list[Any]:
         """``innovation^-1 seen``: innovations, or rows of several ones, in standard deviations."""
-        found: list[Any] = []
-        for row, value in zip(self.innovation.tolist(), seen, strict=True):
-            explained = sum(map(mul, row, found))  # row by row: there are hardly ever many
-            found.append((value - explained) / row[len(found)])
-        return found
+        return whitened(self.innovation, seen)
 
     def change(self, seen: Matrix) -> Matrix:
         """The change of the state, shape (d, ...), by innovations ``seen``, shape (k, ...)."""
         return np.asarray(self.gain.dot(np.reshape(self.whitened(seen), seen.shape)))
+
+
+def whitened(root: Matrix, seen: Iterable[Any]) -> list[Any]:
+    """``root^-1 seen``, numbers or rows; ``root`` is lower triangular, shape (k, k)."""
+    found: list[Any] = []
+    for row, value in zip(root.tolist(), seen, strict=True):
+        explained = sum(map(mul, row, found))  # row by row: there are hardly ever many
+        found.append((value - explained) / row[len(found)])
+    return found
 
 
 def lengths(rows: Matrix) -> list[float]:
@@ -106,14 +106,29 @@ def correction(
             shape (k, any).
         rounded: standard deviations of independent noise of each measurement, k or none.
     """
-    (k, d), first = H.shape, noise.shape[1]
-    last = first + len(rounded)
-    joint = np.zeros((k + d, last + root.shape[1]))
-    joint[:k, :first], joint[:k, last:], joint[k:, last:] = noise, H.dot(root), root
-    for i, each in enumerate(rounded):
-        joint[i, first + i] = each
+    seen, (k, d) = _seen(root, H, noise, rounded), H.shape
+    joint = np.zeros((k + d, seen.shape[1]))
+    joint[:k], joint[k:, -root.shape[1] :] = seen, root
     found = triangular(joint)
     return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
+
+
+def innovation_root(
+    root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float] = ()
+) -> Matrix:
+    """``Correction.innovation`` alone; the arguments are those of ``correction``."""
+    return triangular(_seen(root, H, noise, rounded))
+
+
+def _seen(root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float]) -> Matrix:
+    """A root of the innovation's covariance, shape (k, any); its last columns are ``H root``."""
+    first, seen = noise.shape[1], H.dot(root)
+    last = first + len(rounded)
+    found = np.zeros((len(H), last + seen.shape[1]))
+    found[:, :first], found[:, last:] = noise, seen
+    for i, each in enumerate(rounded):
+        found[i, first + i] = each
+    return found
 
 
 def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:

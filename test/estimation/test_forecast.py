@@ -229,6 +229,25 @@ def test_there_is_no_dip_where_none_can_be() -> None:
     assert forecast(SWINGING, 0.0, 4 * x, np.eye(4), ()).dips(0.0) == []
 
 
+def test_a_gap_that_rests_below_zero_has_been_there_from_the_start() -> None:
+    """Beside a closed contact, flat but for rounding, so that its minima are anywhere."""
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        stiffness, load = 10 ** rng.uniform(-1, 3), rng.normal()
+        damping, depth = rng.uniform(0, 1), 10 ** rng.uniform(-9, -1)
+        q = load / stiffness
+        model = system(
+            np.eye(2),
+            np.diag([1.0, stiffness]),
+            np.diag([0.1, damping]),
+            contacts=[([1, 0], 0.0, 0.5), ([0, 1], -q - depth, 0.5)],
+            force=forcing(2, [-1.0, load]),
+        )
+        x = np.array([0.0, q * (1 + 1e-16 * rng.integers(-2, 3)), 0.0, 0.0])
+        found = forecast(model, 0.0, x, 1e-6 * np.eye(4), (0,)).dips(10 ** rng.uniform(-3, 1))
+        assert all((dip.contact, dip.below, dip.over) == (1, 0.0, False) for dip in found)
+
+
 def test_gap_that_comes_up_from_below_is_no_dip() -> None:
     """Just after an impact that was estimated a little too early."""
     x = np.array([-0.9 - 1e-9, 0.0, 1.0, 0.0])

@@ -37,6 +37,7 @@ from impact_observer.estimation.misfit import Fit
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.model import System, parse_model
 from impact_observer.observer import Observer, make_observer
+from impact_observer.observer.laws import parameter_accounts
 from impact_observer.observer.laws.fallback import FallbackReplica
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
@@ -147,6 +148,18 @@ def test_other_parameters_are_found_beside_a_trusted_or_a_late_sensor(sensor: st
     learned = {name: value for name, value, _ in last.parameters}
     assert learned["restitution.stop"] == pytest.approx(1.03 * 0.7, abs=1e-4)
     assert learned.get("clock_offset", 0.0) == pytest.approx(1e-9 * late, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_large_model_is_warned_of_without_other_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An event of hypotheses that are systems of their own would take too long."""
+    monkeypatch.setattr(parameter_accounts, "MOST_COORDINATES", 1)
+    last = fed(watching(), wrong().events[:38]).estimate(wrong().events[37].stamp)
+    assert last.misfit
+    assert "would explain" not in last.misfit
+    assert {name for name, *_ in last.parameters} <= {"clock_error", "model error", "bounce error"}
 
 
 @pytest.mark.slow

@@ -121,7 +121,10 @@ class MinimumVariance(Law):
         )
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._starts = Starts(filter_, self.uncertainty, self.clocks)
-        self._doubts = bool(learns_error and self.uncertainty.unknowns is None)
+        knows_parameters = self.uncertainty.unknowns is None
+        self._doubts = (
+            learns_error and knows_parameters and ParameterAccounts.are_affordable(system)
+        )
         self._replica = FallbackReplica(filter_)
         self._names = filter_.members.family.names
         self._estimates_parameters = bool(

@@ -57,6 +57,10 @@ OF_IMPACTS = {"restitution": 0.1, "contact-time": 0.02}
 contact time relative to the model's time scale."""
 MOST = 16
 """Hypotheses that an account keeps."""
+MOST_COORDINATES = 32
+"""Coordinates up to which a system has accounts: each hypothesis is a system of its own. An event
+of a chain of 40 masses takes half a second, one of 100 minutes.
+"""
 FURTHER = math.log(0.1)
 """Logarithm of the probability that another kind of parameters is wrong too."""
 AGAIN = 0.07
@@ -118,6 +122,11 @@ class ParameterAccounts:
         self._bank = FilterBank(filter_, uncertainty, clocks, MOST)
         self._starts = Starts(filter_, uncertainty, clocks)
         self._system = system
+
+    @staticmethod
+    def are_affordable(system: System) -> bool:
+        """Whether ``system`` is small enough for accounts."""
+        return system.n <= MOST_COORDINATES
 
     def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
         """The account at an estimate without parameters, which is in doubt.
