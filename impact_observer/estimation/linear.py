@@ -20,7 +20,8 @@ import numpy as np
 
 from impact_observer.dynamics import Motion
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
-from impact_observer.estimation.members import Members, transition_of
+from impact_observer.estimation.members import Members
+from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.parametric import Map, Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.square_root import narrow, triangular

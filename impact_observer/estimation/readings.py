@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.members import Members, MovingSystem
+from impact_observer.estimation.members import Members
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import LEAST, ROUNDING
 from impact_observer.events import Contacts
 from impact_observer.model import System

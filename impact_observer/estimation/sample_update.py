@@ -35,9 +35,9 @@ from impact_observer.estimation.hypotheses import (
     normalised,
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.events import Kind

@@ -24,7 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.events import Contacts
 from impact_observer.identify.motion import EquationsOfMotion, FlightEnd
 from impact_observer.model import System

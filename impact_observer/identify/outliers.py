@@ -23,7 +23,7 @@ through a stop, an impact is inserted, or a rejected one accepted again.
 import numpy as np
 from scipy import linalg
 
-from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.identify.least_squares import usual_size

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import DeclaredSensor, sensors_of
 from impact_observer.events import Contacts
 from impact_observer.model import System

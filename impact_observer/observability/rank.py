@@ -40,7 +40,7 @@ from scipy import linalg
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import DeclaredSensor, Place
 from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty

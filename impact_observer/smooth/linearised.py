@@ -33,8 +33,9 @@ from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL
-from impact_observer.estimation.members import Member, transition_of
+from impact_observer.estimation.members import Member
 from impact_observer.estimation.model_error import ErrorKind
+from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.parametric import Map, Sensitivity
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import (

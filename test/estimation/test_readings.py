@@ -19,7 +19,8 @@ import pytest
 from systems import EPOCH, Harmonic, chain, forcing, sample, started, system
 
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.members import Members, MovingSystem
+from impact_observer.estimation.members import Members
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import DeclaredSensor, Place, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.estimation.unknown_parameters import UnknownParameters

@@ -25,9 +25,9 @@ from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.members import transition_of
 from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.model_error import unit_kicks
+from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Fallback, Prediction

@@ -29,9 +29,9 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
-from impact_observer.estimation.members import transition_of
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import ErrorKind
+from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction

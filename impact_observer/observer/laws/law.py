@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import ClassVar
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.members import MovingSystem
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
