@@ -135,6 +135,7 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
         search = Search(phase, Watched.gaps(model, [0, 1]), 1.0)
         search.first(motion, 2.0)
         search.guards.known(motion, 0.1, 0.2)
+        search.guards.values(motion, np.linspace(0.0, 1.0, 5))
     Phases(PRESSED).phase().transition(0.1)
     make, time, jets = calls["SampledForces.__init__"][0].function, *_first_samples(calls)
     forces = make(*calls["SampledForces.__init__"][0].given)
