@@ -50,7 +50,7 @@ _MOST_MISSED = 256
 _MOST_FLIGHTS = 256
 """Flights after which none inserts anything: a silence may last for hours."""
 _FLIGHTS = 8
-"""Flights of which the samples are kept, for hypotheses to share."""
+"""Flights of which the guards are kept, for hypotheses to share."""
 
 
 class _Path(NamedTuple):

@@ -59,7 +59,7 @@ MOST = 16
 """Hypotheses that an account keeps."""
 MOST_COORDINATES = 32
 """Coordinates up to which a system has accounts: each hypothesis is a system of its own. An event
-of a chain of 40 masses takes half a second, one of 100 minutes.
+of a chain of 40 masses takes half a second, one of 100 masses over a minute.
 """
 FURTHER = math.log(0.1)
 """Logarithm of the probability that another kind of parameters is wrong too."""
