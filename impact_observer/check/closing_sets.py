@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, sparse
 
+from impact_observer.dynamics.flow.few import Factor
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
@@ -82,8 +83,7 @@ class ClosingSets:
 
     def __init__(self, system: System) -> None:
         """Scale directions and gaps, and find a position with the largest clearance."""
-        factor = linalg.cholesky(system.M, lower=True)
-        B = linalg.solve_triangular(factor, system.W, lower=True)
+        B = Factor(system.M).solved(system.W)
         self.lengths: Vector = np.linalg.norm(B, axis=0)
         self.B: Matrix = B / self.lengths
         self.G: Matrix = self.B.T @ self.B

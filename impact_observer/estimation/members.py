@@ -32,11 +32,7 @@ from impact_observer.dynamics import (
 from impact_observer.dynamics.flow.flow import balanced
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.parametric import Map
-from impact_observer.estimation.saltation import (
-    Jet,
-    Measured,
-    Mirror,
-)
+from impact_observer.estimation.saltation import Jet, Measured, Mirror
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import Family, Gaps, Impact, Parameters
 from impact_observer.model import System

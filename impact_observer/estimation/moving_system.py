@@ -32,10 +32,7 @@ from impact_observer.dynamics.flow.flow import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
-from impact_observer.estimation.saltation import (
-    FreePhase,
-    StateRates,
-)
+from impact_observer.estimation.saltation import FreePhase, StateRates
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import FreeMotion, Sizes
 from impact_observer.model import System

@@ -108,7 +108,7 @@ def correction(
     """
     seen, (k, d) = _seen(root, H, noise, rounded), H.shape
     joint = np.zeros((k + d, seen.shape[1]))
-    joint[:k], joint[k:, -root.shape[1] :] = seen, root
+    joint[:k], joint[k:, seen.shape[1] - root.shape[1] :] = seen, root
     found = triangular(joint)
     return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
 

@@ -46,8 +46,14 @@ class Factor:
     """``L`` of a positive definite ``M = L L^T``, which has no more diagonals than ``M``."""
 
     def __init__(self, M: Matrix) -> None:
-        """Factorise ``M``, shape (n, n)."""
-        self._lower = linalg.lapack.dpotrf(M, lower=1)[0]
+        """Factorise ``M``, shape (n, n).
+
+        Raises:
+            LinAlgError: it is not positive definite.
+        """
+        self._lower, failed = linalg.lapack.dpotrf(M, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("not positive definite")
         self._band = _band_of(self._lower)
 
     @cached_property
@@ -55,8 +61,7 @@ class Factor:
         """``L^T x`` as a function of ``x``."""
         return product_with(self._lower.T)
 
-    # LAPACK's routines themselves: on the path of every impact, where checks cost more. A model
-    # has been checked.
+    # LAPACK's routines themselves: on the path of every impact, where checks cost more.
 
     def solution(self, B: Matrix) -> Matrix:
         """``M^-1 B``, of shape (n,) or (n, columns) like ``B``."""

@@ -354,7 +354,7 @@ class Phases:
         C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
         inverse = np.zeros((free.free.size, n))
         if free.free.size:
-            inverse = linalg.cho_solve(linalg.cho_factor(M), free.seen(equations.M))
+            inverse = Factor(M).solution(free.seen(equations.M))
             C = self._cleaned(C, np.diag(M), self._damping)
             K = self._cleaned(K, np.diag(M), float(np.linalg.norm(whole.scales.squares)))
         return flow_of(
