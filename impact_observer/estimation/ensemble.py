@@ -88,7 +88,8 @@ class Ensemble(NamedTuple):
     def maximum(self, function: Vector) -> float:
         """The largest value of a linear ``function``, shape (2n,), of the differences."""
         due = function if self.due is None else function.dot(self.due)
-        return float(np.maximum.reduce(due.dot(self.since.columns)))
+        values = due.dot(self.since.columns)
+        return float(values[values.argmax()])
 
     def largest_distance(self, metric: Matrix) -> float:
         """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""

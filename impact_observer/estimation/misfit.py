@@ -111,6 +111,7 @@ class Fit(NamedTuple):
         residuals: at the latest impacts.
         is_refuted: whether other parameters explain the latest impacts better.
         was_misfit: whether the model did not explain the impacts up to the event before.
+        is_misfit: whether the model does not explain the impacts.
     """
 
     innovations: tuple[float, ...] = ()
@@ -123,6 +124,7 @@ class Fit(NamedTuple):
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
     was_misfit: bool = False
+    is_misfit: bool = False
 
     def after(
         self,
@@ -138,21 +140,26 @@ class Fit(NamedTuple):
         ``exact`` is the probability that the model has been exact.
         """
         evidence = min(self.evidence + _STEP, -math.log(max(exact, _LEAST)))
-        before = self._replace(
-            as_reported=(*self.as_reported[-(LATEST - 1) :], as_reported),
-            explained=(*self.explained[-(LATEST - 1) :], as_reported and not in_error),
-            evidence=evidence if len(self.as_reported) >= FIRST else 0.0,
+        innovations, errors, statistic = self.innovations, self.errors, self.statistic
+        if innovation is None:
+            by_clock = self.by_clock
+        else:
+            clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
+            innovations = (*innovations[-(LATEST - 1) :], clipped)
+            errors, statistic = errors + 1 if in_error else 0, _statistic(innovations)
+        after = Fit(
+            innovations,
+            (*self.as_reported[-(LATEST - 1) :], as_reported),
+            (*self.explained[-(LATEST - 1) :], as_reported and not in_error),
+            errors,
+            by_clock,
+            statistic,
+            evidence if len(self.as_reported) >= FIRST else 0.0,
+            self.residuals,
+            self.is_refuted,
             was_misfit=self.is_misfit,
         )
-        if innovation is None:
-            return before
-        clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
-        latest = (*self.innovations[-(LATEST - 1) :], clipped)
-        errors = self.errors + 1 if in_error else 0
-        statistic = _statistic(latest)
-        return before._replace(
-            innovations=latest, errors=errors, by_clock=by_clock, statistic=statistic
-        )
+        return _judged(after)
 
     def compared(self, latest: Residual) -> "Fit":
         """The same with the ``latest`` residual."""
@@ -163,26 +170,15 @@ class Fit(NamedTuple):
 
         ``change`` of the parameters is the largest, in standard deviations.
         """
-        if change < _NOTABLE or len(self.residuals) < _RECENT:
-            return self._replace(is_refuted=False)
-        by_filter, by_replica, _, by_account = self._recent
-        is_clear = change > _SIGNIFICANT and by_account < _CLEARLY * by_filter
-        is_nearer = by_account < NEARER * min(by_filter, by_replica)
-        return self._replace(is_refuted=is_clear or (self.is_in_error and is_nearer))
-
-    @property
-    def is_misfit(self) -> bool:
-        """Whether the model does not explain the impacts.
-
-        An error of the model that is established is no proof while an exact model may have
-        explained all events: it may be that of a clock. But while it is, a warning does not end.
-        """
-        n = len(self.as_reported)
-        is_excused = n >= _LATEST_EXCUSED and sum(self.as_reported) < _LEAST_EXPLAINED * n
-        is_correlated = self.statistic > LARGEST_STATISTIC
-        lasts = self.was_misfit and self.is_in_error
-        is_improbable = self.is_in_error and self.evidence > LARGEST_EVIDENCE
-        return is_excused or is_correlated or is_improbable or self.is_refuted or lasts
+        is_refuted = False
+        if change >= _NOTABLE and len(self.residuals) >= _RECENT:
+            by_filter, by_replica, _, by_account = self._recent
+            is_clear = change > _SIGNIFICANT and by_account < _CLEARLY * by_filter
+            is_nearer = by_account < NEARER * min(by_filter, by_replica)
+            is_refuted = is_clear or (self.is_in_error and is_nearer)
+        if is_refuted is self.is_refuted:
+            return self
+        return _judged(self._replace(is_refuted=is_refuted))
 
     @property
     def is_in_error(self) -> bool:
@@ -281,6 +277,21 @@ class Fit(NamedTuple):
     def _sizes(self) -> tuple[float, ...]:
         """The residuals as root sums of squares, each positive."""
         return tuple(math.hypot(_LEAST, *each) for each in zip(*self.residuals, strict=True))
+
+
+def _judged(fit: Fit) -> Fit:
+    """``fit`` with ``is_misfit`` as its other fields say.
+
+    An error of the model that is established is no proof while an exact model may have explained
+    all events: it may be that of a clock. But while it is, a warning does not end.
+    """
+    n = len(fit.as_reported)
+    is_excused = n >= _LATEST_EXCUSED and sum(fit.as_reported) < _LEAST_EXPLAINED * n
+    is_correlated = fit.statistic > LARGEST_STATISTIC
+    lasts = fit.was_misfit and fit.is_in_error
+    is_improbable = fit.is_in_error and fit.evidence > LARGEST_EVIDENCE
+    is_misfit = is_excused or is_correlated or is_improbable or fit.is_refuted or lasts
+    return fit if is_misfit is fit.is_misfit else fit._replace(is_misfit=is_misfit)
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:

@@ -430,7 +430,8 @@ class Observer:
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
         """Note events that were ``received`` and inserted; their verdicts, and those on others."""
         for _, insertion in received:
-            self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
+            if insertion.entry.belief.fit.is_misfit:
+                self.remarks[Remark.MISFIT] += 1
         owns, others = run.verdicts([(each.verdicts, made) for each, made in received])
         if self.live is not None and run.timeline is not None:
             self.live.forget_before(run.timeline.start.stamp)
@@ -438,7 +439,8 @@ class Observer:
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         complete = []
         for own, (event, insertion) in zip(owns, received, strict=True):
-            self._notices = [*self._notices, *event.notices]
+            if event.notices:
+                self._notices = [*self._notices, *event.notices]
             self._note_disorder(insertion, is_overtaken=event.is_overtaken)
             complete.append(self._with_notices(own))
         return complete, others
@@ -607,18 +609,18 @@ class Observer:
         if not event.switches:
             return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
         verdicts: list[Verdict] = []
-        switches: set[tuple[int, Kind]] = set()
+        switches: list[tuple[int, Kind]] = []
         for switch in event.switches:
             verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
             index = self._index.get(switch.contact)
             if index is not None:
-                switches.add((index, switch.kind))
+                switches.append((index, switch.kind))
             else:
                 self.remarks[Remark.UNKNOWN_CONTACT] += 1
                 reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
                 verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
             verdicts.append(verdict)
-        return tuple(verdicts), tuple(sorted(switches) if len(switches) > 1 else switches)
+        return tuple(verdicts), tuple(sorted(set(switches)) if len(switches) > 1 else switches)
 
     def refuse(self, event: ImpactEvent, reason: str, remark: Remark) -> tuple[Verdict, ...]:
         """Reject an event of a recording, which is known to have no effect."""
@@ -645,7 +647,8 @@ class Observer:
             self.remarks[Remark.LATE] += 1
             late = f"late: {again} event{'s' * (again != 1)} run again"
             self._notices = [*self._notices, late]
-        if overruled := [*entry.overruled, *(each for _, each in insertion.overrules)]:
+        if entry.overruled or insertion.overrules:
+            overruled = [*entry.overruled, *(each for _, each in insertion.overrules)]
             superseded = [each.is_superseded for each in overruled]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)

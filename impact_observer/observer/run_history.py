@@ -124,6 +124,9 @@ class RunHistory:
     def register(self, event: ImpactEvent) -> tuple[Remark, str] | None:
         """Remember the number of an event; what is wrong with it, or missing beside it, if any."""
         numbers, sequence = self.numbers, event.sequence
+        if numbers.follows(sequence):
+            numbers.add(sequence, event.stamp)
+            return None
         remark, notice = Remark.GAP, numbers.gap(sequence)
         if not notice and numbers.leaps(sequence):
             remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"

@@ -55,6 +55,10 @@ class SequenceNumbers:
         """How many numbers are missing since the first received."""
         return self.highest - self.first + 1 - self._count if self.highest else 0
 
+    def follows(self, sequence: int) -> bool:
+        """Whether a number is the next one, as nearly always."""
+        return 0 < self.highest == sequence - 1 and sequence not in self._stamps
+
     def leaps(self, sequence: int) -> bool:
         """Whether a number is far from all others, and none was near it."""
         is_known = not sequence or not self.highest or self._is_near(sequence)
@@ -77,6 +81,11 @@ class SequenceNumbers:
 
     def add(self, sequence: int, stamp: int) -> None:
         """Add ``sequence``, with the stamp (ns) of its event."""
+        if self.follows(sequence):
+            self.highest = sequence
+            self._count += 1
+            self._stamps[sequence] = stamp
+            return
         if not sequence:
             return
         if self.leaps(sequence):

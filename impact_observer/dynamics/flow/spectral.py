@@ -102,7 +102,7 @@ class SpectralFlow(Flow):
 
     def moving(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``."""
-        return np.asarray(self._kernel.propagated(s).T @ self._inverse)
+        return np.asarray(self._kernel.propagated(s).T.dot(self._inverse))
 
     @cached_property
     def _inverse(self) -> Matrix:

@@ -134,7 +134,6 @@ class MinimumVariance(Law):
             or self.uncertainty.clock_offset_error
         )
         self._single = self.uncertainty.trusts_events and not self._estimates_parameters
-        self._last_fit = Fit(), False
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, with closed contacts at rest."""
@@ -232,21 +231,13 @@ class MinimumVariance(Law):
             after = made[0][0].state
             return Belief(after.ensemble, after.root, fit=fit), *made[1:]
         fallback, (began, ago) = posterior.fallback, posterior.behind
-        if fallback is None or posterior.account is not None or self._is_misfit(fit):
+        if fallback is None or posterior.account is not None or fit.is_misfit:
             return None
         made = self._samples.followed(reading, posterior.hypotheses, since, s)
         if made is None:
             return None
         behind = (began, ago + s) if ago else (since, s)
         return self._measured(made[0], fallback, fit, behind), *made[1:]
-
-    def _is_misfit(self, fit: Fit) -> bool:
-        """Whether the model does not fit; found once for each fit, as many samples share it."""
-        known, found = self._last_fit
-        if known is not fit:
-            found = fit.is_misfit
-            self._last_fit = fit, found
-        return found
 
     def _measured(
         self,
@@ -265,7 +256,7 @@ class MinimumVariance(Law):
             hypotheses=found,
             fallback=fallback,
             behind=behind,
-            misfit=fit.message("") if self._is_misfit(fit) else "",
+            misfit=fit.message("") if fit.is_misfit else "",
         )
 
     def _caught_up(self, belief: Belief, fallback: Fallback, closed: Contacts) -> Fallback:
