@@ -131,15 +131,16 @@ struct FreeMotion {
         moved(x, s, t, next, [](const double*) {});
     }
 
-    // Phi(s)
+    // Phi(s), by Taylor's series over a part of s that is shorter than the fastest rate's inverse,
+    // and then by Phi(2h) = Phi(h) Phi(h).
     Matrix transition(double s) const {
+        const int doublings = doublings_of(s);
         Matrix found(size(), size());
         for (std::size_t j = 0; j < size(); ++j) {
-            Vector column(size());
-            column[j] = 1.0;
-            column = carried(std::move(column), s);
+            const Vector column = moved_by(j, std::ldexp(s, -doublings));
             for (std::size_t i = 0; i < size(); ++i) found(i, j) = column[i];
         }
+        for (int turn = 0; turn < doublings; ++turn) found = twice(found);
         return found;
     }
 
@@ -188,14 +189,9 @@ struct FreeMotion {
         constexpr double weights[4] = {0.3626837833783620, 0.3137066458778873, 0.2223810344533745,
                                        0.1012285362903763};
         const std::size_t d = size();
-        const int doublings = std::max(0, int(std::ceil(std::log2(std::max(s * rate, 1.0)))));
+        const int doublings = doublings_of(s);
         const double h = std::ldexp(s, -doublings);
-        const auto moved_by = [&](std::size_t i, double after) {
-            Vector column(d);
-            column[i] = 1.0;
-            return carried(std::move(column), after);
-        };
-        Matrix columns(d, 4 * d), Phi(d, d), root(d, d);
+        Matrix columns(d, 4 * d), Phi = doublings ? transition(h) : Matrix(), root(d, d);
         for (std::size_t k = 0; k < 8; ++k)
             for (std::size_t j = 0; j < n(); ++j) {
                 const double node = k < 4 ? nodes[k] : -nodes[k - 4];
@@ -203,25 +199,17 @@ struct FreeMotion {
                 const Vector column = moved_by(n() + j, (1 + node) * h / 2);
                 for (std::size_t i = 0; i < d; ++i) columns(i, k * n() + j) = size * column[i];
             }
-        for (std::size_t j = 0; doublings && j < d; ++j) {
-            const Vector column = moved_by(j, h);
-            for (std::size_t i = 0; i < d; ++i) Phi(i, j) = column[i];
-        }
         for (int turn = 0;; ++turn) {
             make_triangular(columns);
             for (std::size_t i = 0; i < d; ++i)
                 std::copy(columns.row(i), columns.row(i) + d, root.row(i));
             if (turn == doublings) return root;
             columns = Matrix(d, 2 * d);
-            Matrix twice(d, d);
             for (std::size_t i = 0; i < d; ++i) {
-                for (std::size_t k = 0; k < d; ++k) {
-                    add(Phi(i, k), root.row(k), columns.row(i), d);
-                    add(Phi(i, k), Phi.row(k), twice.row(i), d);
-                }
+                for (std::size_t k = 0; k < d; ++k) add(Phi(i, k), root.row(k), columns.row(i), d);
                 std::copy(root.row(i), root.row(i) + d, columns.row(i) + d);
             }
-            Phi = std::move(twice);
+            Phi = twice(Phi);
         }
     }
 
@@ -229,6 +217,26 @@ struct FreeMotion {
     Vector seen(Vector row, double s) const {
         moved(row, s, nullptr, [&](const double* term, double* to) { row_rates(term, to); });
         return row;
+    }
+
+  private:
+    // How often s is halved until it is shorter than the fastest rate's inverse
+    int doublings_of(double s) const {
+        const double turns = std::min(std::max(1.0, std::abs(s) * rate), 1e300);
+        return int(std::ceil(std::log2(turns)));
+    }
+
+    // A column of Phi(s)
+    Vector moved_by(std::size_t i, double s) const {
+        Vector column(size());
+        column[i] = 1.0;
+        return carried(std::move(column), s);
+    }
+
+    static Matrix twice(const Matrix& Phi) {
+        Matrix found(Phi.rows, Phi.rows);
+        add_matrix_product(Phi.data.data(), Phi.rows, Phi, found.data.data());
+        return found;
     }
 };
 
