@@ -129,7 +129,7 @@ Sensitivity sensitivity_of(const py::function& at, const Array& theta, const Arr
     const Vector about = vector(theta, "theta", ANY);
     const Vector wide = vector(steps, "steps", py::ssize_t(about.size()));
     for (const double each : wide)
-        if (!(each > 0)) throw py::value_error("steps: expected positive numbers");
+        if (!(each >= 0)) throw py::value_error("steps: expected 0 or more");
     std::size_t k = 0, d = 0;
     const auto map = [&](const Vector& point) {
         Map found = map_from(at(to_python(point)), k, d);
@@ -141,7 +141,7 @@ Sensitivity sensitivity_of(const py::function& at, const Array& theta, const Arr
 
 Array noise_of(const Sensitivity& by, const Array& root, const Array& own) {
     const std::size_t p = by.first.rows;
-    const View states = checked(root, "root", p ? py::ssize_t(by.mixed[0].columns) : ANY, ANY);
+    const View states = checked(root, "root", p ? py::ssize_t(by.size) : ANY, ANY);
     const View steps = checked(own, "own", py::ssize_t(p), py::ssize_t(states.columns));
     if (states.columns < p) throw py::value_error("root: expected a column of each parameter");
     return to_python(by.noise(states, steps));

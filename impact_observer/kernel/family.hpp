@@ -123,18 +123,23 @@ inline Matrix leading(const View& root, std::size_t first, std::size_t count) {
 }
 
 // How a map of k numbers changes with parameters: central differences about theta, on a grid of
-// parameters, `steps` wide.
+// parameters, `steps` wide. It does not change with those whose step is zero.
 struct Sensitivity {
-    Matrix first;                // derivatives of its value, p x k
-    std::vector<Matrix> mixed;   // of its linear part, p times k x d
-    std::vector<Vector> second;  // second derivatives of its value, p p times k
+    Matrix first;                     // derivatives of its value, p x k
+    std::vector<Matrix> mixed;        // of its linear part, p times k x d
+    std::vector<Vector> second;       // second derivatives of its value, p p times k
+    std::vector<std::size_t> active;  // parameters with which it changes
+    std::size_t size;                 // d
 
     template <class At>
     Sensitivity(At at, const Vector& theta, const Vector& steps) {
         const std::size_t p = theta.size();
-        Vector near(p);
-        for (std::size_t j = 0; j < p; ++j)
+        Vector near = theta;
+        for (std::size_t j = 0; j < p; ++j) {
+            if (steps[j] == 0.0) continue;
             near[j] = steps[j] * std::nearbyint(theta[j] / steps[j]);
+            active.push_back(j);
+        }
         const auto aside = [&](std::size_t j, double one, std::size_t k, double other) {
             Vector at_ = near;
             at_[j] += one * steps[j], at_[k] += other * steps[k];
@@ -142,12 +147,13 @@ struct Sensitivity {
         };
         const Map centre = at(near);
         const std::size_t k = centre.value.size();
-        first = Matrix(p, k), second.assign(p * p, Vector(k));
-        std::vector<Map> plus;
-        for (std::size_t j = 0; j < p; ++j) plus.push_back(aside(j, 1.0, j, 0.0));
-        for (std::size_t j = 0; j < p; ++j) {
+        size = centre.linear.columns;
+        first = Matrix(p, k), second.assign(p * p, Vector(k)), mixed.resize(p);
+        std::vector<Map> plus(p);
+        for (const std::size_t j : active) plus[j] = aside(j, 1.0, j, 0.0);
+        for (const std::size_t j : active) {
             const Map minus = aside(j, -1.0, j, 0.0);
-            mixed.push_back(plus[j].linear);
+            mixed[j] = plus[j].linear;
             for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
                 mixed[j].data[i] =
                     (plus[j].linear.data[i] - minus.linear.data[i]) / (2 * steps[j]);
@@ -156,7 +162,8 @@ struct Sensitivity {
                 first(j, i) = (on - back) / (2 * steps[j]);
                 second[j * p + j][i] = ((on - here) + (back - here)) / (steps[j] * steps[j]);
             }
-            for (std::size_t l = 0; l < j; ++l) {
+            for (const std::size_t l : active) {
+                if (l == j) break;
                 const Vector both = aside(j, 1.0, l, 1.0).value;
                 for (std::size_t i = 0; i < k; ++i) {
                     const double crossed =
@@ -173,28 +180,52 @@ struct Sensitivity {
     // Noise of second order that the parameters add to `linear root`, where `root`, d x c, and
     // `own`, p x c and lower triangular in front, are the root of states and parameters.
     Matrix noise(const View& root, const View& own) const {
-        const std::size_t p = first.rows, k = first.columns, c = root.columns;
-        Matrix found(k, p * (c - p) + p + p * (p - (p > 0)) / 2);
-        std::vector<Matrix> across(p, Matrix(k, c));  // mixed derivatives, by columns of `own`
+        const std::size_t p = first.rows, k = first.columns, d = root.rows;
+        // Columns in which the parameters are zero: turned, d of them hold as much as all.
+        const std::size_t rest = root.columns - p, left = std::min(rest, d), c = p + left;
+        Matrix turned(d, rest);
+        for (std::size_t m = 0; m < d; ++m)
+            std::copy(root.row(m) + p, root.row(m) + root.columns, turned.row(m));
+        if (rest > d) make_triangular(turned);
+        std::vector<Matrix> across(p);  // mixed derivatives, by columns of `own`
         for (std::size_t a = 0; a < p; ++a)
-            for (std::size_t j = a; j < p; ++j)
+            for (const std::size_t j : active) {
+                if (j < a || own(j, a) == 0.0) continue;
+                if (across[a].rows == 0) across[a] = Matrix(k, c);
                 for (std::size_t i = 0; i < k; ++i)
-                    for (std::size_t m = 0; m < root.rows; ++m)
-                        add(own(j, a) * mixed[j](i, m), root.row(m), across[a].row(i), c);
+                    for (std::size_t m = 0; m < d; ++m) {
+                        const double by = own(j, a) * mixed[j](i, m);
+                        add(by, root.row(m), across[a].row(i), p);
+                        add(by, turned.row(m), across[a].row(i) + p, left);
+                    }
+            }
+        const auto moves = [&](std::size_t a) { return across[a].rows > 0; };
+        const auto mixes = [&](std::size_t a, std::size_t i, std::size_t b) {
+            return moves(a) ? across[a](i, b) : 0.0;
+        };
         const auto curved = [&](std::size_t a, std::size_t b, std::size_t i) {
             double sum = 0.0;
-            for (std::size_t j = a; j < p; ++j)
-                for (std::size_t l = b; l < p; ++l)
-                    sum += own(j, a) * second[j * p + l][i] * own(l, b);
+            for (const std::size_t j : active)
+                for (const std::size_t l : active)
+                    if (j >= a && l >= b) sum += own(j, a) * second[j * p + l][i] * own(l, b);
             return sum;
         };
+        std::size_t columns = 0;
+        for (std::size_t a = 0; a < p; ++a) {
+            if (moves(a)) columns += left + 1;
+            for (std::size_t b = 0; b < a; ++b) columns += moves(a) || moves(b);
+        }
+        Matrix found(k, columns);
         for (std::size_t i = 0; i < k; ++i) {
             double* to = found.row(i);
             for (std::size_t a = 0; a < p; ++a) {
-                for (std::size_t j = p; j < c; ++j) *to++ = TAILS * across[a](i, j);
-                *to++ = TAILS * MEAN_TOO * (curved(a, a, i) + 2 * across[a](i, a));
+                if (moves(a)) {
+                    for (std::size_t j = p; j < c; ++j) *to++ = TAILS * across[a](i, j);
+                    *to++ = TAILS * MEAN_TOO * (curved(a, a, i) + 2 * across[a](i, a));
+                }
                 for (std::size_t b = 0; b < a; ++b)
-                    *to++ = TAILS * (curved(a, b, i) + across[a](i, b) + across[b](i, a));
+                    if (moves(a) || moves(b))
+                        *to++ = TAILS * (curved(a, b, i) + mixes(a, i, b) + mixes(b, i, a));
             }
         }
         return found;

@@ -406,15 +406,6 @@ class Gaps {
     double deviation(double t, std::size_t j, double s, const Prior& prior, double level) const {
         const std::size_t n = motion->n();
         Vector row = direction(j);
-        const auto with_rest = [&] {  // the parameters' part of it
-            for (std::size_t k = 0; k < family->count(); ++k) row.push_back(rests(k, j));
-        };
-        if (family->moving()) {
-            Flight flight{s, {}, {}};
-            with_rest();
-            const Matrix root = after(t, prior, vector(prior.x), level, flight).root;
-            return spread(row, root.view());
-        }
         double added = 0.0;
         if (level > 0) {
             const double wanted = std::ceil(s * FINE / family->sizes.timescale / 2);
@@ -427,8 +418,31 @@ class Gaps {
         } else {
             row = motion->seen(std::move(row), s);
         }
-        with_rest();
-        return std::hypot(spread(row, prior.root), level * std::sqrt(added));
+        for (std::size_t k = 0; k < family->count(); ++k) row.push_back(rests(k, j));
+        const double own = family->moving() ? spread_with_parameters(t, j, s, prior, row)
+                                            : spread(row, prior.root);
+        return std::hypot(own, level * std::sqrt(added));
+    }
+
+    // Standard deviation of gap j after s seconds, `row` of states and parameters before, with
+    // what the parameters of the motion add.
+    double spread_with_parameters(double t, std::size_t j, double s, const Prior& prior,
+                                  Vector row) const {
+        const std::size_t size = motion->size(), q = family->moving();
+        const Matrix whole = leading(prior.root, size, q);
+        const View own{whole.row(size), q, whole.columns};
+        const Vector start = vector(prior.x), seen = direction(j);
+        const auto flown = [&](const Vector& at) {
+            const auto other = family->at(at.data());
+            const Vector x = other->flown(t, start, s), linear = other->seen(seen, s);
+            return Map{{dot(seen.data(), x.data(), size)}, Matrix(View{linear.data(), 1, size})};
+        };
+        const Sensitivity by(flown, Vector(prior.constants.data, prior.constants.data + q),
+                             family->parameters.steps(prior.constants.data, own));
+        for (std::size_t k = 0; k < q; ++k) row[size + k] += by.first(k, 0);
+        const Matrix noise = by.noise({whole.row(0), size, whole.columns}, own);
+        return std::hypot(spread(row, whole.view()),
+                          std::sqrt(dot(noise.row(0), noise.row(0), noise.columns)));
     }
 
     // Gap j as a function of states

@@ -133,8 +133,10 @@ class Impact {
         Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y and theta
     };
 
-    Law law_of(const double* theta) const {
-        Law found{family->at(theta), kick, rest, 0.0};
+    Law law_of(const double* theta) const { return law_of(theta, family->at(theta)); }
+
+    Law law_of(const double* theta, std::shared_ptr<const FreeMotion> motion) const {
+        Law found{std::move(motion), kick, rest, 0.0};
         for (std::size_t j = 0; j < family->count(); ++j) {
             const double by = theta[j] - family->nominal[j];
             add(by, kicks.row(j), found.kick.data(), kick.size());
@@ -305,24 +307,34 @@ class Impact {
             joint.z[first + j] = family->parameters.clamped(j, joint.z[first + j]);
     }
 
-    // How the state y+ changes with parameters of the jump. `at` is the place of (e, y).
+    // How the state y+ changes with parameters of the jump. `at` is the place of (e, y). The
+    // linear part is that of (g, gamma). Of parameters that are known, or do not change the jump,
+    // nothing is asked.
     Sensitivity jump_by(const Law& law, const Place& at, double e, const Vector& theta,
-                        const Matrix& root) const {
+                        const View& own, const View& others) const {
         const std::size_t size = 2 * w.size();
         const auto jumped = [&](const Vector& other) {
-            Law its = law_of(other.data());
-            its.motion = law.motion;
-            std::array<Vector, 2> kappa = kicked(its, *family->given, e);
-            Map found{Vector(size), Matrix(size, size)};
+            const Law its = law_of(other.data(), law.motion);
+            const std::array<Vector, 2> kappa = kicked(its, *family->given, e);
+            Map found{Vector(size), Matrix(size, 2)};
             add(at.g + its.rest - law.rest, kappa[0].data(), found.value.data(), size);
             add(at.gamma, kappa[1].data(), found.value.data(), size);
             for (std::size_t i = 0; i < size; ++i)
-                for (std::size_t k = 0; k < 2; ++k)
-                    add(kappa[k][i], at.rho[k].data(), found.linear.row(i), size);
+                found.linear(i, 0) = kappa[0][i], found.linear(i, 1) = kappa[1][i];
             return found;
         };
-        const View own{root.row(1 + size), theta.size(), root.columns};
-        return {jumped, theta, family->parameters.steps(theta.data(), own)};
+        Vector steps = family->parameters.steps(theta.data(), own);
+        for (std::size_t j = 0; j < steps.size(); ++j) {
+            const bool changes = rests[j] || lags[j] || !is_zero(kicks.row(j), kicks.columns);
+            const bool is_known =
+                is_zero(own.row(j), own.columns) && is_zero(others.row(j), others.columns);
+            if (!changes || is_known) steps[j] = 0.0;
+        }
+        return {jumped, theta, steps};
+    }
+
+    static bool is_zero(const double* row, std::size_t n) {
+        return std::all_of(row, row + n, [](double each) { return each == 0.0; });
     }
 
     // kappa of a law, of which a lag is multiplied by the damping of one of the members.
@@ -379,9 +391,14 @@ class Impact {
             make_triangular(whole);  // the noise depends on the root: take one that is unique
             whole = leading(whole.view(), 1 + size, p);
             const Vector theta(y + size, y + size + p);
-            Sensitivity by = jump_by(law, at, e, theta, whole);
-            curved = by.noise({whole.row(1), size, whole.columns},
-                              {whole.row(1 + size), p, whole.columns});
+            const View own{whole.row(1 + size), p, whole.columns};
+            const View of_others{joint.differences.row(1 + size), p, others};
+            Sensitivity by = jump_by(law, at, e, theta, own, of_others);
+            Matrix seen(2, whole.columns);
+            for (std::size_t k = 0; k < 2; ++k)
+                for (std::size_t i = 0; i < size; ++i)
+                    add(at.rho[k][i], whole.row(1 + i), seen.row(k), whole.columns);
+            curved = by.noise(seen.view(), own);
             Vector jump(size);
             add(at.g, kappa[0].data(), jump.data(), size);
             add(at.gamma, kappa[1].data(), jump.data(), size);

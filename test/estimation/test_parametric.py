@@ -114,3 +114,32 @@ def test_without_parameters_nothing_is_added(x: Array) -> None:
     seen = Sensitivity(lambda _: Map(x, np.eye(N)), np.zeros(1), np.ones(1))
     assert not np.any(seen.first)
     assert not np.any(seen.noise(np.eye(N), np.eye(1, N)))
+
+
+@given(seed=st.integers(0, 10_000), still=st.integers(0, P - 1))
+@examples(20)
+def test_a_parameter_without_a_step_is_not_asked(seed: int, still: int) -> None:
+    """The map stays at its value; the others add what they add where it is known."""
+    F, moves = Quadratic(seed), 1 - still
+    steps = np.where(np.arange(P) == still, 0.0, 0.25)
+
+    def alone(theta: Array) -> Map:
+        return F.at(np.where(np.arange(P) == still, F.theta, theta))
+
+    seen, other = Sensitivity(F.at, F.theta, steps), Sensitivity(alone, F.theta, np.full(P, 0.25))
+    np.testing.assert_allclose(seen.first[moves], other.first[moves], atol=1e-11)
+    assert not np.any(seen.first[still])
+    found, wanted = (each.noise(F.root[:N], F.root[N:]) for each in (seen, other))
+    np.testing.assert_allclose(found @ found.T, wanted @ wanted.T, rtol=1e-9, atol=1e-9)
+
+
+@given(root=matrices(N, 9), own=matrices(P, P))
+@examples(20)
+def test_noise_does_not_depend_on_columns_without_parameters(root: Array, own: Array) -> None:
+    """However many they are, and in whichever basis."""
+    seen = Sensitivity(Quadratic(1).at, np.zeros(P), np.ones(P))
+    own = np.pad(np.tril(own), ((0, 0), (0, root.shape[1] - P)))
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(9 - P, 9 - P)))[0]
+    turned = np.hstack([root[:, :P], root[:, P:] @ turn])
+    found, wanted = (each @ each.T for each in (seen.noise(root, own), seen.noise(turned, own)))
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
