@@ -83,15 +83,10 @@ def grip(
     found = _Found([], [], [], loads)
     if not (contacts or slow):
         return found.grip(phases)
-    unloaded, at = phases.unloaded(fixed, tuple(loads.tolist())), np.array([t])
-    f = unloaded.equations.forcing.derivatives(at, _ORDERS - 1)[:, 0]
+    unloaded = phases.unloaded(fixed, tuple(loads.tolist()))
     motion = [x[:n], x[n:]]
     for k in range(_ORDERS):
-        terms = phases.white(
-            np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
-        )
-        size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
-        free = terms.sum(axis=1)
+        free, size = phases.free(unloaded, t, motion)
         if k == 0:
             acceleration = found.decide(phases, contacts, slow, free, _ZERO * size)
         else:

@@ -50,32 +50,27 @@ def persistent_contacts(
         return grip(phases, fixed, t, x, contacts)
     if not contacts:
         return Grip((), ())
-    unloaded, at = phases.unloaded(fixed), np.array([t])
-    equations = unloaded.equations
-    n = equations.n
-    f = equations.forcing.derivatives(at, _ORDERS - 1)[:, 0]
+    unloaded, n = phases.unloaded(fixed), phases.system.n
     motion = [x[:n], x[n:]]
     pressing: list[int] = []
     undecided = list(contacts)
-    for k in range(_ORDERS):
-        terms = phases.white(
-            np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
-        )
-        basis = orthonormal(phases.B[:, pressing])
-        directions = without(basis, phases.B[:, undecided])
-        free = without(basis, terms.sum(axis=1))
-        # Rounding is relative to the terms of the sum, those of the force included.
-        size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
-        length = phases.length[undecided]
-        pushed, acceleration = _least(phases, undecided, directions / length, free)
-        separating = directions.T @ acceleration / length
+    for _ in range(_ORDERS):
+        free, size = phases.free(unloaded, t, motion)
+        directions = phases.B[:, undecided]
+        if pressing:
+            basis = orthonormal(phases.B[:, pressing])
+            directions, free = without(basis, directions), without(basis, free)
+        directions = directions / phases.length[undecided]
+        pushed, acceleration = _least(phases, undecided, directions, free)
+        separating = acceleration.dot(directions)
         motion.append(phases.unwhite(acceleration))
-        pressing += [i for i, load in zip(undecided, pushed, strict=True) if load > _ZERO * size]
-        undecided = [
-            i
-            for i, load, away in zip(undecided, pushed, separating, strict=True)
-            if max(load, away) <= _ZERO * size
-        ]
+        decided = zip(undecided, pushed.tolist(), separating.tolist(), strict=True)
+        undecided = []
+        for i, load, away in decided:
+            if load > _ZERO * size:
+                pressing.append(i)
+            elif away <= _ZERO * size:
+                undecided.append(i)
         if not undecided:
             break
     closed = tuple(sorted([*pressing, *undecided]))

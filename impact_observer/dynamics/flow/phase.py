@@ -30,7 +30,7 @@ Guides that stick are held like contacts; their indices follow those of the cont
 have a constant load: a force of the phase.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -276,6 +276,22 @@ class Phases:
         Guides have the ``loads``.
         """
         return self._laws(fixed, loads)
+
+    def free(self, law: "Unloaded", t: float, motion: Sequence[Vector]) -> tuple[Vector, float]:
+        """The next derivative of a motion without loads, and what it is rounded against.
+
+        As ``white`` gives it, shape (n,); the largest of its terms counts.
+
+        Args:
+            law: of the motion.
+            t: s since the epoch.
+            motion: ``p`` and its derivatives up to the last one, shape (n,) each.
+        """
+        k, at = len(motion) - 2, np.array([t])
+        force = law.equations.forcing.derivatives(at, k)[k, 0]
+        terms = self.white(np.array([force, law.damped(motion[-1]), law.sprung(motion[-2])]).T)
+        size = np.sqrt(np.max(np.einsum("ij,ij->j", terms, terms)))
+        return terms[:, 0] - terms[:, 1] - terms[:, 2], max(float(size), float(law.load(k, at)[0]))
 
     def _unloaded(self, fixed: tuple[int, ...], loads: tuple[float, ...]) -> "Unloaded":
         system = self.system
