@@ -84,6 +84,10 @@ class Elapsed(float):
         self.ns, self.remainder = ns, remainder
         return self
 
+    def __getnewargs__(self) -> tuple[int, float]:  # type: ignore[override]
+        """What a copy, or one that is unpickled, is made of."""
+        return self.ns, self.remainder
+
     def __add__(self, seconds: "float | NDArray[np.float64]") -> "Elapsed":
         """The time ``seconds`` later."""
         if not isinstance(seconds, float | int):
