@@ -90,13 +90,13 @@ class Forcing:
         found = np.zeros((order + 1, t.size, self.constant.size))
         found[0] = self.constant
         if self.frequency.size:
-            rate, angle = self.frequency, np.outer(t, self.frequency)
+            rate, angle = self.frequency, t[:, None] * self.frequency
             if self.sampled is not None:
                 rate, angle = self.sampled.turned(t, rate, angle)
-            wave, amplitude = np.exp(1j * angle), self.cosine - 1j * self.sine
+            cosine, sine = np.cos(angle), np.sin(angle)
             for k in range(order + 1):
-                found[k] += (wave @ amplitude).real
-                wave = wave * (1j * rate)
+                found[k] += cosine @ self.cosine + sine @ self.sine
+                cosine, sine = -rate * sine, rate * cosine
         if self.sampled is not None:
             found[:JETS] += self.sampled.derivatives(t)[: order + 1]
         return found

@@ -17,6 +17,7 @@
 ``docs/method.md`` says when, and how large the error is until that point.
 """
 
+import math
 from collections import deque
 
 import numpy as np
@@ -66,32 +67,33 @@ class ZenoCutoff:
         """
         system = self._phases.system
         q, u = x[: system.n], x[system.n :]
-        gamma = system.contact_speed(u)
-        rounding = self._phases.speed_tolerance(before)
+        gamma = system.contact_speed(u).tolist()
+        rounding = self._phases.speed_tolerance(before).tolist()
         # What gaps are rounded against: the sum of all modes' magnitudes.
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
-        lowest = LOW * (np.abs(system.q_r) + moved + _TINY)
+        lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
         law = self._phases.unloaded()
         slow = self._phases.slow_guides(x) if system.guides else ()
         rubbed = self._rubbed(u, slow) if system.guides else 0.0
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
+        size = float(np.linalg.norm(free))
 
-        def flights(found: list[int], fall: Vector) -> Vector:
-            flight = self._flights(gamma[found], fall, lowest[found])
-            return np.where(gamma[found] <= rounding[found], 0.0, flight)
+        def flight(i: int, fall: float) -> float:
+            return 0.0 if gamma[i] <= rounding[i] else self._flight(gamma[i], fall, lowest[i])
 
         # A contact that still closes hits again at once: Newton's law allows it after separating.
-        found = [i for i in contacts if gamma[i] >= -rounding[i]]
         # No contact comes back faster than with the whole acceleration: this mostly decides.
         found = [
-            i for i in found if flights([i], self._length[[i]] * np.linalg.norm(free))[0] <= 1
+            i
+            for i in contacts
+            if gamma[i] >= -rounding[i] and flight(i, float(self._length[i]) * size) <= 1.0
         ]
         while found:
-            flight = flights(found, self._fall(free, found, slow))
-            if flight.max() <= 1.0:
+            flights = list(map(flight, found, self._fall(free, found, slow).tolist()))
+            if max(flights) <= 1.0:
                 break
             # Remove one at a time: without its load the others may rest or separate.
-            found.pop(int(flight.argmax()))
+            found.pop(flights.index(max(flights)))
         # A contact that depends on the others rests with them, even without load.
         if not found:
             return ()
@@ -107,17 +109,15 @@ class ZenoCutoff:
         loads[list(slow)] = 0.0
         return np.asarray(system.W_T @ loads)
 
-    def _flights(self, speed: Vector, fall: Vector, lowest: Vector) -> Vector:
-        """Next flights, relative to the longest that counts as none, shape (k,).
+    def _flight(self, speed: float, fall: float, lowest: float) -> float:
+        """Next flight, relative to the longest that counts as none.
 
-        A flight begins with ``speed``, m/s, and ``fall`` is the acceleration back, m/s2, zero for
-        contacts that do not return. The height ``lowest`` counts as none, m.
+        It begins with ``speed``, m/s, and ``fall`` is the acceleration back, m/s2, zero for a
+        contact that does not return. The height ``lowest`` counts as none, m.
         """
-        returns = fall > 0
-        fall = np.where(returns, fall, 1.0)
-        time, height = 2 * speed / fall, speed**2 / (2 * fall)
-        flight = np.minimum(time / self.shortest, height / lowest)
-        return np.where(returns, flight, np.inf)
+        if fall <= 0:
+            return math.inf
+        return min(2 * speed / fall / self.shortest, speed * speed / (2 * fall) / lowest)
 
     def _fall(self, free: Vector, contacts: list[int], slow: tuple[int, ...]) -> Vector:
         """Acceleration with which each contact would come back if the others were held, m/s2.
