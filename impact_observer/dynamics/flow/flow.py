@@ -203,17 +203,14 @@ class Flow(ABC):
     def _inertia(self) -> Factor:
         return Factor(self._system.M)
 
-    def _seen(
-        self, functions: Functions, T: Matrix, time: float
-    ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """Rows of ``q``, rows of ``y``, what these are rounded against, and those of waves.
+    def _seen(self, functions: Functions, time: float) -> tuple[Matrix, Matrix, Matrix]:
+        """Rows of ``q``, rows of the free coordinates, and what these are rounded against.
 
         By all that moves, also by what pulls at it within the ``time`` scale, s: a body may rest
         while others move.
 
         Args:
             functions: what is seen.
-            T: states, of the free coordinates, are ``T y``.
             time: inverse of the fastest rate, s.
         """
         position, velocity = np.split(functions.rows, 2, axis=1)
@@ -224,7 +221,7 @@ class Flow(ABC):
         pulled = time**2 / 2 * np.abs(self._accelerated(q).T @ pulls)
         pulled += time * np.abs(self._accelerated(u).T @ pulls)
         rows = np.hstack([q.T, u.T])
-        return position, rows @ T, (np.abs(rows) + pulled) @ np.abs(T), functions.waves
+        return position, rows, np.abs(rows) + pulled
 
     def transitions(self, s: Vector) -> NDArray[np.float64]:
         """``transition`` by each of ``s`` seconds, shape (2n, samples, 2n)."""

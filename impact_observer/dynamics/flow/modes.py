@@ -57,8 +57,8 @@ class Modes:
 
     Attributes:
         T: columns of block ``k`` one after the other, those of pairs at ``2k`` and ``2k + 1``,
-            shape (2n, 2n).
-        T_inverse: shape (2n, 2n).
+            shape (2n, 2n). Where ``proportional``, the shapes, of (n, n).
+        T_inverse: of the same shape.
         J: blocks, shape (n, 2, 2), 1/s; one block, shape (1, 2n, 2n), in units of energy, where no
             splitting is well-conditioned.
         proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
@@ -73,7 +73,7 @@ class Modes:
     @property
     def are_pairs(self) -> bool:
         """Whether the state is split."""
-        return 2 * len(self.J) == len(self.T)
+        return self.proportional or 2 * len(self.J) == len(self.T)
 
     @cached_property
     def rates(self) -> Rates:
@@ -105,9 +105,7 @@ class Modes:
         self, frame: PhaseFrame | None
     ) -> tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool]:
         """What the kernel needs: ``T`` and its inverse in ``frame``, or shapes, and the frame."""
-        T, T_inverse, r = self.T, self.T_inverse, len(self.T) // 2
-        if self.proportional:
-            T, T_inverse = T[:r, 0::2], T_inverse[0::2, :r]
+        T, T_inverse = self.T, self.T_inverse
         if frame is None:
             none = np.zeros((0, 0))
             return T, T_inverse, none, none, np.zeros(0), self.proportional
@@ -127,7 +125,23 @@ class Modes:
     def pushed(self, acceleration: Matrix) -> NDArray[np.float64]:
         """Loads of the pairs, shape (n, 2, k), under accelerations, shape (n, k)."""
         n, k = acceleration.shape
-        return np.reshape(self.T_inverse[:, n:] @ acceleration, (n, 2, k))
+        if not self.proportional:
+            return np.reshape(self.T_inverse[:, n:] @ acceleration, (n, 2, k))
+        found = np.zeros((n, 2, k))
+        found[:, 1] = self.T_inverse @ acceleration
+        return found
+
+    def seen(self, rows: Matrix, sizes: Matrix) -> tuple[Matrix, Matrix]:
+        """``rows`` of states as rows of pairs, ``rows T``, and ``sizes`` as ``sizes |T|``.
+
+        Shape (w, 2n) each.
+        """
+        T, reach, w, n = self.T, np.abs(self.T), len(rows), len(self.J)
+        if not self.proportional:
+            return rows @ T, sizes @ reach
+        parts = [A.reshape(2 * w, n) @ B for A, B in ((rows, T), (sizes, reach))]
+        one, two = (part.reshape(w, 2, n).swapaxes(1, 2).reshape(w, 2 * n) for part in parts)
+        return one, two
 
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:
@@ -168,10 +182,7 @@ def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes:
     J[:, 0, 1] = 1.0
     J[:, 1, 0] = -stiffness
     J[:, 1, 1] = -np.maximum(damping, 0.0)
-    T, T_inverse = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    T[:n, 0::2] = T[n:, 1::2] = shapes
-    T_inverse[0::2, :n] = T_inverse[1::2, n:] = shapes.T @ system.M
-    return Modes(T, T_inverse, J, proportional=True)
+    return Modes(shapes, shapes.T @ system.M, J, proportional=True)
 
 
 def _general(system: Equations, stiffness: Vector, damping: Matrix, shapes: Matrix) -> Modes:

@@ -98,7 +98,8 @@ class SpectralFlow(Flow):
 
     def guards(self, functions: Functions) -> Guards:
         """``functions`` of all motions."""
-        return self._kernel.guards(*self._seen(functions, self.modes.T, self._time))
+        position, *rows = self._seen(functions, self._time)
+        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves)
 
     def moving(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``."""

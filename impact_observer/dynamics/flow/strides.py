@@ -74,9 +74,8 @@ class SeriesFlow(Flow):
             orders = forcing.sampled.orders.astype(np.float64)
         self._phases = int(orders.any())
         forces = np.hstack([forces, np.eye(len(forces))[:, self._active]])
-        load, push = np.hsplit(
-            modes.T_inverse[:, r:] @ self._pushed(forces), [1 + 2 * forcing.frequency.size]
-        )
+        loads = modes.pushed(self._pushed(forces)).reshape(2 * r, forces.shape[1])
+        load, push = np.hsplit(loads, [1 + 2 * forcing.frequency.size])
         self._rate = max(modes.fastest, *forcing.fastest, 0.0)
         self._kernel = Strides(
             modes.coordinates(frame),
@@ -96,8 +95,9 @@ class SeriesFlow(Flow):
     def guards(self, functions: Functions) -> Guards:
         """``functions`` of all motions."""
         time = 1 / self._rate if self._rate > 0 else 0.0
-        rows = self._seen(functions, self.modes.T, time)
-        return self._kernel.guards(*rows, self._with_phase(functions.force[:, self._active]))
+        position, *rows = self._seen(functions, time)
+        force = self._with_phase(functions.force[:, self._active])
+        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves, force)
 
     def _with_phase(self, forces: Matrix) -> Matrix:
         """Columns of sampled forces, and of the drive's phase, which is no force."""
