@@ -57,7 +57,7 @@ class SequenceNumbers:
 
     def follows(self, sequence: int) -> bool:
         """Whether a number is the next one, as nearly always."""
-        return 0 < self.highest == sequence - 1 and sequence not in self._stamps
+        return 0 < self.highest == sequence - 1
 
     def leaps(self, sequence: int) -> bool:
         """Whether a number is far from all others, and none was near it."""
@@ -81,18 +81,13 @@ class SequenceNumbers:
 
     def add(self, sequence: int, stamp: int) -> None:
         """Add ``sequence``, with the stamp (ns) of its event."""
-        if self.follows(sequence):
-            self.highest = sequence
-            self._count += 1
-            self._stamps[sequence] = stamp
-            return
         if not sequence:
-            return
-        if self.leaps(sequence):
-            self._leap = sequence
             return
         numbers = [sequence]
         if self.highest and not self._is_near(sequence):
+            if self.leaps(sequence):
+                self._leap = sequence
+                return
             numbers = [self._leap, sequence]
             if not self._continues(sequence):  # the sender counts from another number
                 self.first = self.highest = self._count = self._forgotten = 0
