@@ -68,6 +68,9 @@ class Contest:
         absent: why a peer cannot take part here, by name.
         units: of the metrics, by their names. Where there are others than ``TIME``, jobs return
             all of them.
+        ready: makes what ours starts from, before each time; it is not timed.
+        repeats: how often each does the work in its turn. The least of these counts: the first
+            run after a pause of milliseconds measures how the processor wakes up.
     """
 
     work: str
@@ -75,6 +78,8 @@ class Contest:
     peers: Mapping[str, Job] = field(default_factory=dict)
     absent: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=lambda: {TIME: "s"})
+    ready: Callable[[], object] = lambda: None
+    repeats: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,24 +184,32 @@ def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None
         for k in range(turns):
             for name in names[k % len(names) :] + names[: k % len(names)]:
                 show(f"{benchmark.name}: round {k + 1} of {turns}, {name}")
-                measured = _measured(jobs[name], Path(folder), timed=TIME in contest.units)
+                measured = _turn(contest, jobs[name], Path(folder))
                 for metric, values in found[name].items():
                     values.append(measured[metric])
     return Result(benchmark, contest, found)
 
 
-def _measured(job: Job, folder: Path, *, timed: bool) -> Metrics:
-    """The metrics of ``job``, or its time, s: with garbage collected before, not during."""
+def _turn(contest: Contest, job: Job, folder: Path) -> Metrics:
+    """The least metrics of one turn of ``job``; garbage is collected before, not during."""
+    gc.collect()
+    gc.disable()
+    try:
+        found = [_measured(contest, job, folder) for _ in range(contest.repeats)]
+    finally:
+        gc.enable()
+    return {metric: min(each[metric] for each in found) for metric in contest.units}
+
+
+def _measured(contest: Contest, job: Job, folder: Path) -> Metrics:
+    """The metrics of ``job``, or its time, s."""
+    if job is contest.ours:
+        contest.ready()
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        gc.collect()
-        gc.disable()
-        try:
-            begin = time.perf_counter()
-            metrics = job(Path(place))
-            taken = time.perf_counter() - begin
-        finally:
-            gc.enable()
-    return {TIME: taken} if timed else cast("Metrics", metrics)
+        begin = time.perf_counter()
+        metrics = job(Path(place))
+        taken = time.perf_counter() - begin
+    return {TIME: taken} if TIME in contest.units else cast("Metrics", metrics)
 
 
 def _spread(values: list[float]) -> Ratio:

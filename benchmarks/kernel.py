@@ -33,6 +33,7 @@ import numpy as np
 
 from benchmarks.fast_bags import EPOCH, fast_model
 from benchmarks.harness import Benchmark, Contest, Goal, Metrics, SkippedError
+from benchmarks.plant_run import REPEATS
 from impact_observer.model import Model, parse_model
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds
@@ -83,7 +84,7 @@ def prepare_chains(_: Path) -> Contest:
         return {name: _seconds_of(model) for name, model in models.items()}
 
     work = f"chains of {CHAINS[0]} and {CHAINS[1]} masses, three stops, {RUN:g} s, impacts only"
-    return Contest(work, ours, units=dict.fromkeys(models, "s"))
+    return Contest(work, ours, units=dict.fromkeys(models, "s"), repeats=REPEATS)
 
 
 def _seconds_of(model: Model) -> float:

@@ -89,6 +89,21 @@ def test_each_contestant_starts_a_round_in_turn() -> None:
     assert order == [OURS, "a", "b", "a", "b", OURS, "b", OURS, "a"]
 
 
+def test_the_least_of_the_repeats_of_a_turn_counts_and_ours_is_made_ready_before_each() -> None:
+    """What makes it ready is not timed."""
+    order, values = [], iter([3.0, 2.0, 4.0])
+
+    def ours(_: Path) -> Metrics:
+        order.append("run")
+        return {"p50": next(values)}
+
+    made = Contest("", ours, units={"p50": "s"}, ready=lambda: order.append("ready"), repeats=3)
+    found = measure(Benchmark("it", "?", lambda _: made), 1, quiet)
+    assert isinstance(found, Result)
+    assert found.own("p50").median == 2.0
+    assert order == ["ready", "run"] * 3
+
+
 def test_a_job_without_metrics_is_timed() -> None:
     """From its start to its end, in seconds."""
     found = measure(

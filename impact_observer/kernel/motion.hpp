@@ -102,7 +102,7 @@ class ModalMotion : public Motion {
     }
 
     void states(const double* s, std::size_t count, double* rows) const override {
-        const std::size_t size = flow->coordinates.size, at_once = 8;  // shapes are read once
+        const std::size_t size = flow->coordinates.size, at_once = 64;  // shapes are read once
         std::vector<double> y(std::min(count, at_once) * size), now(flow->response.columns);
         for (std::size_t first = 0; first < count; first += at_once) {
             const std::size_t some = std::min(at_once, count - first);

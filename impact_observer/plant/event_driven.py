@@ -183,7 +183,8 @@ class Plant:
         """
         s = (stamps - self._start.stamp) * 1e-9 - self._start.remainder
         states = self._motion.states(np.maximum(s, 0.0))
-        states[s <= 0] = self._state
+        if (started := s <= 0).any():
+            states[started] = self._state
         return self.system.from_frame(stamps - self.epoch, states)
 
     def _begin(self, instant: Instant, x: Vector, grip: Grip) -> None:

@@ -76,7 +76,7 @@ class ZenoCutoff:
         slow = self._phases.slow_guides(x) if system.guides else ()
         rubbed = self._rubbed(u, slow) if system.guides else 0.0
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
-        size = float(np.linalg.norm(free))
+        size = math.sqrt(free.dot(free))
 
         def flight(i: int, fall: float) -> float:
             return 0.0 if gamma[i] <= rounding[i] else self._flight(gamma[i], fall, lowest[i])
@@ -149,7 +149,9 @@ class ZenoCutoff:
         return without(basis, free), without(basis, self._phases.B[:, contacts])
 
     def _fall_along(self, free: Vector, contacts: list[int], along: Matrix) -> Vector:
-        size = float(np.linalg.norm(free)) or 1.0
+        if len(contacts) == 1:
+            return np.asarray(np.maximum(-free.dot(along), 0.0))
+        size = math.sqrt(free.dot(free)) or 1.0
         length = self._length[contacts]
         directions = along / length
         fall = np.zeros(len(contacts))

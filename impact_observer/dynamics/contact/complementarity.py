@@ -77,8 +77,9 @@ def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
 def nonnegative(A: Matrix, target: Vector) -> Vector | None:
     """The least squares solution ``y >= 0`` of ``A y = target``; None where the method cycles."""
     if A.shape[1] == 1:  # nearly always
-        y, size = A.T.dot(target), float(np.sum(A**2))
-        return np.maximum(y / size, 0.0) if size > 0 else np.zeros(1)
+        column = A[:, 0]
+        size = column.dot(column)
+        return np.array([max(column.dot(target) / size, 0.0) if size > 0 else 0.0])
     from scipy.optimize import nnls  # noqa: PLC0415 (slow to import, and rarely needed)
 
     try:

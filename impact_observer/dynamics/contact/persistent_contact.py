@@ -21,6 +21,8 @@ derivatives decide, and so on: a contact whose load has just fallen to zero open
 fall further. A contact on which no derivative decides is closed without load.
 """
 
+import math
+
 import numpy as np
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
@@ -83,7 +85,7 @@ def _least(
     """Loads on unit ``directions``, and the acceleration with them, both of length as energy."""
     independent = np.linalg.norm(directions, axis=0) > RANK
     pushed = np.zeros(len(contacts))
-    size = float(np.linalg.norm(free))
+    size = math.sqrt(free.dot(free))
     if size > 0 and independent.any():
         loads = nonnegative(directions[:, independent], -free / size)
         if loads is None:
