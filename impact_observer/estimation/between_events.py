@@ -28,6 +28,7 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.missed_switch import insert_switches
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.events import Kind
 from impact_observer.states import Vector
 
@@ -291,10 +292,10 @@ class BetweenEvents:
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
         prediction = self.filter.predict(t, state, model_error)
-        flight = partial(self._flight_of, t, state)
+        flight = partial(self._flight_of, t, state, prediction.moving)
         return Forecast(flight, prediction, state, self.filter, t=t, level=model_error)
 
-    def _flight_of(self, t: float, state: GaussianState) -> Flight:
+    def _flight_of(self, t: float, state: GaussianState, moving: MovingSystem) -> Flight:
         members = self.filter.members
         member = members.with_given_restitution(self.filter.member(state))
-        return self._flight(member, t, state.closed)
+        return self._flight(member.system, moving, t, state.closed)

@@ -33,10 +33,11 @@ from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
-from impact_observer.estimation.members import Member
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
 from impact_observer.kernel import Guards, PhaseMotion
+from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 FINE = 6.0
@@ -95,15 +96,18 @@ class Flight:
         c: the functions are ``c x`` and an offset, shape (functions, 2n).
     """
 
-    def __init__(self, member: Member, t: float, closed: Contacts) -> None:
-        """A flight from ``t``, s since the epoch, with ``closed`` contacts."""
-        self._system = member.system
+    def __init__(self, system: System, moving: MovingSystem, t: float, closed: Contacts) -> None:
+        """A flight of ``system`` from ``t``, s since the epoch, with ``closed`` contacts.
+
+        Its motions are those of ``moving``.
+        """
+        self._system = system
         self._t = t
-        self._prepare = partial(member.moving.phase, closed)
-        self._scales = member.moving.scales
+        self._prepare = partial(moving.phase, closed)
+        self._scales = moving.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
-        self._guided = member.moving.guided  # then loads of contacts depend on the motion
+        self._guided = moving.guided  # then loads of contacts depend on the motion
         self._pressed = self._phase.pressed if closed and not self._guided else ()
         self.gaps, self.contacts = len(open_), (*open_, *self._pressed)
         self.c = Measured.gaps(self._system, open_).c

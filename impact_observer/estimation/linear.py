@@ -29,7 +29,11 @@ from impact_observer.states import Matrix, Vector
 
 
 class LinearPrediction:
-    """State and covariance while one linear phase lasts."""
+    """State and covariance while one linear phase lasts.
+
+    Attributes:
+        moving: the system between impacts with the estimated parameters.
+    """
 
     def __init__(
         self, t: float, state: GaussianState, members: Members, noise: ProcessNoise | None
@@ -46,7 +50,7 @@ class LinearPrediction:
         self._start = state
         self._members = members
         given = members.given.moving
-        self._moving = members.motion(state.theta) if state.parameters else given
+        self.moving = members.motion(state.theta) if state.parameters else given
         self._noise = noise
         self._diffusion = partial(given.diffusion, state.closed)
         self._root = state.root
@@ -59,11 +63,11 @@ class LinearPrediction:
     @cached_property
     def motion(self) -> Motion:
         """Of the estimate."""
-        return self._moving.motion(self._t, self._start.x, self._start.closed)
+        return self.moving.motion(self._t, self._start.x, self._start.closed)
 
     def state(self, s: float) -> Vector:
         """The estimate (q, u) after ``s`` seconds, shape (2n,)."""
-        if self._moving.is_cheap(self._start.closed, s):
+        if self.moving.is_cheap(self._start.closed, s):
             return self._moved(s)[0]
         return self.motion.state(s)
 
@@ -82,14 +86,14 @@ class LinearPrediction:
         return self._with_noise(propagate_errors(self._root, 0, transition), s)
 
     def _transition(self, s: float) -> Matrix:
-        if self._moving.guided:
+        if self.moving.guided:
             return transition_of(self.motion, s)
-        if self._moving.is_cheap(self._start.closed, s):
+        if self.moving.is_cheap(self._start.closed, s):
             return self._moved(s)[1]
-        return self._moving.phase(self._start.closed).transition(s)
+        return self.moving.phase(self._start.closed).transition(s)
 
     def _moved(self, s: float) -> tuple[Vector, Matrix]:
-        return self._moving.moved(self._t, self._start.x, s, self._start.closed)
+        return self.moving.moved(self._t, self._start.x, s, self._start.closed)
 
     def prior(self, s: float) -> GaussianState:
         """State and covariance after ``s`` seconds."""

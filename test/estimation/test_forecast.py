@@ -38,6 +38,7 @@ from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.forecast import Dip, Forecast, falls_at
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
 from impact_observer.model import System
 
@@ -289,3 +290,22 @@ def test_a_fall_through_zero_is_found_where_it_is(
         root + sign * ends[1],
     )
     assert found == pytest.approx(root, rel=1e-15, abs=1e-14)
+
+
+def test_dips_do_not_depend_on_the_members_that_were_asked_for_before() -> None:
+    """Members and their motions are kept for a while, each as long as it is used."""
+    unknowns = UnknownParameters.named(SWINGING, ["stiffness-scale=0.05"])
+
+    def dips(others: int) -> list[Dip]:
+        filter_ = ImpactFilter(SWINGING, 0.0, unknowns)
+        bank = FilterBank(filter_, without_faults(unknowns=unknowns))
+        root, x = 0.01 * np.eye(5), np.array([-0.9, 0.0, 0.0, 12.0])
+        state = GaussianState(x, np.array([1.01]), root, np.zeros((5, 0)), (0,), 1)
+        assert filter_.member(state).values == [1.01]
+        for k in range(others):
+            filter_.members.motion(np.array([1.0 + 1e-3 * k]))
+        return bank.between.forecast(0.0, state).dips(4.0)
+
+    found = dips(0)
+    assert found
+    assert dips(500) == found
