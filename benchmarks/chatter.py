@@ -16,10 +16,11 @@
 
 A table, without timing: a drill of three masses with two stops, and ten random chains that a
 constant force presses on their stops. Impacts accumulate and contacts persist in every period. The
-sensor is ideal, stamps are rounded to 1 ns, all options but the law are defaults. The observer
-starts at zero, the plant at a state that is drawn. The figure of a run is the largest V over the
-initial V from 5 s on, farther than 5 us from any impact: nearer, plant and estimate may be on
-different sides of it.
+sensor is ideal unless options say otherwise, stamps are rounded to 1 ns, all options but the law
+are defaults. The observer starts at zero, the plant at a state that is drawn. The figures of a run
+are the largest V and the median V over the initial V from 5 s on, farther from any impact than
+5 us and five standard deviations of a stamp: nearer, plant and estimate may be on different sides
+of it. Processor time is that of the observer, for each second of the rig.
 """
 
 import argparse
@@ -27,6 +28,7 @@ import multiprocessing
 import os
 import statistics
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
@@ -38,11 +40,13 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.impacts import energy
+from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.model import Contact, Forcing, System, parse_model
 from impact_observer.observer import make_observer, replay
 from impact_observer.options import Options
 from impact_observer.plant import Plant, Run, simulate
+from impact_observer.plant.sensor import SensorModel, simulate_sensor
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
 from impact_observer.states import Estimate, Vector
 
@@ -76,11 +80,31 @@ class Outcome(NamedTuple):
         events: how many were sent.
         closes: how many of them closed a contact for longer.
         ratio: the largest V over the initial V that counts.
+        usual: the median of those.
+        cost: processor time of the observer for each second.
     """
 
     events: int
     closes: int
     ratio: float
+    usual: float
+    cost: float
+
+
+class Job(NamedTuple):
+    """A run of a system.
+
+    Attributes:
+        number: of the system.
+        seed: of its start and of the sensor's faults.
+        seconds: how long.
+        sensor: what reports its impacts.
+    """
+
+    number: int
+    seed: int
+    seconds: float
+    sensor: SensorModel
 
 
 def system_of(number: int) -> System:
@@ -128,33 +152,42 @@ def simulated(system: System, seed: int, seconds: float) -> Run:
     return simulate(Plant(system, *np.split(start_of(system, seed), 2), epoch=EPOCH), stamps)
 
 
-def outcome(job: tuple[int, int, float]) -> Outcome:
-    """One run of a system, from a seed, of so many seconds."""
-    number, seed, seconds = job
-    system = system_of(number)
+def outcome(job: Job) -> Outcome:
+    """One run of a system."""
+    number, seed, seconds, sensor = job
+    system, last = system_of(number), EPOCH + from_seconds(seconds)
     run = simulated(system, seed, seconds)
+    sent = simulate_sensor(sensor, system, run.switchings, epoch=EPOCH, last=last, seed=seed)
+    events = [each.event for each in sent]
     observer = make_observer(system, Options(law="minimum-variance"))
-    found = replay(observer, run.events, run.stamps)
+    begin = time.process_time()
+    found = [*replay(observer, events, run.stamps)]
+    cost = (time.process_time() - begin) / seconds
     states = [np.concatenate([each.q, each.u]) for each in found if isinstance(each, Estimate)]
     V = energy(system, np.array(states) - run.states)
     impacts = np.array([each.instant.stamp for each in run.impacts])
-    clear = np.min(np.abs(run.stamps[:, None] - impacts), axis=1, initial=NS_PER_S) > _BESIDE
+    beside = _BESIDE + from_seconds(5 * sensor.jitter)
+    clear = np.min(np.abs(run.stamps[:, None] - impacts), axis=1, initial=NS_PER_S) > beside
     counted = clear & (run.stamps >= EPOCH + from_seconds(SETTLED))
-    kinds = [switch.kind for each in run.events for switch in each.switches]
-    largest = float(np.max(V[counted])) / float(energy(system, start_of(system, seed)))
-    return Outcome(len(run.events), kinds.count(Kind.CLOSE), largest)
+    kinds = [switch.kind for each in events for switch in each.switches]
+    ratios = V[counted] / float(energy(system, start_of(system, seed)))
+    largest, usual = float(np.max(ratios)), float(np.median(ratios))
+    return Outcome(len(events), kinds.count(Kind.CLOSE), largest, usual, cost)
 
 
 def print_table(names: Sequence[str], groups: Sequence[Sequence[Outcome]]) -> None:
-    """A row for each system; events and closes are medians."""
-    table = Table(box=box.SIMPLE_HEAD, title="largest V/V0 from 5 s on", title_justify="left")
+    """A row for each system; all but the worst are medians of its runs, processor times means."""
+    table = Table(box=box.SIMPLE_HEAD, title="V/V0 from 5 s on", title_justify="left")
     table.add_column("system")
-    for heading in ("events", "closes", "median", "worst"):
+    for heading in ("events", "closes", "usual", "largest", "worst", "processor s/s"):
         table.add_column(heading, justify="right")
-    for name, group in zip(names, groups, strict=True):
-        events, closes, ratio = (statistics.median(each) for each in zip(*group, strict=True))
-        worst = max(each.ratio for each in group)
-        table.add_row(name, f"{events:.0f}", f"{closes:.0f}", f"{ratio:.0e}", f"{worst:.0e}")
+    everything = [each for group in groups for each in group]
+    for name, group in zip((*names, "all"), (*groups, everything), strict=True):
+        columns = zip(*group, strict=True)
+        events, closes, largest, usual, _ = (statistics.median(each) for each in columns)
+        worst, cost = max(each.ratio for each in group), statistics.mean(e.cost for e in group)
+        ratios = (f"{each:.0e}" for each in (usual, largest, worst))
+        table.add_row(name, f"{events:.0f}", f"{closes:.0f}", *ratios, f"{cost:.3f}")
     Console().print(table)
 
 
@@ -169,14 +202,21 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=10, metavar="N", help="a system (default 10)")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="(default 60)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
+    for fault, unit in (("jitter", "S"), ("missed", "P"), ("spurious", "RATE")):
+        text = f"of the sensor, as of simulate (default 0, {unit})"
+        parser.add_argument(f"--{fault}", type=float, default=0.0, metavar=unit, help=text)
     given = parser.parse_args(args)
     if min(given.runs, given.workers) < 1 or not given.seconds > SETTLED:
         parser.error(
             "arguments --runs, --seconds, --workers: expected at least one run and worker, and"
             f" more than {SETTLED:g} s"
         )
+    try:
+        sensor = SensorModel(jitter=given.jitter, missed=given.missed, spurious=given.spurious)
+    except UsageError as error:
+        parser.error(str(error))
     numbers = range(1 + RANDOM)
-    jobs = [(k, seed, given.seconds) for k in numbers for seed in range(given.runs)]
+    jobs = [Job(k, seed, given.seconds, sensor) for k in numbers for seed in range(given.runs)]
     context, console = multiprocessing.get_context("spawn"), Console(stderr=True)
     with ProcessPoolExecutor(given.workers, mp_context=context) as pool:
         runs = pool.map(outcome, jobs)

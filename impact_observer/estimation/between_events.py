@@ -29,6 +29,7 @@ from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwi
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.missed_switch import insert_switches
 from impact_observer.estimation.moving_system import MovingSystem
+from impact_observer.estimation.settling import rest_after
 from impact_observer.events import Kind
 from impact_observer.states import Vector
 
@@ -247,13 +248,16 @@ class BetweenEvents:
         t = [each.path.t + each.at for each in missed]
         after = insert_switches(self.filter, t, before, [each.dip for each in missed])
         found = []
-        for (path, dip, at, weight, is_dead), at_, prior, (state, kind) in zip(
+        for (path, dip, at, weight, is_dead), at_, prior, (state, kind, flight) in zip(
             missed, t, before, after, strict=True
         ):
             h, left = path.h, path.left - at
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)
             h = h._replace(state=state, weight=weight, missed=switches)
+            if kind is Kind.CLOSE:
+                rest = rest_after(self.filter, dip.contact, at_, flight, h.clock)
+                h = h._replace(settled={**h.settled, dip.contact: rest})
             if self.errors is not None:
                 hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
                 h = self.errors.kicked(h, prior.x, hit)

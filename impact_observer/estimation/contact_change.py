@@ -34,6 +34,8 @@ class ContactChange(NamedTuple):
         stamp: of the event, ns; 0 where it is not needed.
         sequence: of the event.
         flown: seconds since the event before.
+        disorder: by which its stamp is later than that of an event that came after it, s; 0 where
+            stamps are in the order of sequence numbers.
     """
 
     t: float
@@ -43,6 +45,7 @@ class ContactChange(NamedTuple):
     stamp: int = 0
     sequence: int = 0
     flown: float = 0.0
+    disorder: float = 0.0
 
     @classmethod
     def of(
@@ -87,6 +90,11 @@ class ContactChange(NamedTuple):
         if len(self.hit) != 1 or self.before or self.closed:
             return 0.0
         return float(system.contact_time[self.hit[0]]) / 2
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether no contact hits, closes or opens."""
+        return not self.hit and self.before == self.closed
 
     @property
     def opened(self) -> Contacts:

@@ -25,7 +25,6 @@ import numpy as np
 
 from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NO_KICKS, Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL, Likelihood
@@ -97,7 +96,7 @@ class ErrorAccounts:
             if kind is h.error.kind or unit <= STILL:
                 continue
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
-            state = with_error(h.state, level * self._root(h, kind))
+            state = h.state.with_error(level * self._root(h, kind))
             for clock in clocks:
                 yield h._replace(state=state, clock=clock, error=LearnedError(kind, level)), chance
 
@@ -119,7 +118,7 @@ class ErrorAccounts:
         after = after._replace(kicks=kicked, since=0.0)
         if not (hit and after.error.kind is ErrorKind.RESTITUTION):
             return after
-        return after._replace(state=with_error(after.state, after.error.level * kicked))
+        return after._replace(state=after.state.with_error(after.error.level * kicked))
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
@@ -151,11 +150,3 @@ class ErrorAccounts:
         seen = h.error.level * self._seen(h, h.error.kind, here)
         clock = math.hypot(seen / max(abs(speed), STILL), h.clock)
         return min(self._clocks, key=lambda each: abs(math.log(each / clock)))
-
-
-def with_error(state: GaussianState, added: Matrix) -> GaussianState:
-    """``state`` with another error ``added``, one independent part a column, shape (2n, any)."""
-    (d, columns), (size, more) = state.root.shape, added.shape
-    root = np.zeros((d, columns + more))
-    root[:, :columns], root[:size, columns:] = state.root, added
-    return state._replace(root=root)

@@ -27,6 +27,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
+    NONE_SETTLED,
     NOTHING,
     Hypothesis,
     Note,
@@ -35,8 +36,9 @@ from impact_observer.estimation.hypotheses import (
 )
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.likelihood import CERTAIN, Likelihood
+from impact_observer.estimation.settling import Rest, settled
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, Ruling
+from impact_observer.events import Contacts, Kind, Ruling
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -196,6 +198,8 @@ class FilterBank:
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, but for what has been reported."""
+        if change.disorder:
+            hypotheses = [h.disordered(change.disorder) for h in hypotheses]
         if len(hypotheses) == 1 and (clear := self._clear(change, hypotheses[0])):
             return clear
         branches = self._branches(change, hypotheses)
@@ -266,7 +270,10 @@ class FilterBank:
         leads = []
         for h, weight in zip(hypotheses, weights, strict=True):
             here = change.from_closed(h.state.closed)
-            if not here.hit and here.before == here.closed:
+            if h.settled and (bounce := self._bounce(change, h, weight)):
+                found.append(bounce)
+                continue
+            if here.is_nothing:
                 found.append(self._spurious_event(change, h, "its contact is not closed"))
                 continue
             prior = self._reported + (weight if here is change else h.weight_before(here.contacts))
@@ -329,42 +336,57 @@ class FilterBank:
         if branch.here is None:
             return False
         likelihood = branch.likelihood
-        soon = likelihood.density > len(branch.here.contacts) * self._rate
+        soon = likelihood.density > max(len(branch.here.contacts), 1) * self._rate
         return soon and max(likelihood.innovations.values(), default=0.0) < SURPRISE
 
     def _made(self, change: ContactChange, branches: Sequence[_Branch]) -> list[Hypothesis]:
         """The hypotheses of ``branches`` after the event."""
-        true = [each for each in branches if each.here is not None]
-        after = iter(self.filter.posteriors([each.asked for each in true]))
+        true = [each.asked for each in branches if each.here and not each.here.is_nothing]
+        after = iter(self.filter.posteriors(true))
         return [
             self._rejected(change, each)
             if each.here is None
-            else self._accepted(change, each, each.here, next(after))
+            else self._accepted(change, each, each.here, after)
             for each in branches
         ]
 
     def _accepted(
-        self, change: ContactChange, branch: _Branch, here: ContactChange, state: GaussianState
+        self,
+        change: ContactChange,
+        branch: _Branch,
+        here: ContactChange,
+        after: Iterator[GaussianState],
     ) -> Hypothesis:
-        """The event was ``here``, and leads to ``state``."""
-        h, likelihood = branch.before, branch.likelihood
+        """The event was ``here``, and leads to the next state ``after`` it."""
+        h, likelihood, rests = branch.before, branch.likelihood, dict[int, Rest]()
+        state, kind = h.state, Kind.CLOSE
+        if not here.is_nothing:
+            state, kind = next(after), Kind.IMPACT
+            if rest := settled(self.filter, branch.asked, state, h.since):
+                here, state, kind = rest.change, rest.state, Kind.CLOSE
+                rests[here.hit[0]] = rest.rest
+        if h.settled:
+            rests = {i: each for i, each in h.settled.items() if i in state.closed} | rests
         innovations, switched = likelihood.innovations, change.contacts
         if here is not change and len(here.contacts) == len(switched):
             switched = here.contacts
             pairs = zip(change.contacts, switched, strict=True)
             innovations = {i: innovations[j] for i, j in pairs if j in innovations}
-        after = Hypothesis(
+        posterior = Hypothesis(
             state,
             h.clock,
             branch.weight,
-            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched),
+            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched, kind=kind),
             innovation=likelihood.normalised if innovations else None,
             residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
             subset=h.subset,
             events=h.events + 1,
             last_error=h.last_error,
+            settled=rests or NONE_SETTLED,
         )
-        return after if self.errors is None else self.errors.after(h, here, likelihood, after)
+        if self.errors is None:
+            return posterior
+        return self.errors.after(h, here, likelihood, posterior)
 
     @staticmethod
     def _rejected(change: ContactChange, branch: _Branch) -> Hypothesis:
@@ -375,6 +397,19 @@ class FilterBank:
         return h._replace(
             weight=branch.weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
         )
+
+    def _bounce(self, change: ContactChange, h: Hypothesis, weight: float) -> _Branch | None:
+        """The event was one of the last bounces of a contact that has settled, or None."""
+        if not len(change.contacts) == len(change.hit) == 1:
+            return None
+        contact, closed = change.hit[0], h.state.closed
+        rest = h.settled.get(contact) if contact in closed else None
+        density = None if rest is None else rest.log_density(change.t)
+        if density is None:
+            return None
+        here = change._replace(before=closed, hit=(), closed=closed)
+        weight += self._reported + density
+        return _Branch(weight, h, here, "", Likelihood(density, {}))
 
     def _spurious_event(
         self,
@@ -463,10 +498,13 @@ def _noted(
     ruling: tuple[Ruling, str],
     innovations: Mapping[int, float],
     switched: Contacts = (),
+    *,
+    kind: Kind = Kind.IMPACT,
 ) -> tuple[Note, ...]:
     """The notes of ``h`` with those on an event, and on the missed switches before it.
 
-    The contacts that have ``switched`` are those of the event unless others are given.
+    The contacts that have ``switched`` are those of the event unless others are given; ``kind`` is
+    how they have.
     """
     event = (change.stamp, change.sequence)
     inserted = [
@@ -484,7 +522,7 @@ def _noted(
         for each in h.missed
     ]
     own = [
-        Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j)
+        Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j, kind)
         for i, j in zip(change.contacts, switched or change.contacts, strict=True)
     ]
     notes = (*h.notes, *inserted, *own)

@@ -81,6 +81,13 @@ class GaussianState(NamedTuple):
         others = self.differences.ravel()
         return not others.size or math.isfinite(others.dot(others))
 
+    def with_error(self, added: Matrix) -> "GaussianState":
+        """With another error of (q, u), one independent part a column, shape (2n, any)."""
+        (d, columns), (size, more) = self.root.shape, added.shape
+        root = np.zeros((d, columns + more))
+        root[:, :columns], root[:size, columns:] = self.root, added
+        return self._replace(root=root)
+
     def propagated(
         self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None
     ) -> "GaussianState":

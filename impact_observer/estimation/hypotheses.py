@@ -21,9 +21,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
+from impact_observer.estimation.settling import Rest
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.states import Matrix, Vector
@@ -32,12 +34,15 @@ _RARE = 1e-3
 """Probability up to which the least likely hypotheses are not published."""
 _RARE_ERROR = 0.05
 """Probability up to which hypotheses of another model error are not published."""
+_DISORDERED = -50.0
+"""Least logarithm of the probability of stamps in a wrong order."""
 FIRST = 12
 """Events from the start in which the state is not known: an error of the model is no sign then."""
 _EXACT = 24
 """Events in a row without an error of the model, after which it counts as exact again."""
 NO_KICKS = np.zeros((0, 0))
 NOTHING: Mapping[int, float] = MappingProxyType({})
+NONE_SETTLED: Mapping[int, Rest] = MappingProxyType({})
 
 
 class Note(NamedTuple):
@@ -51,7 +56,8 @@ class Note(NamedTuple):
         reason: in plain words; empty for an event that is accepted as it was reported.
         innovation: in standard deviations; -1 where there is none.
         switched: index of the contact that has switched: another one where it was mislabelled.
-        kind: how it has switched, of an inserted one.
+        kind: how it has switched, of an inserted one; of others CLOSE where a contact has settled
+            though it was reported to bounce on.
         is_dead: whether it was in the sensor's dead time, which could not report it.
     """
 
@@ -116,6 +122,7 @@ class Hypothesis(NamedTuple):
         last_error: which of them it has explained by an error of the model, the last; 0 for none.
         reported: when the sensor has reported each contact last, s since the epoch; empty where it
             has no dead time.
+        settled: closed contacts of which bounces may still be reported.
     """
 
     state: GaussianState
@@ -133,6 +140,7 @@ class Hypothesis(NamedTuple):
     events: int = 0
     last_error: int = 0
     reported: Mapping[int, float] = NOTHING
+    settled: Mapping[int, Rest] = NONE_SETTLED
 
     @property
     def is_exact(self) -> bool:
@@ -159,6 +167,11 @@ class Hypothesis(NamedTuple):
     def acceleration_error(self) -> float:
         """The level of white accelerations, m/s^1.5."""
         return self.error.level if self.error.kind is ErrorKind.ACCELERATION else 0.0
+
+    def disordered(self, s: float) -> "Hypothesis":
+        """It pays for two stamps whose order is wrong by ``s`` seconds."""
+        unlikely = float(special.log_ndtr(-s / (math.sqrt(2.0) * self.clock)))
+        return self._replace(weight=self.weight + max(unlikely, _DISORDERED))
 
     def later(self, s: float) -> "Hypothesis":
         """Its missed switches are another ``s`` seconds ago."""

@@ -146,6 +146,14 @@ class ImpactFilter:
             return self.members.free.rates(t, state.x, state.theta)
         return self.member(state).moving.rate_of(t, state.x, state.closed)
 
+    def speed(self, contact: int, state: GaussianState) -> float:
+        """The contact speed of a state, m/s; positive where the contact opens."""
+        return float(self.system.W[:, contact].dot(state.x[self.system.n :]))
+
+    def fall(self, t: float, contact: int, state: GaussianState) -> float:
+        """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
+        return -float(self.system.W[:, contact].dot(self.rate_of(t, state)[self.system.n :]))
+
     def correct(
         self, change: ContactChange, state: GaussianState, clock: float
     ) -> tuple[Likelihood, GaussianState]:
@@ -223,6 +231,11 @@ class ImpactFilter:
     def _posterior_of(self, asked: Asked) -> GaussianState:
         prior, change = self.joint_prior(*asked[:3]), asked.change
         return self.posterior(change, self.joint_posterior(change, prior, asked.likelihood))
+
+    def posterior_at_rest(self, asked: Asked) -> GaussianState:
+        """The state after an event that closes a contact, whatever its speed was."""
+        prior, change = self.joint_prior(*asked[:3]), asked.change
+        return self.posterior(change, self.joint_posterior(change, prior), math.inf)
 
     def priors(
         self, t: float, s: float, states: Sequence[GaussianState], levels: Sequence[float]

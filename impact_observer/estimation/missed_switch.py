@@ -16,6 +16,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,10 +34,22 @@ _BRIEF = 1e-2
 time scale."""
 
 
-def insert_switch(
-    filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip
-) -> tuple[GaussianState, Kind]:
-    """The state after the switch that a ``dip`` predicts, and how the contact switches.
+class Inserted(NamedTuple):
+    """A switch that is inserted.
+
+    Attributes:
+        state: after it.
+        kind: how the contact switches.
+        flight: of a contact that rests, the one that counts as none, s.
+    """
+
+    state: GaussianState
+    kind: Kind
+    flight: float = 0.0
+
+
+def insert_switch(filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip) -> Inserted:
+    """The switch that a ``dip`` predicts.
 
     The dip begins at ``t``, s since the epoch, with ``state``. A contact that would leave its stop
     by less than the deviation of its gap rests on it.
@@ -49,7 +62,7 @@ def insert_switches(
     t: Sequence[float],
     states: Sequence[GaussianState],
     dips: Sequence[Dip],
-) -> list[tuple[GaussianState, Kind]]:
+) -> list[Inserted]:
     """``insert_switch`` of each of ``dips``."""
     changes = [
         _missed(at, state.closed, dip) for at, state, dip in zip(t, states, dips, strict=True)
@@ -58,15 +71,17 @@ def insert_switches(
     found = []
     for change, state, dip, one in zip(changes, states, dips, after, strict=True):
         if dip.kind is Kind.OPEN:
-            found.append((one, Kind.OPEN))
+            found.append(Inserted(one, Kind.OPEN))
             continue
-        speed = float(filter_.system.W[:, dip.contact].dot(one.x[filter_.system.n :]))
-        if not _comes_to_rest(filter_, change.t, dip.contact, one, speed):
-            found.append((one, Kind.IMPACT))
+        speed = filter_.speed(dip.contact, one)
+        fall = filter_.fall(change.t, dip.contact, one)
+        flight = 2 * speed / fall if fall > 0 else math.inf
+        if not _comes_to_rest(filter_, dip.contact, one, speed, flight):
+            found.append(Inserted(one, Kind.IMPACT))
             continue
         resting = change._replace(closed=tuple(sorted({*state.closed, dip.contact})))
         rested = posterior_of_missed(filter_, resting, state, max(speed, 0.0))
-        found.append((rested, Kind.CLOSE))
+        found.append(Inserted(rested, Kind.CLOSE, max(flight, 0.0)))
     return found
 
 
@@ -129,20 +144,14 @@ def posterior_of_missed(
 
 
 def _comes_to_rest(
-    filter_: ImpactFilter, t: float, contact: int, state: GaussianState, speed: float
+    filter_: ImpactFilter, contact: int, state: GaussianState, speed: float, flight: float
 ) -> bool:
-    """Whether ``contact`` rests after an impact at ``t`` (s) that leaves it a ``speed`` (m/s).
+    """Whether ``contact`` rests after an impact that leaves it a ``speed`` (m/s).
 
-    It does if its next flight is one that a plant may neglect, or short and not higher than the
-    deviation of its gap.
+    It does if its next ``flight`` (s) is one that a plant may neglect, or short and not higher
+    than the deviation of its gap.
     """
-    n, w = filter_.system.n, filter_.system.W[:, contact]
-    rate = filter_.rate_of(t, state)
-    fall = -float(w.dot(rate[n:]))
-    if fall <= 0:
-        return False
-    seen = w.dot(state.root[:n])
+    seen = filter_.system.W[:, contact].dot(state.root[: filter_.system.n])
     deviation = math.sqrt(seen.dot(seen))
-    flight = 2 * speed / fall
     brief = _BRIEF * filter_.phases.scales.timescale
     return flight <= filter_.short or (speed * flight / 4 <= deviation and flight <= brief)

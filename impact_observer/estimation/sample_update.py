@@ -40,6 +40,7 @@ from impact_observer.estimation.model_error import NO_ERROR
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.scalar_update import Seen, updated
+from impact_observer.estimation.settling import rest_after
 from impact_observer.events import Kind
 from impact_observer.kernel._kernel import Gaps
 from impact_observer.states import Matrix, Vector
@@ -437,11 +438,20 @@ class SampleUpdate:
             if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
                 continue
             dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, over=False)
-            state, kind = insert_switch(self.bank.filter, reading.t, h.state, dip)
+            state, kind, flight = insert_switch(self.bank.filter, reading.t, h.state, dip)
             weight = h.weight + missed + float(special.log_ndtr(depth)) + error - unlikely
             inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
+            settled = h.settled
+            if kind is Kind.CLOSE:
+                rest = rest_after(self.bank.filter, contact, reading.t, flight, h.clock)
+                settled = {**settled, contact: rest}
             yield h._replace(
-                state=state, weight=weight, missed=inserted, penetrating=NOTHING, since=0.0
+                state=state,
+                weight=weight,
+                missed=inserted,
+                penetrating=NOTHING,
+                since=0.0,
+                settled=settled,
             )
 
     def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:

@@ -27,7 +27,7 @@ from typing import NamedTuple, TypeAlias
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Kind
-from impact_observer.stamps import NS_PER_S
+from impact_observer.stamps import NS_PER_S, seconds_between
 
 NEAR_NUMBERS = 1000
 """Largest difference of the sequence numbers of two events whose stamps jitter has swapped."""
@@ -179,6 +179,21 @@ def _after(
         if not _newest_near(event, latest.get(contact)):
             after[contact] = event.sequence, event.stamp
     return after
+
+
+def disorder(event: EventKey, meaning: Interpretation, latest: LatestSequences) -> float:
+    """By how much the stamp of ``event`` is later than that of one that came after it, s.
+
+    Args:
+        event: the event.
+        meaning: of the event.
+        latest: sequence numbers before it.
+    """
+    if not meaning.overruled:
+        return 0.0
+    newer = (latest[each.contact] for each in meaning.overruled if each.contact in latest)
+    stamps = [stamp for number, stamp in newer if number > event.sequence]
+    return seconds_between(min(stamps), event.stamp) if stamps else 0.0
 
 
 def superseding(i: int, events: Sequence[EventKey]) -> Superseding:

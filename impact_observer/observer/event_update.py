@@ -23,7 +23,7 @@ from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
 from impact_observer.observer.belief import Prediction
-from impact_observer.observer.event_order import EventKey, Superseding, interpret
+from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry
@@ -79,7 +79,7 @@ class EventUpdate:
             stamp=stamp,
             sequence=event.sequence,
             flown=s,
-        )
+        )._replace(disorder=disorder(event, meaning, previous.latest))
         try:
             posterior = self.law.correct(change, prior)
         except ImpactLawError as error:

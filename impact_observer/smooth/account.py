@@ -291,17 +291,27 @@ def _moments(
             if note.is_inserted:
                 switch = [(note.switched, note.kind)]
                 change = _change(closed, switch, (note.stamp, 0), epoch, since)
+                if change.is_nothing:
+                    continue
                 yield Moment(change, 0.0, error, is_inserted=True)
                 closed, since = change.closed, note.stamp
         own = [note for note in notes if not note.is_inserted]
         if own and own[0].ruling is not Ruling.APPLIED:
             continue
-        renamed = {note.contact: note.switched for note in own}
-        switches = [(renamed.get(i, i), kind) for i, kind in trace.change.switches]
+        noted = {note.contact: note for note in own}
+        switches = [_switch(i, kind, noted.get(i)) for i, kind in trace.change.switches]
         change = _change(closed, switches, key, epoch, since)
-        if change.hit or change.before != change.closed:
+        if not change.is_nothing:
             yield Moment(change, clock, error)
             closed, since = change.closed, change.stamp
+
+
+def _switch(contact: int, kind: Kind, note: Note | None) -> tuple[int, Kind]:
+    """How a ``contact`` switched that is reported to, by the ``note`` on it."""
+    if note is None:
+        return contact, kind
+    settles = kind is Kind.IMPACT and note.kind is Kind.CLOSE
+    return note.switched, Kind.CLOSE if settles else kind
 
 
 def _merged(moments: Sequence[Moment]) -> Iterator[Moment]:

@@ -203,7 +203,7 @@ class MissedSwitchPrediction(Prediction):
         at, since = forecast.root(dip), start + forecast.confident_from(dip, CONFIDENT)
         filter_ = self._between.filter
         t, before = self._t + start + at, forecast.prediction.prior(at)
-        state, kind = insert_switch(filter_, t, before, dip)
+        state, kind, _ = insert_switch(filter_, t, before, dip)
         # The other hypotheses jump with it, so their differences are reversed in the same way.
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:

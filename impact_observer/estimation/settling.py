@@ -1,0 +1,133 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Contacts that settle: the last bounces before a rest, which the clock does not resolve.
+
+Each bounce is shorter than the one before, and at last shorter than the error of a stamp. Then a
+stamp says nothing of the flight before it, and the order of stamps nothing of that of impacts. A
+plastic impact at the first of these bounces leads to the same rest: bounces and rest take the
+same impulse.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.estimation.resting import rest_projection
+from impact_observer.events import Contacts
+from impact_observer.states import Matrix
+
+_UNRESOLVED = 4.0
+"""Longest flight that the clock does not resolve, in standard deviations of a stamp."""
+_LONGEST = 100.0
+"""Longest flight before such a one, in standard deviations of a stamp: of others none is tried."""
+_LEAST_LOSS = 0.05
+"""Least that a bounce loses of its speed, where the duration of all bounces is predicted."""
+_FAR = 6.0
+"""Standard deviations from the predicted rest up to which a hit may be one of the bounces."""
+_NORMAL = math.log(2 * math.pi) / 2
+
+
+class Rest(NamedTuple):
+    """When a contact is predicted to rest.
+
+    Attributes:
+        t: the instant, s since the epoch.
+        deviation: standard deviation of the stamp of a bounce before it, from that instant, s.
+    """
+
+    t: float
+    deviation: float
+
+    def log_density(self, t: float) -> float | None:
+        """Logarithm of the density of the stamp ``t`` of a bounce, 1/s; None for no bounce."""
+        far = (t - self.t) / self.deviation
+        return -far * far / 2 - math.log(self.deviation) - _NORMAL if abs(far) < _FAR else None
+
+
+class Settled(NamedTuple):
+    """A contact that has settled.
+
+    Attributes:
+        change: the event, after which the contact is closed.
+        state: then.
+        rest: of the contact.
+    """
+
+    change: ContactChange
+    state: GaussianState
+    rest: Rest
+
+
+def settled(
+    filter_: ImpactFilter, asked: Asked, after: GaussianState, since: float
+) -> Settled | None:
+    """What follows from an impact if the next flight is one that the clock does not resolve.
+
+    None where the clock resolves it.
+
+    Args:
+        filter_: of the state.
+        asked: the event, and the state before it.
+        after: the state after it, if the contact leaves its stop.
+        since: duration of the flight before it, s.
+    """
+    change, clock = asked.change, asked.clock
+    if len(change.hit) != 1 or change.hit[0] in change.closed or since > _LONGEST * clock:
+        return None
+    contact = change.hit[0]
+    if filter_.system.contact_time[contact]:
+        return None
+    speed = filter_.speed(contact, after)
+    fall = filter_.fall(change.t, contact, after)
+    if not 2 * speed < _UNRESOLVED * clock * fall:
+        return None
+    flight = max(2 * speed / fall, 0.0)
+    closed: Contacts = tuple(sorted({*change.closed, contact}))
+    change = change._replace(closed=closed)
+    state = filter_.posterior_at_rest(asked._replace(change=change))
+    state = state.with_error(_neglected(filter_, contact, state, fall, flight + clock))
+    return Settled(change, state, rest_after(filter_, contact, change.t, flight, clock))
+
+
+def _neglected(
+    filter_: ImpactFilter, contact: int, state: GaussianState, fall: float, flight: float
+) -> Matrix:
+    """What the bounces add to a ``state`` at rest, as an error of it, shape (2n, 1).
+
+    They begin with a ``flight`` (s), in which the contact is accelerated back by ``fall``, m/s2.
+    The sum of all impulses and their first moment are those of the rest. What differs first is
+    the integral of the gap, through the stiffness: ``fall T^3 / 12`` in a flight T, and less by
+    the cube of the restitution in the next one.
+    """
+    system, n = filter_.system, filter_.system.n
+    w, inverse = system.W[:, contact], filter_.members.given.moving.phase(()).inverse
+    kick = inverse @ w
+    raised = fall * flight**3 / 12 / max(1.0 - float(system.eps[contact]) ** 3, _LEAST_LOSS)
+    added = np.zeros((2 * n, 1))
+    added[n:, 0] = inverse @ (system.K @ kick) * (raised / w.dot(kick))
+    return np.asarray(rest_projection(filter_.members, state).map_ @ added)
+
+
+def rest_after(filter_: ImpactFilter, contact: int, t: float, flight: float, clock: float) -> Rest:
+    """When a contact rests of which the bounces after ``t`` (s) begin with a ``flight``, s.
+
+    ``clock`` is the standard deviation of a stamp, s.
+    """
+    left = flight / max(1.0 - float(filter_.system.eps[contact]), _LEAST_LOSS)
+    return Rest(t + left, math.hypot(clock, left / 2))
