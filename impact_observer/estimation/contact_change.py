@@ -57,6 +57,7 @@ class ContactChange(NamedTuple):
         stamp: int = 0,
         sequence: int = 0,
         flown: float = 0.0,
+        disorder: float = 0.0,
     ) -> "ContactChange":
         """What ``switches`` of contacts at ``t`` mean while the contacts ``before`` are closed.
 
@@ -66,13 +67,13 @@ class ContactChange(NamedTuple):
         if not before and len(switches) == 1:
             ((contact, kind),) = switches
             if kind is Kind.IMPACT:  # as nearly always
-                return cls(t, before, (contact,), before, stamp, sequence, flown)
+                return cls(t, before, (contact,), before, stamp, sequence, flown, disorder)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}
         closed = ({*before} - (hit - stay) | stay) - opened
         changed = tuple(sorted(hit)), tuple(sorted(closed))
-        return cls(t, before, *changed, stamp, sequence, flown)
+        return cls(t, before, *changed, stamp, sequence, flown, disorder)
 
     def from_closed(self, before: Contacts) -> "ContactChange":
         """The same event where other contacts were closed before it."""

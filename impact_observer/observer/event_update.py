@@ -79,7 +79,8 @@ class EventUpdate:
             stamp=stamp,
             sequence=event.sequence,
             flown=s,
-        )._replace(disorder=disorder(event, meaning, previous.latest))
+            disorder=disorder(event, meaning, previous.latest),
+        )
         try:
             posterior = self.law.correct(change, prior)
         except ImpactLawError as error:

@@ -51,13 +51,15 @@ class _PositionJump(NamedTuple):
         W: their directions, a row each, shape (|A|, n).
         q_r: their gaps in the rest position, shape (|A|,), m.
         Z: shape (n, |A|).
-        strain: ``Z^T K Z``, shape (|A|, |A|), N/m.
+        stretch: ``R W``, where ``R^T R = Z^T K Z``, shape (at most |A|, n).
+        stretched: ``R q_r``, in roots of J.
     """
 
     W: Matrix
     q_r: Vector
     Z: Matrix
-    strain: Matrix
+    stretch: Matrix
+    stretched: Vector
 
 
 class PositionProjection:
@@ -86,14 +88,15 @@ class PositionProjection:
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (..., n): the closest positions with ``g = 0`` on the active contacts."""
-        W, q_r, Z, _ = self._jumps(active)
+        W, q_r, Z, _, _ = self._jumps(active)
         return np.asarray(q - (q.dot(W.T) + q_r).dot(Z.T))
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
-        W, q_r, _, strain = self._jumps(active)
-        gap = W.dot(q) + q_r
-        return float(gap.dot(strain.dot(gap))) / 2
+        jump = self._jumps(active)
+        stretch = jump.stretch.dot(q)
+        stretch += jump.stretched
+        return float(stretch.dot(stretch)) / 2
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
@@ -102,12 +105,11 @@ class PositionProjection:
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
     def _solve(self, active: tuple[int, ...]) -> _PositionJump:
-        system, A = self._system, list(active)
+        A = list(active)
         elastic, rigid, _, _ = self._split(active)
         Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
-        return _PositionJump(
-            frozen(self._directions[:, A].T), self._q_r[A], Z, frozen(Z.T @ system.K @ Z)
-        )
+        W, q_r, R = self._directions[:, A].T, self._q_r[A], np.linalg.qr(elastic, mode="r")
+        return _PositionJump(frozen(W), q_r, Z, frozen(R @ W), R @ q_r)
 
     def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
         """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).

@@ -153,9 +153,10 @@ class ReplicaLaw(Law):
                 after = Ensemble.of(np.array([x, *others]))
         else:
             x = on_stop = self.impact(before.x, active, closed)
-            after = Ensemble(x, before.since)
             if before.others:
                 after = self.impact_ensemble(before, x, active, closed)
+            else:
+                after = Ensemble(x, before.since)
         bound = prior.bound
         if bound is not None:
             removed = self.energy_removed(before.x, on_stop, active)
