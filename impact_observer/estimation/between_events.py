@@ -146,10 +146,10 @@ class BetweenEvents:
         One that penetrates a stop branches: the stop was missed by the sensor, or the estimate
         is in error.
         """
-        levels = [each.acceleration_error for each in hypotheses]
         if any(each.missed for each in hypotheses):
             hypotheses = [each.later(s) for each in hypotheses]
         if self._trusts_events:
+            levels = [each.acceleration_error for each in hypotheses]
             states = self.filter.priors(t, s, [each.state for each in hypotheses], levels)
             return tuple(
                 h._replace(state=state, since=h.since + s)
@@ -213,10 +213,7 @@ class BetweenEvents:
 
     def _priors(self, paths: Sequence[_Path]) -> list[GaussianState]:
         """The states of ``paths`` at their ends."""
-        t, s, states, levels = _flights(paths)
-        if len({(path.t, path.left) for path in paths}) == 1:
-            return self.filter.priors(float(t[0]), float(s[0]), states, levels)
-        return self.filter.flights(t, s, states, levels)
+        return self.filter.flights(*_flights(paths))
 
     def _missed_first(self, path: _Path, dips: Sequence[Dip], enough: float) -> Iterator[_Missed]:
         """The first of ``dips`` that may be a missed switch, if any.

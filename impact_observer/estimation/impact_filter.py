@@ -276,6 +276,8 @@ class ImpactFilter:
         flown = self._flown(t, s, states, levels)
         if flown is not None:
             return flown
+        if len({*zip(t.tolist(), s.tolist(), strict=True)}) == 1:
+            return self.priors(float(t[0]), float(s[0]), states, levels)
         each = zip(t.tolist(), s.tolist(), states, levels, strict=True)
         return [self.priors(at, over, [one], [level])[0] for at, over, one, level in each]
 

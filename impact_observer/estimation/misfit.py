@@ -299,9 +299,9 @@ def _statistic(innovations: tuple[float, ...]) -> float:
 
     Zeros are rounding, which says nothing: they do not count.
     """
-    nu, lags = np.array(innovations), range(1, _LAGS + 1)
-    n = int(np.count_nonzero(nu))
+    n = len(innovations) - innovations.count(0.0)
     if n < _FEWEST:
         return 0.0
+    nu, lags = np.array(innovations), range(1, _LAGS + 1)
     rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
     return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))

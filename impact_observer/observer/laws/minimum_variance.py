@@ -15,8 +15,8 @@
 """The Kalman filter of impact times, with a bank of hypotheses on what each event was."""
 
 import math
-from collections.abc import Callable, Sequence
-from functools import cache, cached_property, partial
+from collections.abc import Sequence
+from functools import cached_property, partial
 from operator import attrgetter
 from typing import ClassVar
 
@@ -147,9 +147,10 @@ class MinimumVariance(Law):
         """Each hypothesis branches and is weighed; the estimate is that of the likeliest."""
         if not change.hit and change.before == change.closed:
             return belief
-        late = change.delay(self.system)
-        onset = Onset(belief.x, late) if late else None
-        return self._corrected(change, belief)._replace(onset=onset)
+        corrected = self._corrected(change, belief)
+        if late := change.delay(self.system):
+            return corrected._replace(onset=Onset(belief.x, late))
+        return corrected
 
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         if self._single:
@@ -281,20 +282,17 @@ class MinimumVariance(Law):
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         since, ago = belief.behind if belief.behind[1] else (t, 0.0)
 
-        @cache  # and only where it is needed
-        def moved() -> Callable[[float], Fallback]:
-            return self._replica.motion(since, fallback, closed)
-
-        def motion(s: float) -> Fallback:
-            return moved()(ago + s)
+        moved = None
+        if belief.fit.is_compared:
+            moved = self._replica.motion(since, fallback, closed)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.between.predict(hypotheses, t, s)
             later = None if account is None else self._accounts.predicted(t, account, s)
-            if belief.fit.is_compared:
-                return self._prior(predicted, motion(s), belief.fit, later)
-            found = self._prior(predicted, fallback, belief.fit, later)
-            return found._replace(behind=(since, ago + s))
+            if moved is not None:
+                return self._prior(predicted, moved(ago + s), belief.fit, later)
+            behind = since, ago + s
+            return self._prior(predicted, fallback, belief.fit, later, behind)
 
         shown = partial(_shown, hypotheses, belief.fit)
         found: Prediction = (
@@ -302,8 +300,12 @@ class MinimumVariance(Law):
             if self.uncertainty.trusts_events
             else MissedSwitchPrediction(self._bank.between, t, shown, prior)
         )
-        if not belief.fit.is_compared:
+        if moved is None:
             return found
+
+        def motion(s: float) -> Fallback:
+            return moved(ago + s)
+
         if account is None or not belief.fit.prefers_account:
             return MisfitPrediction(belief.fit, found, motion, None)
         ours = self._accounts.predict(t, account, prior)
@@ -344,10 +346,11 @@ class MinimumVariance(Law):
         fallback: Fallback,
         fit: Fit,
         account: Account | None = None,
+        behind: tuple[float, float] = (0.0, 0.0),
     ) -> Belief:
         """The belief of ``hypotheses``, the likeliest first, without a covariance.
 
-        It has the published one first.
+        It has the published one first. By ``behind`` the ``fallback`` is still an earlier one.
         """
         hypotheses, state = _best_first(hypotheses, fit)
         ensemble = state.ensemble
@@ -356,7 +359,14 @@ class MinimumVariance(Law):
             if account is not None and fit.prefers_account:
                 states.append(account.published[0].state.x)
             ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.since)
-        return Belief(ensemble, fit=fit, hypotheses=hypotheses, fallback=fallback, account=account)
+        return Belief(
+            ensemble,
+            fit=fit,
+            hypotheses=hypotheses,
+            fallback=fallback,
+            behind=behind,
+            account=account,
+        )
 
     def _posterior(
         self,
