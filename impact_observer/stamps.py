@@ -80,7 +80,7 @@ class Elapsed(float):
 
     def __new__(cls, ns: int, remainder: float = 0.0) -> "Elapsed":  # noqa: PYI034 (Python 3.11 has Self)
         """Add nanoseconds and a remainder."""
-        self = super().__new__(cls, ns / NS_PER_S + remainder)
+        self = float.__new__(cls, ns / NS_PER_S + remainder)
         self.ns, self.remainder = ns, remainder
         return self
 

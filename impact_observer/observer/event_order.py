@@ -124,32 +124,29 @@ def interpret(
         latest: sequence numbers before it.
         superseding: see ``superseding``.
     """
-    applied, overruled = [], []
+    applied, overruled, after = [], [], latest
     for contact, kind in event.switches:
-        found = _overruled(event, (contact, kind), closed, latest, superseding)
+        newest = _newest_near(event, latest.get(contact))
+        found = _overruled((contact, kind), newest, closed, superseding)
         if found is not None:
             overruled.append(found)
         effect = kind if found is None else found.applied
         if effect is not None:
             applied.append((contact, effect))
-    switches = tuple(applied)
-    return Interpretation(switches, _after(event, switches, latest), tuple(overruled))
+            if event.sequence and not newest:
+                after = {**after, contact: (event.sequence, event.stamp)}
+    return Interpretation(tuple(applied), after, tuple(overruled))
 
 
 def _overruled(
-    event: EventKey,
-    switch: tuple[int, Kind],
-    closed: Contacts,
-    latest: LatestSequences,
-    superseding: Superseding,
+    switch: tuple[int, Kind], newest: int, closed: Contacts, superseding: Superseding
 ) -> OverruledSwitch | None:
-    """How another event changes a switch of ``event``; None if none does."""
+    """How another event changes a switch, if that is ``_newest_near``; None if none does."""
     contact, kind = switch
     if kind is Kind.IMPACT:
         for closing, number in superseding:
             if closing == contact:
                 return OverruledSwitch(contact, kind, None, number)
-    newest = _newest_near(event, latest.get(contact))
     if not newest:
         return None
     stays = Kind.CLOSE if contact in closed else Kind.IMPACT
@@ -166,19 +163,6 @@ def _newest_near(event: EventKey, latest: tuple[int, int] | None) -> int:
     number, stamp = latest
     is_near = event.stamp - stamp <= NEAR_STAMPS
     return number if is_near and 0 < number - event.sequence <= NEAR_NUMBERS else 0
-
-
-def _after(
-    event: EventKey, switches: Iterable[tuple[int, Kind]], latest: LatestSequences
-) -> LatestSequences:
-    """Sequence numbers once ``switches`` of ``event`` are applied."""
-    if not event.sequence:
-        return latest
-    after = dict(latest)
-    for contact, _ in switches:
-        if not _newest_near(event, latest.get(contact)):
-            after[contact] = event.sequence, event.stamp
-    return after
 
 
 def disorder(event: EventKey, meaning: Interpretation, latest: LatestSequences) -> float:
