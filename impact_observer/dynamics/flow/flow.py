@@ -75,11 +75,6 @@ def state_matrix(system: Equations) -> Matrix:
     return A
 
 
-def balanced_state_matrix(system: Equations) -> tuple[Matrix, Vector]:
-    """``balanced`` of the ``state_matrix``."""
-    return balanced(state_matrix(system))
-
-
 def balanced(A: Matrix) -> tuple[Matrix, Vector]:
     """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
 
