@@ -142,7 +142,7 @@ class MovingSystem:
         return self.phase(closed).start(t, x)
 
     def _motion_of(self, t: float, state: bytes, closed: Contacts) -> Motion:
-        return self._clutches.motion(t, np.frombuffer(state), closed, fix=False)
+        return self.clutches.motion(t, np.frombuffer(state), closed, fix=False)
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
@@ -163,7 +163,8 @@ class MovingSystem:
         return not (closed or self._inverse is None) and abs(s) * self.rate <= _MOST_TURNS
 
     @cached_property
-    def _clutches(self) -> Clutches:
+    def clutches(self) -> Clutches:
+        """Its motions while contacts are closed."""
         return Clutches(self.system, self.phases)
 
     def _phase_at(self, t: float, x: Vector, closed: Contacts) -> Phase:

@@ -69,10 +69,12 @@ class Plant:
         *,
         epoch: int,
         live: LiveSignals | None = None,
+        phases: Phases | None = None,
     ) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
-        ``live`` are the signals of ``system``, known at the epoch, where it has live ones.
+        ``live`` are the signals of ``system``, known at the epoch, where it has live ones;
+        ``phases`` those of another plant of the same system, which are prepared already.
 
         Raises:
             UsageError: a state of the wrong size, not finite, or inside a stop.
@@ -88,7 +90,7 @@ class Plant:
         self.system = system
         self.epoch = epoch
         self._law = ImpactLaw(system)
-        self._phases = Phases(system)
+        self._phases = Phases(system) if phases is None else phases
         self._zeno = ZenoCutoff(self._phases)
         self._accumulation = AccumulationDetector(self._zeno.shortest)
         self._instant_changes = 0

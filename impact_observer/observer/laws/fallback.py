@@ -50,7 +50,7 @@ class FallbackReplica:
         """The replica of the filter's system."""
         self._moving = filter_.members.given.moving
         self._system = filter_.system
-        self._geometric = Geometric(filter_.system)
+        self._geometric = Geometric(filter_.system, moving=self._moving)
         self._kicks = unit_kicks(filter_.system)
         self._contact_time = CONTACT_TIME * filter_.phases.scales.timescale
         self._lag = lru_cache(KEPT)(self._lag_of)

@@ -22,6 +22,7 @@ from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
 from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -78,9 +79,14 @@ class Geometric(ReplicaLaw):
     has_bound: ClassVar[bool] = True
     holds_gaps: ClassVar[bool] = True
 
-    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
+    def __init__(
+        self,
+        system: System,
+        uncertainty: Uncertainty | None = None,
+        moving: MovingSystem | None = None,
+    ) -> None:
         """Prepare Newton's law and the projection."""
-        super().__init__(system, uncertainty)
+        super().__init__(system, uncertainty, moving)
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
         self._jump = cache(self._jump_of)

@@ -15,7 +15,6 @@
 """The interface of a law."""
 
 from abc import ABC, abstractmethod
-from functools import cached_property
 from typing import ClassVar
 
 from impact_observer.estimation.contact_change import ContactChange
@@ -43,6 +42,7 @@ class Law(ABC):
         uses_measurements: whether samples of sensors correct its replicas.
         system: what plant and replicas share.
         uncertainty: as declared by the user.
+        moving: the system between impacts.
     """
 
     name: ClassVar[str]
@@ -52,8 +52,13 @@ class Law(ABC):
     learns: ClassVar[bool] = False
     uses_measurements: ClassVar[bool] = False
 
-    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
-        """Prepare the law for one ``system``.
+    def __init__(
+        self,
+        system: System,
+        uncertainty: Uncertainty | None = None,
+        moving: MovingSystem | None = None,
+    ) -> None:
+        """Prepare the law for one ``system``, which is ``moving`` where that is prepared already.
 
         Raises:
             UsageError: the declared uncertainty does not fit the system.
@@ -61,11 +66,7 @@ class Law(ABC):
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
-
-    @cached_property
-    def moving(self) -> MovingSystem:
-        """The system between impacts."""
-        return MovingSystem(self.system)
+        self.moving = MovingSystem(system) if moving is None else moving
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:

@@ -119,6 +119,7 @@ class MinimumVariance(Law):
         filter_ = ImpactFilter(
             system, self.uncertainty.model_error or 0.0, self.uncertainty.unknowns
         )
+        self.moving = filter_.members.given.moving
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._starts = Starts(filter_, self.uncertainty, self.clocks)
         knows_parameters = self.uncertainty.unknowns is None

@@ -22,7 +22,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import Phases
+from impact_observer.dynamics import Scales
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -77,7 +77,7 @@ WIDER = 3.0
 def doubted(system: System) -> UnknownParameters:
     """The parameters that an account estimates; no scales of what moving grounds act through."""
     deviations = OF_MOTION | OF_IMPACTS
-    deviations["contact-time"] *= Phases(system).scales.timescale
+    deviations["contact-time"] *= Scales.of(system).timescale
     curves = [c.curve for c in system.contacts]
     eps = system.eps * [not isinstance(c, RestitutionTable) for c in curves]
     at_rest = system.frame is None

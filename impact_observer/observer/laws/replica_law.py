@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from impact_observer.dynamics import Clutches, Motion, Phase
+from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Place, Reading, SampleOutcome, SensorState
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
@@ -70,10 +71,15 @@ class ReplicaLaw(Law):
                 if other not in vars(cls):
                     setattr(cls, other, getattr(ReplicaLaw, other))
 
-    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
+    def __init__(
+        self,
+        system: System,
+        uncertainty: Uncertainty | None = None,
+        moving: MovingSystem | None = None,
+    ) -> None:
         """Prepare sprag clutches and all linear phases."""
-        super().__init__(system, uncertainty)
-        self._clutches = Clutches(system)
+        super().__init__(system, uncertainty, moving)
+        self._clutches = self.moving.clutches
 
     @cached_property
     def _free(self) -> Phase:
