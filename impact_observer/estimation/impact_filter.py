@@ -150,6 +150,11 @@ class ImpactFilter:
         """The contact speed of a state, m/s; positive where the contact opens."""
         return float(self.system.W[:, contact].dot(state.x[self.system.n :]))
 
+    def speed_deviation(self, contact: int, state: GaussianState) -> float:
+        """The standard deviation of ``speed``, m/s."""
+        n = self.system.n
+        return float(np.linalg.norm(self.system.W[:, contact].dot(state.root[n : 2 * n])))
+
     def fall(self, t: float, contact: int, state: GaussianState) -> float:
         """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
         return -float(self.system.W[:, contact].dot(self.rate_of(t, state)[self.system.n :]))

@@ -34,6 +34,8 @@ from impact_observer.states import Matrix
 
 _UNRESOLVED = 4.0
 """Longest flight that the clock does not resolve, in standard deviations of a stamp."""
+_UNKNOWN = 40.0
+"""Standard deviation of a flight, in those of a stamp, above which its mean says nothing."""
 _LONGEST = 100.0
 """Longest flight before such a one, in standard deviations of a stamp: of others none is tried."""
 _LEAST_LOSS = 0.05
@@ -79,7 +81,8 @@ def settled(
 ) -> Settled | None:
     """What follows from an impact if the next flight is one that the clock does not resolve.
 
-    None where the clock resolves it.
+    None where the clock resolves it, where nothing presses the contact back onto its stop, and
+    where the state says nothing of that flight.
 
     Args:
         filter_: of the state.
@@ -95,7 +98,9 @@ def settled(
         return None
     speed = filter_.speed(contact, after)
     fall = filter_.fall(change.t, contact, after)
-    if not 2 * speed < _UNRESOLVED * clock * fall:
+    if not (fall > 0 and 2 * speed < _UNRESOLVED * clock * fall):
+        return None
+    if 2 * filter_.speed_deviation(contact, after) > _UNKNOWN * clock * fall:
         return None
     flight = max(2 * speed / fall, 0.0)
     closed: Contacts = tuple(sorted({*change.closed, contact}))

@@ -21,6 +21,7 @@ import pytest
 from scipy.integrate import quad
 
 from benchmarks.chatter import EPOCH, Job, outcome, simulated, system_of
+from benchmarks.covariance import nees_of_run
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
@@ -103,6 +104,33 @@ def test_a_contact_that_is_not_pressed_or_hits_for_long_does_not_settle() -> Non
     pulled = after._replace(x=after.x + 10.0 * np.eye(2 * DRILL.n)[DRILL.n - 1])
     assert filter_.fall(0.0, ROCK, pulled) < 0
     assert settled(filter_, asked, pulled, 0.0) is None
+    approaching = pulled._replace(x=pulled.x + 9.0 * np.eye(2 * DRILL.n)[-1])
+    assert filter_.speed(ROCK, approaching) < 0
+    assert settled(filter_, asked, approaching, 0.0) is None
+
+
+def test_a_contact_of_unknown_speed_does_not_settle() -> None:
+    """Then the mean of the next flight says nothing, and the clock resolves others."""
+    filter_ = ImpactFilter(DRILL)
+    asked = hit(filter_, 1e-3)._replace(clock=1e-4)
+    (after,) = filter_.posteriors([asked])
+    assert settled(filter_, asked, after, 0.0) is not None
+    vague = after.with_error(np.eye(2 * DRILL.n))
+    assert filter_.speed_deviation(ROCK, vague) == pytest.approx(1.0, rel=1e-3)
+    assert settled(filter_, asked, vague, 0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("three_mass", 29), ("three_mass", 51), ("random", 73), ("random", 236), ("random", 436)],
+)
+def test_without_a_rest_of_the_plant_the_covariance_explains_the_errors(
+    name: str, seed: int
+) -> None:
+    """Where a contact were closed, NEES would be 1e3 to 3e5 times the number of states."""
+    found = nees_of_run(name, seed, 30)
+    assert found is not None
+    assert np.nanmax(found) < 10
 
 
 def test_the_rest_comes_when_all_bounces_are_over() -> None:
