@@ -92,6 +92,12 @@ class ContactChange(NamedTuple):
             return 0.0
         return float(system.contact_time[self.hit[0]]) / 2
 
+    def is_plain(self, system: System) -> bool:
+        """Whether one contact hits while none is closed, by Newton's law and at once."""
+        if len(self.hit) != 1 or self.before or self.closed:
+            return False
+        return self.hit[0] not in system.curved and not system.contact_time[self.hit[0]]
+
     @property
     def is_nothing(self) -> bool:
         """Whether no contact hits, closes or opens."""

@@ -25,7 +25,7 @@ import numpy as np
 
 from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.hypotheses import NO_KICKS, Hypothesis
+from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL, Likelihood
 from impact_observer.estimation.model_error import (
@@ -114,11 +114,11 @@ class ErrorAccounts:
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
         """``after`` an impact of the contacts ``hit`` at the state ``x``; no contact is closed."""
-        kicked = self.kicks(x, hit) if hit else NO_KICKS
-        after = after._replace(kicks=kicked, since=0.0)
+        after = after._replace(impact=(x, hit) if hit else None, since=0.0)
         if not (hit and after.error.kind is ErrorKind.RESTITUTION):
             return after
-        return after._replace(state=after.state.with_error(after.error.level * kicked))
+        kicked = after.error.level * self.kicks(x, hit)
+        return after._replace(state=after.state.with_error(kicked))
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
@@ -130,11 +130,12 @@ class ErrorAccounts:
         closed = h.state.closed
         if kind is ErrorKind.ACCELERATION:
             return self._moving.diffusion(closed, h.since)
-        return self._moving.carried(h.kicks, h.since, closed)
+        assert h.impact is not None, "it is seen"
+        return self._moving.carried(self.kicks(*h.impact), h.since, closed)
 
     def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The standard deviation that this gives the gap of the impact, m."""
-        if kind is ErrorKind.RESTITUTION and not h.kicks.size:
+        if kind is ErrorKind.RESTITUTION and h.impact is None:
             return 0.0
         w = self._system.W[:, here.hit[0]]
         seen = w.dot(self._root(h, kind)[: w.size])

@@ -22,7 +22,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.estimation.between_events import FORLORN, BetweenEvents
+import numpy as np
+
+from impact_observer.estimation.between_events import FORLORN, LATE, BetweenEvents
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -39,6 +41,7 @@ from impact_observer.estimation.likelihood import CERTAIN, Likelihood
 from impact_observer.estimation.settling import Rest, settled
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.states import Vector
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -66,6 +69,8 @@ SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
+_NEVER = -1e3
+"""Logarithm of a probability that is zero."""
 _SHORTLY = 50_000_000
 """Time since another event of the contact up to which a rejection names it, ns."""
 
@@ -142,6 +147,7 @@ class FilterBank:
             clock: tuple(clocks[i + k] for k in _CHANGES if 0 <= i + k < len(clocks))
             for i, clock in enumerate(clocks)
         }
+        self._clocks = {one: np.array([one, *others]) for one, others in self._next_clocks.items()}
         self.trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
         self.trusts_estimate = self.trusts_events and uncertainty.unknowns is None
@@ -156,6 +162,8 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
+        own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
+        self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
             filter_,
             self.errors,
@@ -200,7 +208,8 @@ class FilterBank:
         """``hypotheses`` after an event, but for what has been reported."""
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
-        if len(hypotheses) == 1 and (clear := self._clear(change, hypotheses[0])):
+        may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
+        if may_be_clear and (clear := self._clear(change, *hypotheses)):
             return clear
         branches = self._branches(change, hypotheses)
         branches.sort(key=_weight)
@@ -236,27 +245,49 @@ class FilterBank:
             if own and first is not None and not self._is_expected(first):
                 yield from _restarted(change, own, restarts())
 
-    def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
-        """What ``correct`` finds where one hypothesis is left that explains the event well.
+    def struck(
+        self, change: ContactChange, hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], Vector] | None:
+        """``correct`` of ``hypotheses`` ``s`` seconds after ``since`` (s), where that is quick.
 
-        Empty where anything but the event itself has to be weighed or kept.
+        With them the estimate before the event, shape (2n,). One hypothesis is left, its gaps stay
+        open until the event, and it explains that well. None where anything but the event itself
+        has to be weighed or kept.
         """
+        h = hypotheses[0]
+        if len(hypotheses) > 1 or h.missed or self._has_dead_time:
+            return None
+        if not self._may_be_clear(change, h):
+            return None
+        late = s if self.trusts_events else LATE * h.clock
+        prior = self.filter.flown(since, s, late, h.state)
+        if prior is None:
+            return None
+        h = h._replace(state=prior, penetrating=NOTHING, since=h.since + s)
+        found = self._clear(change, h)
+        return (found, prior.x) if found else None
+
+    def _may_be_clear(self, change: ContactChange, h: Hypothesis) -> bool:
+        """Whether the kernel tells if an event is clearly what it is reported to be."""
         in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
-        if in_doubt or h.state.closed or not self.filter.is_alone(change):
+        return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
+
+    def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
+        """The one hypothesis after an event that it explains well, if no other one is likely."""
+        impact = self.filter.members.free_impact(change.hit[0])
+        clocks = self._clocks.get(h.clock)
+        clocks = np.array([h.clock]) if clocks is None else clocks
+        doubts = self._doubts
+        if h.penetrating:
+            doubts = doubts.copy()
+            doubts[1] += h.penalised_weight - h.weight_before(change.hit)
+        found = impact.clear(change.t, change.flown, h.state, clocks, doubts)
+        if found is None:
             return ()
-        clocks = (h.clock, *self._next_clocks.get(h.clock, ()))
-        own, *of_clocks = self.filter.fits(change, [h.state] * len(clocks), clocks)
-        density, innovation, _ = own
-        if not (abs(innovation) <= UNEXPLAINED and density > self._rate):
-            return ()
-        weight = h.weight_before(change.hit) + self._reported + density
-        others = [CLOCK_CHANGE + other - density for other, *_ in of_clocks]
-        others.append(h.penalised_weight + self._spurious - weight)
-        if log_sum([0.0, *others]) > -math.log1p(-NEGLIGIBLE):
-            return ()
-        branch = _Branch(0.0, h, change, "", Likelihood.of_single(change.hit[0], *own))
-        found = self._made(change, [branch])
-        return tuple(found) if found[0].state.is_finite else ()
+        made, *fit = found
+        branch = _Branch(0.0, h, change, "", Likelihood.of_single(change.hit[0], *fit))
+        after = self._accepted(change, branch, change, iter([self.filter.free_state(made)]))
+        return (after,) if after.state.is_finite else ()
 
     def _branches(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""

@@ -28,7 +28,7 @@ from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedE
 from impact_observer.estimation.settling import Rest
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind, Ruling
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 _RARE = 1e-3
 """Probability up to which the least likely hypotheses are not published."""
@@ -40,7 +40,6 @@ FIRST = 12
 """Events from the start in which the state is not known: an error of the model is no sign then."""
 _EXACT = 24
 """Events in a row without an error of the model, after which it counts as exact again."""
-NO_KICKS = np.zeros((0, 0))
 NOTHING: Mapping[int, float] = MappingProxyType({})
 NONE_SETTLED: Mapping[int, Rest] = MappingProxyType({})
 
@@ -113,7 +112,8 @@ class Hypothesis(NamedTuple):
         missed: missed switches since the last event.
         error: of the model.
         since: duration of the flight, s: since the last event, or a switch inserted after it.
-        kicks: what errors of the restitution at the start of the flight add there, shape (2n, k).
+        impact: at the start of the flight: the state (q, u-) before it, shape (2n,), and the
+            contacts that hit. None where that was no impact of which the restitution may err.
         innovation: of the last event, in standard deviations; positive where the predicted gap
             was negative. None where it was rejected or measured nothing.
         residual: the same in m.
@@ -133,7 +133,7 @@ class Hypothesis(NamedTuple):
     missed: tuple[MissedSwitch, ...] = ()
     error: LearnedError = NO_ERROR
     since: float = 0.0
-    kicks: Matrix = NO_KICKS
+    impact: tuple[Vector, Contacts] | None = None
     innovation: float | None = None
     residual: float = 0.0
     subset: int = 0

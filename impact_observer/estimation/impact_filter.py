@@ -111,6 +111,7 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
+        self._is_uncertain = self.noise is not None or self.members.family.size > 0
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
         self._drifts = bool(np.any(declared.drift))
         self._special = system.curved | set(np.flatnonzero(system.contact_time).tolist())
@@ -205,6 +206,18 @@ class ImpactFilter:
             )
             found.update(zip(which, map(self.free_state, after), strict=True))
         return [found[i] for i in range(len(asked))]
+
+    def flown(self, t: float, s: float, late: float, state: GaussianState) -> GaussianState | None:
+        """``state`` ``s`` seconds after ``t``, if no gap falls below zero on the way.
+
+        But for the last ``late`` seconds. None where one does, or where the kernel does not know
+        the motion.
+        """
+        arena = None if self._is_uncertain else self.members.given.moving.arena
+        if arena is None:
+            return None
+        made = arena.flown(t, s, late, state.x, state.root, state.differences)
+        return made and GaussianState(made[0], state.constants, *made[1:])
 
     def free_state(self, made: tuple[Vector, Vector, Matrix, Matrix]) -> GaussianState:
         """A state without contact that the kernel has made."""

@@ -30,11 +30,13 @@ from impact_observer.dynamics import (
 )
 from impact_observer.dynamics.flow.flow import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.flow.spectral import SpectralFlow
+from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import FreePhase, StateRates
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import FreeMotion, Sizes
+from impact_observer.kernel._kernel import Arena, FreeMotion, Sizes
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -42,6 +44,8 @@ _MANY = 32
 """Coordinates from which on products of matrices are faster than motions one by one."""
 _SMALL = 16
 """Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
+_SHORTEST = 1e-8
+"""Flights that a plant may neglect, relative to the model's time scale."""
 _MOST_TURNS = 100.0
 """Longest time that it takes, in the inverse of the fastest rate."""
 
@@ -117,6 +121,32 @@ class MovingSystem:
         return FreeMotion(
             rates.A[n:], constant, forcing.frequency, cosine, sine, self.rate, rates.decay
         )
+
+    @cached_property
+    def arena(self) -> Arena | None:
+        """Its flights, each to an impact of one contact, for the kernel.
+
+        None where that does not know them, or has no use for them: of many coordinates, of forces
+        that are sampled, of guides.
+        """
+        system, phase = self.system, self.phase(())
+        known = self.is_plain and system.n <= _SMALL and isinstance(phase.flow, SpectralFlow)
+        if not known or system.m == 0:
+            return None
+        watched = Watched.gaps(system, list(range(system.m)))
+        times = self.scales.window, self.scales.timescale, _SHORTEST * self.scales.timescale
+        arena = Arena(
+            phase.flow.guards(watched.functions(system.forcing)),
+            system.M,
+            system.W.T,
+            system.q_r,
+            self.phases.length,
+            times,
+            0.0,
+        )
+        for i in range(system.m):
+            arena.learn(i, self.newton.kick(i), self.phases.projection.jump((i,))[:, 0])
+        return arena
 
     @cached_property
     def sizes(self) -> Sizes:

@@ -28,7 +28,6 @@ from impact_observer.estimation.filter_bank import RESTART, FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
-    NO_KICKS,
     NOTHING,
     Hypothesis,
     MissedSwitch,
@@ -266,7 +265,7 @@ class SampleUpdate:
                     weight=best.weight + RESTART,
                     missed=(),
                     error=NO_ERROR,
-                    kicks=NO_KICKS,
+                    impact=None,
                     since=0.0,
                 )
                 hypotheses = [*hypotheses, begun]

@@ -91,6 +91,14 @@ class Impact:
     def posteriors(
         self, t: float, flown: float, states: Sequence[tuple[object, ...]], clocks: Vector
     ) -> list[State]: ...
+    def clear(
+        self,
+        t: float,
+        flown: float,
+        state: tuple[object, ...],
+        clocks: Vector,
+        doubts: Vector,
+    ) -> tuple[State, float, float, float] | None: ...
     def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[State]: ...
 
 class PhaseMotion:
@@ -215,6 +223,22 @@ class Arena:
     ) -> None: ...
     def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...
     def start(self, stamp: int, remainder: float, x: Vector) -> Flights: ...
+    def flown(
+        self, t: float, s: float, late: float, x: Vector, root: Matrix, differences: Matrix
+    ) -> tuple[Vector, Matrix, Matrix] | None: ...
+    def rebounded(
+        self, contact: int, t: float, s: float, x: Vector, differences: Matrix
+    ) -> tuple[Vector, Vector, Matrix]: ...
+    def fallback(
+        self,
+        noise: FreeMotion,
+        contact: int,
+        t: float,
+        s: float,
+        x: Vector,
+        errors: Matrix,
+        lag: Vector,
+    ) -> tuple[Vector, Matrix, float, float]: ...
 
 class Flights:
     def advance(

@@ -12,13 +12,34 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-// The parts of the module, one a file.
+// The parts of the module, one a file, and what they read alike.
 #pragma once
 
-#include <pybind11/pybind11.h>
+#include "arrays.hpp"
+#include "phase.hpp"
 
 namespace kernel {
 
-void bind_dynamics(pybind11::module_& module);
+struct Arena;
+
+void bind_dynamics(py::module_& module);
+void bind_replicas(py::class_<Arena, std::shared_ptr<Arena>>& arena);
+
+inline double finite(double value, const char* name) {
+    if (!std::isfinite(value)) throw py::value_error(std::string(name) + ": not finite");
+    return value;
+}
+
+// A float, or one with what it is rounded by.
+inline Time time_of(const py::object& t) {
+    Time found{py::cast<double>(t)};
+    if (py::hasattr(t, "remainder")) {
+        found.exact = true;
+        found.ns = py::cast<std::int64_t>(t.attr("ns"));
+        found.remainder = py::cast<double>(t.attr("remainder"));
+    }
+    finite(found.seconds, "t"), finite(found.remainder, "t");
+    return found;
+}
 
 }  // namespace kernel

@@ -27,23 +27,6 @@ namespace {
 using Flags = ArrayOf<bool>;
 using Counts = ArrayOf<std::uint64_t>;
 
-Time time_of(const py::object& t) {
-    Time found{py::cast<double>(t)};
-    if (py::hasattr(t, "remainder")) {
-        found.exact = true;
-        found.ns = py::cast<std::int64_t>(t.attr("ns"));
-        found.remainder = py::cast<double>(t.attr("remainder"));
-    }
-    if (!std::isfinite(found.seconds) || !std::isfinite(found.remainder))
-        throw py::value_error("t: not finite");
-    return found;
-}
-
-double finite(double value, const char* name) {
-    if (!std::isfinite(value)) throw py::value_error(std::string(name) + ": not finite");
-    return value;
-}
-
 // Samples, and what raises Python's error for instants without any.
 struct SampledForces : Samples {
     py::object check;
@@ -463,11 +446,13 @@ void bind_dynamics(py::module_& module) {
              py::arg("start") = 0.0)
         .def_readonly("looks", &Hunt::looks)
         .def("first", &first, py::arg("horizon"));
-    py::class_<Arena, std::shared_ptr<Arena>>(module, "Arena")
+    py::class_<Arena, std::shared_ptr<Arena>> arena(module, "Arena");
+    arena
         .def(py::init(&make_arena), py::arg("gaps").none(false), py::arg("M"), py::arg("W"),
              py::arg("q_r"), py::arg("length"), py::arg("times"), py::arg("lowest"))
         .def("learn", &learn, py::arg("contact"), py::arg("kick"), py::arg("Z"))
         .def("start", &fly, py::arg("stamp"), py::arg("remainder"), py::arg("x"));
+    bind_replicas(arena);
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, py::arg("limit"), py::arg("most"));
 }

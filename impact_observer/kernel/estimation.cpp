@@ -220,6 +220,11 @@ Array flat(const Matrix& m) {
     return found;
 }
 
+py::tuple state_of(const Posterior& p) {
+    return py::make_tuple(flat(p.x), flat(p.constants), to_python(p.root),
+                          to_python(p.differences));
+}
+
 template <class Step>
 py::list stepped(const Priors& given, Step step) {
     std::vector<Posterior> found(given.priors.size());
@@ -228,10 +233,24 @@ py::list stepped(const Priors& given, Step step) {
         for (std::size_t b = 0; b < found.size(); ++b) found[b] = step(given.priors[b]);
     }
     py::list states;
-    for (const Posterior& each : found)
-        states.append(py::make_tuple(flat(each.x), flat(each.constants), to_python(each.root),
-                                     to_python(each.differences)));
+    for (const Posterior& each : found) states.append(state_of(each));
     return states;
+}
+
+// What an event says that is certainly an impact; None where it is not.
+py::object clear(const Impact& impact, double t, double flown, const py::tuple& state,
+                 const Array& clocks, const Array& doubts) {
+    const View clock = checked(clocks, "clocks", ANY), by = checked(doubts, "doubts", 5);
+    if (clock.size() == 0) throw py::value_error("clocks: expected the state's own first");
+    for (std::size_t k = 0; k < clock.size(); ++k) positive(clock[k], "clocks");
+    const Priors given(py::make_tuple(state), Array(py::ssize_t(1), clock.data), *impact.family,
+                       true);
+    instant(t, flown);
+    Fit fit;
+    const std::optional<Posterior> found =
+        impact.clear(t, flown, given.priors[0], clock, {by[0], by[1], by[2], by[3], by[4]}, fit);
+    if (!found) return py::none();
+    return py::make_tuple(state_of(*found), fit.density, fit.normalised, fit.deviation);
 }
 
 py::list posteriors(const Impact& impact, double t, double flown, const py::sequence& states,
@@ -496,6 +515,10 @@ void bind_estimation(py::module_& module) {
              "deviations; and its standard deviation, m: shape (states, 3).")
         .def("posteriors", &posteriors, py::arg("t"), py::arg("flown"), py::arg("states"),
              py::arg("clocks"), "The states after the impact, at its stamp t.")
+        .def("clear", &clear, py::arg("t"), py::arg("flown"), py::arg("state"), py::arg("clocks"),
+             py::arg("doubts"),
+             "The state after an event that can be nothing else, and how it fits; else None.\n"
+             "clocks has the state's own first; doubts: see Doubts in kalman.hpp.")
         .def("missed", &missed, py::arg("t"), py::arg("states"),
              "The same where it was not reported, each near its zero t of the gap.");
     module.def("largest_distance", &largest_distance, py::arg("columns"), py::arg("metric"),

@@ -38,6 +38,32 @@ struct Instant {
 struct Contact {
     std::vector<double> W, kick, Z;  // kick and Z are empty until they are known
     double q_r, length;              // of the column of L^-1 W, M = L L^T
+
+    std::size_t n() const { return W.size(); }
+    double gap(const double* x) const { return dot(W.data(), x, n()) + q_r; }
+    double speed(const double* x) const { return dot(W.data(), x + n(), n()); }
+
+    // A replica through an impact by switched geometric constraints (Baumann and Leine, ENOC 2014,
+    // equations (2) to (5)), and others, which differ from it by columns times `scale`. Those that
+    // separate keep their velocities.
+    void strike(double* x, Matrix& columns, double scale) const {
+        const double gamma = speed(x), g = gap(x);
+        std::vector<double> gaps(columns.columns), speeds(columns.columns);
+        for (std::size_t i = 0; i < n(); ++i) {
+            add(W[i], columns.row(i), gaps.data(), gaps.size());
+            add(W[i], columns.row(n() + i), speeds.data(), speeds.size());
+        }
+        for (double& each : speeds) {  // what is lost of each
+            const double other = gamma + scale * each;
+            if (gamma > 0 || other > 0)
+                each = (std::min(other, 0.0) - std::min(gamma, 0.0)) / scale;
+        }
+        for (std::size_t i = 0; i < n(); ++i) {
+            x[i] -= Z[i] * g, x[n() + i] -= kick[i] * std::min(gamma, 0.0);
+            add(-Z[i], gaps.data(), columns.row(i), gaps.size());
+            add(-kick[i], speeds.data(), columns.row(n() + i), speeds.size());
+        }
+    }
 };
 
 struct Hit {

@@ -30,6 +30,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 
 #include "family.hpp"
 
@@ -60,6 +61,15 @@ struct Fit {
     double deviation;   // of the innovation, m
 };
 
+// What makes an event more than certainly an impact: all alternatives together are less likely.
+struct Doubts {
+    double clock;       // logarithm of the probability that the clock's accuracy changes
+    double spurious;    // and of the odds of a spurious event, times their rate, 1/s
+    double density;     // least logarithm of the density of the instant, 1/s
+    double innovation;  // largest, in standard deviations
+    double negligible;  // largest odds of all alternatives
+};
+
 // Logarithm of the probability that a standard normal variable is below x.
 inline double log_normal(double x) {
     if (x > -20.0) return std::log(std::erfc(-x / std::sqrt(2.0)) / 2);
@@ -87,6 +97,23 @@ class Impact {
     Posterior posterior(double t, double flown, const Prior& prior) const {
         Fit fit;
         return jumped(t, flown, corrected(t, prior, ROUNDS, fit));
+    }
+
+    // The posterior, if nothing else can be the cause of an event. It may also be another clock's:
+    // of those after the first, which is the prior's own.
+    std::optional<Posterior> clear(double t, double flown, Prior prior, const View& clocks,
+                                   const Doubts& doubts, Fit& own) const {
+        prior.clock = clocks[0];
+        const Joint joint = corrected(t, prior, ROUNDS, own);
+        if (!(std::abs(own.normalised) <= doubts.innovation && own.density > doubts.density))
+            return {};
+        double others = std::exp(doubts.spurious - own.density);
+        for (std::size_t k = 1; k < clocks.size(); ++k) {
+            prior.clock = clocks[k];
+            others += std::exp(doubts.clock + fit(t, prior).density - own.density);
+        }
+        if (others > doubts.negligible) return {};
+        return jumped(t, flown, joint);
     }
 
     // The posterior where the impact was not reported: it is at the zero of the estimate's own

@@ -66,6 +66,30 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
         }
         return coordinates.carried(carried);
     }
+
+    // Differences of motions, one a column, s seconds later; where no coordinate is held.
+    Matrix carried(double s, const View& columns) const {
+        const std::size_t count = columns.columns;
+        Matrix x(count, columns.rows), y(count, coordinates.size), found(columns.rows, count);
+        for (std::size_t k = 0; k < count; ++k) {
+            for (std::size_t i = 0; i < columns.rows; ++i) x(k, i) = columns(i, k);
+            coordinates.split(x.row(k), {}, y.row(k));
+        }
+        for (std::size_t p = 0; p < pairs.size(); ++p) {
+            const bool dead = pairs[p].dead(s);
+            const Propagated by = dead ? Propagated{0, 0, 0} : pairs[p].propagated(s);
+            const double* D = pairs[p].D;
+            for (std::size_t k = 0; k < count; ++k) {
+                double *z = y.row(k) + 2 * p, one = z[0], two = z[1];
+                z[0] = by.c * one + by.S * (D[0] * one + D[1] * two);
+                z[1] = by.c * two + by.S * (D[2] * one + D[3] * two);
+            }
+        }
+        coordinates.states(y.data.data(), count, {}, x.data.data());
+        for (std::size_t k = 0; k < count; ++k)
+            for (std::size_t i = 0; i < columns.rows; ++i) found(i, k) = x(k, i);
+        return found;
+    }
 };
 
 // One motion, from a state x at t on. A young one, small against the steady response that it has

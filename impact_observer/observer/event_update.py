@@ -22,12 +22,13 @@ from math import isfinite
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
-from impact_observer.observer.belief import Prediction
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry
 from impact_observer.stamps import Elapsed, seconds_between, text
+from impact_observer.states import Vector
 
 
 class EventUpdate:
@@ -71,7 +72,6 @@ class EventUpdate:
                 previous, key=event, latest=latest, overruled=overruled, last=last, outcome=None
             )
         stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
-        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
         change = ContactChange.of(
             Elapsed(stamp - (self.epoch or stamp)),
             previous.closed,
@@ -82,10 +82,10 @@ class EventUpdate:
             disorder=disorder(event, meaning, previous.latest),
         )
         try:
-            posterior = self.law.correct(change, prior)
+            posterior, x = self._corrected(previous, change)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
-        result = self.test.after(previous.synchronization, change, prior, posterior)
+        result = self.test.after(previous.synchronization, change, x, posterior)
         if not isfinite(result.energy):
             raise DynamicsError(
                 f"at {text(stamp)} s: the estimate is not finite any more; is the declared"
@@ -103,6 +103,16 @@ class EventUpdate:
             stamp if change.hit else previous.impact,
             known=previous.known,
         )
+
+    def _corrected(self, previous: Entry, change: ContactChange) -> tuple[Belief, Vector]:
+        """The belief after a change of contacts, and the estimate just before it, shape (2n,)."""
+        s, belief = change.flown, previous.belief
+        if s > 0:
+            since = Elapsed(previous.since - (self.epoch or previous.since))
+            if (found := self.law.struck(change, belief, since, s)) is not None:
+                return found
+            belief = self.prediction(previous).belief(s)
+        return self.law.correct(change, belief), belief.x
 
     def _measured(self, previous: Entry, event: EventKey, value: float) -> Entry:
         """The entry of a sample; one that is not used leaves the motion as it is.

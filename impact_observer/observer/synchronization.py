@@ -31,7 +31,7 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.options import Options
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 REQUIRED_EVENTS = 3
 """Events in a row at which replicas must agree."""
@@ -82,9 +82,9 @@ class SynchronizationTest:
         return Synchronization(*self._distance_and_energy(belief.ensemble))
 
     def after(
-        self, previous: Synchronization, change: ContactChange, prior: Belief, posterior: Belief
+        self, previous: Synchronization, change: ContactChange, x: Vector, posterior: Belief
     ) -> Synchronization:
-        """The result after an event with the beliefs ``prior`` and ``posterior``."""
+        """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
@@ -98,7 +98,7 @@ class SynchronizationTest:
         if posterior.root is not None:
             distance = self._expected(posterior.root)
         elif is_impact:  # V before an impact was at least this: the plant's gaps were zero
-            distance = self._projection.strain(prior.x[: self._n], change.active)
+            distance = self._projection.strain(x[: self._n], change.active)
         else:
             distance = 0.0
         agreed = previous.agreed + is_impact if distance <= limit else 0

@@ -60,6 +60,21 @@ class FallbackReplica:
         x = self._geometric.impact(x, closed, closed) if closed else x
         return Fallback(x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size + 1)))
 
+    def struck(
+        self, contact: int, t: float, s: float, before: Fallback
+    ) -> tuple[Fallback, tuple[float, float]] | None:
+        """The replica ``s`` seconds after ``t`` (s) and an impact then, of one contact alone.
+
+        With it the gap before that impact; see ``Fallback.gap``. None where the kernel does not
+        know the motion.
+        """
+        arena, noise = self._moving.arena, self._moving.free
+        if arena is None:
+            return None
+        lag = self._contact_time * self._kicks[:, contact]
+        x, errors, *gap = arena.fallback(noise, contact, t, s, before.x, before.errors, lag)
+        return Fallback(x, np.maximum(before.largest, np.abs(x)), errors), (gap[0], gap[1])
+
     def after(self, change: ContactChange, before: Fallback) -> Fallback:
         """The replica after an event."""
         if not change.hit:

@@ -21,13 +21,18 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
+from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
+from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector
+
+_MOST_TOGETHER = 256
+"""Replicas beyond which products of large matrices cost less than the kernel."""
 
 
 class _SingleJump:
@@ -128,6 +133,21 @@ class Geometric(ReplicaLaw):
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         differences[self.system.n :] += jump.kick[:, None] * kept
         return Ensemble(x, Differences(differences))
+
+    def struck(
+        self, change: ContactChange, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, Vector] | None:
+        """By one call of the kernel, where one contact hits and none is closed."""
+        arena, before = self.moving.arena, posterior.ensemble
+        if arena is None or not change.is_plain(self.system) or before.others > _MOST_TOGETHER:
+            return None
+        contact = change.hit[0]
+        prior, x, differences = arena.rebounded(contact, since, s, before.x, before.differences)
+        bound = posterior.bound
+        if bound is not None:
+            bound -= self._projection.strain(prior[: self.system.n], change.hit)
+        after = Ensemble(x, Differences(differences))
+        return self._checked(Belief(after, None, bound, posterior.inconsistent)), prior
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""

@@ -24,7 +24,7 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 
 class Law(ABC):
@@ -51,6 +51,13 @@ class Law(ABC):
     has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     uses_measurements: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        """Reset the shortcut of a method that ``cls`` redefines, unless it redefines it."""
+        super().__init_subclass__()
+        for method, shortcut in (("correct", "struck"), ("measure", "followed")):
+            if method in vars(cls) and shortcut not in vars(cls):
+                setattr(cls, shortcut, getattr(Law, shortcut))
 
     def __init__(
         self,
@@ -87,6 +94,17 @@ class Law(ABC):
             ImpactLawError: the impact law has no solution on these contacts.
             DynamicsError: the loads of closed contacts cannot be found.
         """
+
+    def struck(
+        self, change: ContactChange, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, Vector] | None:
+        """``correct`` of the prior ``s`` seconds after a ``posterior`` that holds ``since``, s.
+
+        With it the estimate (q, u-) of that prior, shape (2n,). None where the prior is to be made
+        first, as by default.
+        """
+        del change, posterior, since, s
+        return None
 
     def measure(
         self, reading: Reading, prior: Belief

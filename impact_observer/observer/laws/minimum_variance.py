@@ -164,17 +164,50 @@ class MinimumVariance(Law):
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         fallback = self._caught_up(belief, fallback, change.before)
-        before, fallback = fallback, self._replica.after(change, fallback)
+        gap = fallback.gap(self.system, change.hit[0]) if change.hit else (math.nan, math.nan)
+        fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        fit = fitted(belief.fit, change, belief.x, corrected, self._bank)
-        best = _shown(corrected, fit)[0]
-        account = belief.account
+        return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
+
+    def struck(
+        self, change: ContactChange, posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, Vector] | None:
+        """By few calls of the kernel, where one hypothesis is left and the model fits."""
+        fallback, (began, ago) = posterior.fallback, posterior.behind
+        if fallback is None or posterior.account or posterior.fit.is_misfit or change.disorder:
+            return None
+        found = self._bank.struck(change, posterior.hypotheses, since, s)
+        if found is None:
+            return None
+        began, ago = (began, ago + s) if ago else (since, s)
+        replica = self._replica.struck(change.hit[0], began, ago, fallback)
+        if replica is None:
+            return None
+        (corrected, x), (fallback, gap) = found, replica
+        return self._judged(change, posterior, corrected, fallback, x=x, gap=gap), x
+
+    def _judged(
+        self,
+        change: ContactChange,
+        prior: Belief,
+        corrected: tuple[Hypothesis, ...],
+        fallback: Fallback,
+        *,
+        x: Vector,
+        gap: tuple[float, float],
+    ) -> Belief:
+        """The belief after an event, by hypotheses and fallback after it.
+
+        Before it, ``x`` is the estimate, ``gap`` that of the fallback, and its deviation. Of the
+        ``prior`` only what flights do not change is used.
+        """
+        fit = fitted(prior.fit, change, x, corrected, self._bank)
+        best, account = _shown(corrected, fit)[0], prior.account
         if account is not None:
             account = self._accounts.after(change, account, fallback)
-        if change.hit and best.innovation is not None and fit is not belief.fit:
-            gap = before.gap(self.system, change.hit[0])
+        if change.hit and best.innovation is not None and fit is not prior.fit:
             by_account = math.nan if account is None else account.residual
             fit = fit.compared(Residual(best.residual, *gap, by_account))
         fit = fit.beside(0.0 if account is None else self._accounts.change(account))
@@ -351,15 +384,9 @@ class MinimumVariance(Law):
     ) -> Belief:
         """The belief of ``hypotheses``, the likeliest first, without a covariance.
 
-        It has the published one first. By ``behind`` the ``fallback`` is still an earlier one.
+        By ``behind`` the ``fallback`` is still an earlier one.
         """
-        hypotheses, state = _best_first(hypotheses, fit)
-        ensemble = state.ensemble
-        if fit.is_compared:
-            states = [ensemble.x, fallback.x]
-            if account is not None and fit.prefers_account:
-                states.append(account.published[0].state.x)
-            ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.since)
+        hypotheses, ensemble = _estimate(hypotheses, fallback, fit, account)
         return Belief(
             ensemble,
             fit=fit,
@@ -378,8 +405,8 @@ class MinimumVariance(Law):
         change: ContactChange | None = None,
     ) -> Belief:
         """The belief of ``hypotheses`` with their covariance, after a ``change`` if any."""
-        prior, size = self._prior(hypotheses, fallback, fit, account), fallback.x.size
-        shown = _shown(hypotheses, fit)
+        hypotheses, ensemble = _estimate(hypotheses, fallback, fit, account)
+        shown, size = _shown(hypotheses, fit), fallback.x.size
         best, whole, names, instead = shown[0], mixture(shown).root, self._names, ""
         root, notes = whole[:size], []
         if fit.is_compared:
@@ -392,12 +419,17 @@ class MinimumVariance(Law):
             root = combined(fit, by_filter, fallback, part, explained=explained)
         if change:
             notes = best.notes_on((change.stamp, change.sequence))
-        return prior._replace(
-            root=root,
+        return Belief(
+            ensemble,
+            root,
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
             clock_offset=best.state.offset,
             learned=Learned(partial(self._learned, shown, whole[size:], names)),
+            fit=fit,
+            hypotheses=hypotheses,
+            fallback=fallback,
+            account=account,
             misfit=fit.message(instead),
         )
 
@@ -428,6 +460,20 @@ class MinimumVariance(Law):
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)
+
+
+def _estimate(
+    hypotheses: tuple[Hypothesis, ...], fallback: Fallback, fit: Fit, account: Account | None
+) -> tuple[tuple[Hypothesis, ...], Ensemble]:
+    """``hypotheses`` with the published one first, and the estimate with its replicas."""
+    hypotheses, state = _best_first(hypotheses, fit)
+    ensemble = state.ensemble
+    if fit.is_compared:
+        states = [ensemble.x, fallback.x]
+        if account is not None and fit.prefers_account:
+            states.append(account.published[0].state.x)
+        ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.since)
+    return hypotheses, ensemble
 
 
 def _best_first(

@@ -62,9 +62,8 @@ class ReplicaLaw(Law):
         """Reset the shortcuts of a method that ``cls`` redefines, unless it redefines them."""
         super().__init_subclass__()
         belonging = {
-            "impact": ("impacts", "impact_ensemble", "energy_removed"),
-            "motion": ("phase",),
-            "measure": ("followed",),
+            "impact": ("impacts", "impact_ensemble", "energy_removed", "struck"),
+            "motion": ("phase", "struck"),
         }
         for method, others in belonging.items():
             for other in others if method in vars(cls) else ():
