@@ -123,9 +123,14 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
 
     triangular(np.arange(12.0).reshape(3, 4))
     w = calls["Impact.__init__"][0].given[1]
-    calls["Family.__init__"][0].given[0].moved(0.1, np.ones(2 * w.size), 0.2)
+    motion = calls["Family.__init__"][0].given[0]
+    motion.moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, _, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(np.full(len(states), t), states)
+    impact.clear(t, 0.1, states[0], np.full(2, 1e-6), np.array([-5.0, -5.0, -1e3, 1e3, 1e9]))
+    arena, _, t, s, x, differences = calls["Arena.rebounded"][0].given
+    arena.flown(t, s, s, x, np.eye(x.size), differences)
+    arena.fallback(motion, 0, t, s, x, np.ones((x.size, x.size + 1)), np.ones(x.size // 2))
     samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")
     sampled = replace(PRESSED, forcing=Forcing.of_samples(samples))
     for model in (PRESSED, sampled):

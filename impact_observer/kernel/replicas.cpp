@@ -95,7 +95,8 @@ py::tuple fallback(const Arena& arena, const kalman::FreeMotion& noise, std::siz
     const View late = checked(lag, "lag", py::ssize_t(n));
     const View given = checked(errors, "errors", py::ssize_t(size), py::ssize_t(size + 1));
     Matrix moved = flight.flow->carried(s, given), unit(size, 2 * size);
-    if (!(s * noise.rate < 1e15)) throw py::value_error("s: too long");
+    if (noise.size() != size || !(s * noise.rate < 1e15))
+        throw py::value_error("noise, s: expected that of the arena, and not too long");
     const Matrix added = noise.diffusion(s);
     for (std::size_t i = 0; i < size; ++i)
         std::copy(added.row(i), added.row(i) + size,
