@@ -268,7 +268,7 @@ class FilterBank:
         return (found, prior.x) if found else None
 
     def _may_be_clear(self, change: ContactChange, h: Hypothesis) -> bool:
-        """Whether the kernel tells if an event is clearly what it is reported to be."""
+        """Whether the kernel can decide if an event is clearly what it is reported to be."""
         in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
         return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
 
