@@ -14,8 +14,7 @@
 
 """All replicas of one observer against the truth at once: runs that differ in their start only.
 
-The metrics are those of ``comparison`` for each replica alone, but for rounding. Arrays have the
-samples first and the replicas last.
+The metrics are those of ``comparison`` for each replica alone, but for rounding.
 """
 
 from bisect import bisect_left, bisect_right
@@ -25,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.comparison import Comparison, is_near_end
+from impact_observer.compare.comparison import Comparison
 from impact_observer.compare.mismatch import REACH, Mismatch, windows
-from impact_observer.dynamics.lyapunov import distance
+from impact_observer.dynamics.lyapunov import root_of_energy
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import arrived
@@ -37,7 +36,7 @@ from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps
 
-_AT_ONCE = 2**15
+_AT_ONCE = 2**14
 """States that are made together: they stay in the processor's cache."""
 
 
@@ -45,9 +44,9 @@ class _ReplicaErrors(NamedTuple):
     """Errors of the replicas.
 
     Attributes:
-        V: distances from the truth at all samples, J, shape (samples, N).
+        V: distances from the truth at all samples, J, shape (N, samples).
         near: samples near an event, ascending, shape (rows,).
-        speeds: contact speeds at these minus the true ones, m/s, shape (m, rows, N).
+        speeds: contact speeds at these minus the true ones, m/s, shape (m, N, rows).
         punctual: samples whose events had all arrived, shape (samples,).
         outcomes: which events the observer applied, rejected and inserted.
     """
@@ -70,8 +69,7 @@ def compare_replicas(
 ) -> Iterator[Comparison]:
     """Run an observer over events, and compare each of its replicas with the truth.
 
-    What is found has no errors of single states, and of V only the start, the end, and where it
-    comes near that.
+    What is found has V, but no errors of single states.
 
     Args:
         observer: has received nothing yet.
@@ -87,40 +85,31 @@ def compare_replicas(
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
     errors = _errors(observer, events, stamps, truth, system)
-    V, outcomes = errors.V, errors.outcomes
-    counts = errors.punctual[:, None] & ~_between(stamps, truth, errors, system)
-    if not counts.any(axis=0).all():
+    counts = errors.punctual & ~_between(stamps, truth, errors, system)
+    if not counts.any(axis=1).all():
         raise BagError(f"{observer.law.name}: no sample counts")
-    # A sample that does not count gets the V of the last one that does, or of the first.
-    every, first = np.arange(V.shape[1]), counts.argmax(axis=0)
-    V[0] = V[first, every]
-    for row in np.flatnonzero(np.count_nonzero(counts, axis=1)[1:] < every.size) + 1:
-        V[row] = np.where(counts[row], V[row], V[row - 1])
-    last = stamps.size - 1 - counts[::-1].argmax(axis=0)
-    near = np.maximum(np.argmax(is_near_end(V), axis=0), first)
-    rises = np.max(np.diff(V, axis=0), axis=0, initial=0.0)
-    above = settled * V[0] < V
-    since = np.where(above.any(axis=0), stamps.size - above[::-1].argmax(axis=0), first)
-    samples = np.count_nonzero(counts, axis=0)
-    unknown = np.full((3, 2 * system.n), np.nan)
-    for i in every:
-        start, rise, rows = float(V[0, i]), float(rises[i]), [first[i], near[i], last[i]]
+    late, unknown = int(np.count_nonzero(~errors.punctual)), np.full(2 * system.n, np.nan)
+    for every, counting in zip(errors.V, counts, strict=True):
+        V, own = every[counting], stamps[counting]
+        start, rise = float(V[0]), float(np.max(np.diff(V), initial=0.0))
+        above = np.flatnonzero(settled * start < V)
+        since = int(above[-1]) + 1 if above.size else 0
         settling_time = None
-        if since[i] < stamps.size and (start > 0 or rise == 0):
-            settling_time = seconds_between(int(stamps[first[i]]), int(stamps[since[i]]))
+        if since < V.size and (start > 0 or rise == 0):
+            settling_time = seconds_between(int(own[0]), int(own[since]))
         yield Comparison(
             system=system,
             law=observer.law.name,
-            stamps=stamps[rows],
-            error=unknown,
-            V=V[rows, i],
-            samples=int(samples[i]),
-            late=int(np.count_nonzero(~errors.punctual)),
+            stamps=own,
+            error=np.broadcast_to(unknown, (V.size, unknown.size)),
+            V=V,
+            samples=V.size,
+            late=late,
             stale=0,
             mismatch=Mismatch(),
-            outcomes=outcomes,
-            rms=unknown[0],
-            largest=unknown[0],
+            outcomes=errors.outcomes,
+            rms=unknown,
+            largest=unknown,
             largest_rise=rise / start if start > 0 else 0.0,
             settled=settled,
             settling_time=settling_time,
@@ -135,12 +124,12 @@ def _errors(
     system: System,
 ) -> _ReplicaErrors:
     """Run the observer; see ``compare_replicas``."""
-    n, done, size = system.n, 0, observer.ensemble
+    done, size = 0, observer.ensemble
+    root, contacts = root_of_energy(system), system.W.T
     about = [_about(stamps, event.stamp) for event in events]
     near = np.unique(np.concatenate([np.empty(0, int), *about]))
-    V, speeds = np.empty((stamps.size, size)), np.empty((system.m, near.size, size))
+    V, speeds = np.empty((size, stamps.size)), np.empty((system.m, size, near.size))
     last_event = np.empty(stamps.size, dtype=np.int64)
-    at_once = max(_AT_ONCE // size, 1)
     verdicts: list[Verdict] = []
     for item in replay_batches(observer, events, stamps, only_states=True):
         if isinstance(item, Verdict):
@@ -150,14 +139,18 @@ def _errors(
             break
         end = done + item.stamps.size
         last_event[done:end] = item.first.last_event
-        for begin in range(done, end, at_once):
-            rows = slice(begin, min(begin + at_once, end))
-            error = observer.replicas(stamps[rows])
-            error -= truth[rows].T[..., None]
-            V[rows] = distance(system, *np.split(np.moveaxis(error, 0, -1), 2, axis=-1))
-            low, high = np.searchsorted(near, [rows.start, rows.stop])
-            chosen = error[n:, near[low:high] - rows.start]
-            speeds[:, low:high] = np.tensordot(system.W.T, chosen, 1)
+        # The error of a replica: that of the estimate and the difference from it.
+        maps, differences = observer.differences(item.stamps)
+        maps = np.concatenate([maps, (item.x - truth[done:end]).T[:, None]], axis=1)
+        columns = np.vstack([np.pad(differences, ((0, 0), (1, 0))), np.ones(size)]).T
+        low, high = np.searchsorted(near, [done, end])
+        closing = np.tensordot(contacts, maps[system.n :, :, near[low:high] - done], 1)
+        speeds[:, :, low:high] = columns @ closing
+        weighted, step = np.tensordot(root, maps, 1), max(_AT_ONCE // item.stamps.size, 1)
+        for begin in range(0, size, step):
+            some = slice(begin, begin + step)
+            error = columns[some] @ weighted
+            V[some, done:end] = np.einsum("kis,kis->is", error, error)
         done = end
     if done < stamps.size:
         raise BagError(
@@ -179,7 +172,7 @@ def _about(stamps: Stamps, event: int) -> NDArray[np.intp]:
 def _between(
     stamps: Stamps, truth: Matrix, errors: _ReplicaErrors, system: System
 ) -> NDArray[np.bool_]:
-    """Which samples lie between the jumps of truth and replica, shape (samples, N)."""
+    """Which samples lie between the jumps of truth and replica, shape (N, samples)."""
     found = np.zeros(errors.V.shape, dtype=np.bool_)
     for c, name in enumerate(system.contact_names):
         own = [at for at, contact in errors.outcomes.impacts if contact == name]
@@ -188,8 +181,7 @@ def _between(
             before, after = bisect_left(own, impact), bisect_right(own, impact)
             others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
             rows = _about(stamps, impact)
-            replicas = errors.speeds[c, np.searchsorted(errors.near, rows)] + gamma[rows, None]
-            begin, end = windows(stamps[rows], gamma[rows], replicas.T, impact, others)
-            at = stamps[rows, None]
-            found[rows] |= (begin <= at) & (at < end)
+            replicas = errors.speeds[c][:, np.searchsorted(errors.near, rows)] + gamma[rows]
+            begin, end = windows(stamps[rows], gamma[rows], replicas, impact, others)
+            found[:, rows] |= (begin[:, None] <= stamps[rows]) & (stamps[rows] < end[:, None])
     return found

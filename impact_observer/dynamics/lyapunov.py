@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 
 def is_seminorm(system: System) -> bool:
@@ -37,3 +37,10 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
     kinetic = np.einsum("i...,i...->...", np.tensordot(system.M, u, 1), u)
     potential = np.einsum("i...,i...->...", np.tensordot(system.K, q, 1), q)
     return np.asarray((kinetic + potential) / 2)
+
+
+def root_of_energy(system: System) -> Matrix:
+    """``R`` with ``V = |R (dq, du)|^2``, shape (2n, 2n)."""
+    stiffness, shapes = linalg.eigh(system.K)
+    springs = np.sqrt(np.maximum(stiffness, 0.0) / 2)[:, None] * shapes.T
+    return np.asarray(linalg.block_diag(springs, linalg.cholesky(system.M / 2)))

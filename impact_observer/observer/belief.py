@@ -201,9 +201,13 @@ class Prediction(ABC):
     def belief(self, s: float) -> Belief:
         """The whole belief ``s`` seconds after the start: the prior of an event then."""
 
-    def replicas(self, s: Vector) -> NDArray[np.float64]:
-        """States (q, u) of all replicas at each of ``s`` seconds, shape (2n, samples, N)."""
-        return np.stack([self.belief(at).replicas.T for at in s.tolist()], axis=1)
+    def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
+        """How the other replicas differ from the estimate, at each of ``s`` seconds.
+
+        As products of maps, shape (2n, r, samples), with columns, shape (r, N - 1).
+        """
+        each = np.stack([self.belief(at).ensemble.differences for at in s.tolist()], axis=2)
+        return each, np.eye(each.shape[1])
 
     def root(self, s: float) -> Matrix | None:
         """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""

@@ -476,14 +476,14 @@ class Observer:
         self._follow()
         return self._run.estimates(whole_stamps(stamps), only_states=only_states)
 
-    def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
-        """States (q, u) of all replicas, shape (2n, samples, N).
+    def differences(self, stamps: Stamps) -> tuple[NDArray[np.float64], Matrix]:
+        """How the other replicas differ from the estimate; see ``Prediction.differences``.
 
         Args:
             stamps: at which, ns, ascending, shape (samples,); no event lies between them.
         """
         self._follow()
-        return self._run.replicas(stamps)
+        return self._run.differences(stamps)
 
     def set_state(
         self,

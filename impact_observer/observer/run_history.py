@@ -332,14 +332,11 @@ class RunHistory:
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
-    def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
-        """See ``Observer.replicas``."""
+    def differences(self, stamps: Stamps) -> tuple[NDArray[np.float64], Matrix]:
+        """See ``Observer.differences``."""
         assert self.timeline is not None, "there is an estimate"
         entry = self.timeline.at(int(stamps[0]))
-        s = (stamps - entry.since) / NS_PER_S
-        found = self.update.prediction(entry).replicas(s)
-        shift = self._from_frame(stamps, np.zeros((stamps.size, len(found))))
-        return np.asarray(found + shift.T[..., None])
+        return self.update.prediction(entry).differences((stamps - entry.since) / NS_PER_S)
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
         """States (q, u) at ``stamps`` (ns) from such in the frame, shape (samples, 2n)."""

@@ -147,6 +147,7 @@ def test_a_batch_has_the_outcomes_of_its_cases(name: str) -> None:
         pytest.param(shaken("linear"), id="ramps of force"),
         pytest.param(model_of(PRESSED), id="persistent contact"),
         pytest.param(sample("bouncing_ball"), id="accumulation"),
+        pytest.param(sample("ball_on_table"), id="moving stops"),
     ],
 )
 def test_a_batch_has_the_outcomes_of_its_cases_for_any_model(model: Model) -> None:
@@ -244,12 +245,15 @@ def test_an_observer_runs_the_replicas_that_it_is_given() -> None:
     options = Options(initial_state=",".join(map(str, starts[0])), epoch=epoch, ensemble=4)
     together = make_observer(model, options, others=starts[1:])
     stamps = np.array([epoch, epoch + 1, epoch + 700_000_000])
-    found = together.replicas(stamps)
-    assert found.shape == (4, 3, 4)
+    (estimates,) = together.estimates(stamps)
+    maps, columns = together.differences(stamps)
+    assert maps.shape[::2] == (4, 3)
+    others = np.einsum("isk,sj->kij", maps, columns) + estimates.x[..., None]
+    found = np.concatenate([estimates.x[..., None], others], axis=2)
     for i, start in enumerate(starts):
         text = ",".join(map(str, start))
         alone = make_observer(model, replace(options, initial_state=text, ensemble=1))
         for k, stamp in enumerate(stamps.tolist()):
             now = alone.estimate(stamp)
             expected = np.concatenate([now.q, now.u])
-            np.testing.assert_allclose(found[:, k, i], expected, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(found[k, :, i], expected, rtol=0, atol=1e-14)

@@ -339,8 +339,9 @@ class _OwnMotions(Prediction):
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
-    def replicas(self, s: Vector) -> NDArray[np.float64]:
-        return np.stack([motion.states(s).T for motion in self._motions], axis=2)
+    def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
+        states = np.stack([motion.states(s).T for motion in self._motions], axis=1)
+        return states[:, 1:] - states[:, :1], np.eye(len(self._motions) - 1)
 
 
 class _CommonPhase(Prediction):
@@ -368,8 +369,5 @@ class _CommonPhase(Prediction):
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
-    def replicas(self, s: Vector) -> NDArray[np.float64]:
-        differences = np.pad(self._belief.ensemble.differences, ((0, 0), (1, 0)))
-        found = self._phase.flow.transitions(s) @ differences
-        found += self._first.states(s).T[..., None]
-        return found
+    def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
+        return self._phase.flow.transitions(s), self._belief.ensemble.differences
