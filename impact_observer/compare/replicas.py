@@ -36,7 +36,7 @@ from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps
 
-_AT_ONCE = 2**14
+_AT_ONCE = 2**12
 """States that are made together: they stay in the processor's cache."""
 
 
@@ -88,10 +88,10 @@ def compare_replicas(
     counts = errors.punctual & ~_between(stamps, truth, errors, system)
     if not counts.any(axis=1).all():
         raise BagError(f"{observer.law.name}: no sample counts")
-    late, unknown = int(np.count_nonzero(~errors.punctual)), np.full(2 * system.n, np.nan)
+    late, unknown = int(np.count_nonzero(~errors.punctual)), np.full_like(truth, np.nan)
     for every, counting in zip(errors.V, counts, strict=True):
         V, own = every[counting], stamps[counting]
-        start, rise = float(V[0]), float(np.max(np.diff(V), initial=0.0))
+        start, rise = float(V[0]), float(np.diff(V).max(initial=0.0))
         above = np.flatnonzero(settled * start < V)
         since = int(above[-1]) + 1 if above.size else 0
         settling_time = None
@@ -101,15 +101,15 @@ def compare_replicas(
             system=system,
             law=observer.law.name,
             stamps=own,
-            error=np.broadcast_to(unknown, (V.size, unknown.size)),
+            error=unknown[: V.size],
             V=V,
             samples=V.size,
             late=late,
             stale=0,
             mismatch=Mismatch(),
             outcomes=errors.outcomes,
-            rms=unknown,
-            largest=unknown,
+            rms=unknown[0],
+            largest=unknown[0],
             largest_rise=rise / start if start > 0 else 0.0,
             settled=settled,
             settling_time=settling_time,

@@ -219,8 +219,8 @@ class Flow(ABC):
         return position, rows, np.abs(rows) + pulled
 
     def transitions(self, s: Vector) -> NDArray[np.float64]:
-        """``transition`` by each of ``s`` seconds, shape (2n, 2n, samples)."""
-        return np.stack([self.transition(at) for at in s.tolist()], axis=2)
+        """``transition`` by each of ``s`` seconds, shape (2n, samples, 2n)."""
+        return np.stack([self.transition(at) for at in s.tolist()], axis=1)
 
     def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
         """``state`` of a motion of this flow, equal to the bit, and ``transition`` after ``s``."""

@@ -370,4 +370,5 @@ class _CommonPhase(Prediction):
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
     def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
-        return self._phase.flow.transitions(s), self._belief.ensemble.differences
+        maps = np.moveaxis(self._phase.flow.transitions(s), 1, 2)
+        return maps, self._belief.ensemble.differences
