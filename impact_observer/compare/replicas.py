@@ -140,8 +140,8 @@ def _errors(
         end = done + item.stamps.size
         last_event[done:end] = item.first.last_event
         # The error of a replica: that of the estimate and the difference from it.
-        maps, differences = observer.differences(item.stamps)
-        maps = np.concatenate([maps, (item.x - truth[done:end]).T[:, None]], axis=1)
+        x, maps, differences = observer.replicas(item.stamps)
+        maps = np.concatenate([maps, (x - truth[done:end]).T[:, None]], axis=1)
         columns = np.vstack([np.pad(differences, ((0, 0), (1, 0))), np.ones(size)]).T
         low, high = np.searchsorted(near, [done, end])
         closing = np.tensordot(contacts, maps[system.n :, :, near[low:high] - done], 1)

@@ -476,14 +476,14 @@ class Observer:
         self._follow()
         return self._run.estimates(whole_stamps(stamps), only_states=only_states)
 
-    def differences(self, stamps: Stamps) -> tuple[NDArray[np.float64], Matrix]:
-        """How the other replicas differ from the estimate; see ``Prediction.differences``.
+    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+        """All replicas; see ``Prediction.replicas``.
 
         Args:
             stamps: at which, ns, ascending, shape (samples,); no event lies between them.
         """
         self._follow()
-        return self._run.differences(stamps)
+        return self._run.replicas(stamps)
 
     def set_state(
         self,

@@ -332,11 +332,13 @@ class RunHistory:
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
-    def differences(self, stamps: Stamps) -> tuple[NDArray[np.float64], Matrix]:
-        """See ``Observer.differences``."""
+    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+        """See ``Observer.replicas``."""
         assert self.timeline is not None, "there is an estimate"
         entry = self.timeline.at(int(stamps[0]))
-        return self.update.prediction(entry).differences((stamps - entry.since) / NS_PER_S)
+        s = (stamps - entry.since) / NS_PER_S
+        x, maps, columns = self.update.prediction(entry).replicas(s)
+        return self._from_frame(stamps, x), maps, columns
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
         """States (q, u) at ``stamps`` (ns) from such in the frame, shape (samples, 2n)."""

@@ -245,11 +245,10 @@ def test_an_observer_runs_the_replicas_that_it_is_given() -> None:
     options = Options(initial_state=",".join(map(str, starts[0])), epoch=epoch, ensemble=4)
     together = make_observer(model, options, others=starts[1:])
     stamps = np.array([epoch, epoch + 1, epoch + 700_000_000])
-    (estimates,) = together.estimates(stamps)
-    maps, columns = together.differences(stamps)
-    assert maps.shape[::2] == (4, 3)
-    others = np.einsum("isk,sj->kij", maps, columns) + estimates.x[..., None]
-    found = np.concatenate([estimates.x[..., None], others], axis=2)
+    x, maps, columns = together.replicas(stamps)
+    assert (x.shape, maps.shape[::2], columns.shape[1]) == ((3, 4), (4, 3), 3)
+    others = np.einsum("irk,rj->kij", maps, columns) + x[..., None]
+    found = np.concatenate([x[..., None], others], axis=2)
     for i, start in enumerate(starts):
         text = ",".join(map(str, start))
         alone = make_observer(model, replace(options, initial_state=text, ensemble=1))

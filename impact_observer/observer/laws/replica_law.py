@@ -339,9 +339,9 @@ class _OwnMotions(Prediction):
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
-    def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
+    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix]:
         states = np.stack([motion.states(s).T for motion in self._motions], axis=1)
-        return states[:, 1:] - states[:, :1], np.eye(len(self._motions) - 1)
+        return states[:, 0].T, states[:, 1:] - states[:, :1], np.eye(len(self._motions) - 1)
 
 
 class _CommonPhase(Prediction):
@@ -369,6 +369,6 @@ class _CommonPhase(Prediction):
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
-    def differences(self, s: Vector) -> tuple[NDArray[np.float64], Matrix]:
+    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix]:
         maps = np.moveaxis(self._phase.flow.transitions(s), 1, 2)
-        return maps, self._belief.ensemble.differences
+        return self._first.states(s), maps, self._belief.ensemble.differences
