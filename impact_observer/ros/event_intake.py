@@ -85,7 +85,6 @@ class EventIntake:
         self._batch, self._begun = _FEW, 0
         self._ahead: list[tuple[int, int, ImpactEvent]] = []
         self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
-        self._again: Counter[ImpactEvent] = Counter()
         self._work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None] | None = None
         self._number = 0
 
@@ -98,6 +97,11 @@ class EventIntake:
     def is_busy(self) -> bool:
         """Whether there is work for another slice."""
         return bool(self._work is not None or self._waiting or self._refused)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has no event, not even one ahead of the clock."""
+        return not (self.is_busy or self._ahead)
 
     def backlog(self) -> tuple[int, float]:
         """How many events are not applied yet, and how long the oldest has waited, s."""
@@ -133,13 +137,12 @@ class EventIntake:
         """Forget all that waits, as when the clock has jumped back."""
         self._waiting.clear()
         self._ahead.clear()
-        self._again.clear()
         self._work = None
 
     def finish(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
         """Finish the work that is begun, so that the observer may be changed otherwise."""
         if self._work is not None:
-            yield from self._results(self._work)
+            yield from (self._finished(*item) for item in self._work if item is not None)
             self._work = None
 
     def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
@@ -156,8 +159,7 @@ class EventIntake:
                 self._work = self._begin()
             for item in self._work:
                 if item is not None:
-                    self._strike(item[0])
-                    yield self._revised(*item)
+                    yield self._finished(*item)
                 if time.monotonic_ns() >= end:
                     return
             self._work = None
@@ -169,14 +171,21 @@ class EventIntake:
         self._begun = time.monotonic_ns()
         count = min(self._batch, len(self._waiting))
         self._taken = [self._waiting.popleft() for _ in range(count)]
-        self._again.update(each.event for each in self._taken if each.was_refused)
         return self._observer.receiving([each.event for each in self._taken])
 
-    def _strike(self, event: ImpactEvent) -> None:
-        """Strike an event that is applied off those that are not."""
-        places = (i for i, each in enumerate(self._taken) if each.event is event)
-        if (place := next(places, None)) is not None:
-            del self._taken[place]
+    def _finished(
+        self, event: ImpactEvent, verdicts: tuple[Verdict, ...]
+    ) -> tuple[ImpactEvent, tuple[Verdict, ...]]:
+        """Strike an applied event off those that are not.
+
+        The verdicts on one that was ahead of the clock say that they are not the first.
+        """
+        place = next(i for i, each in enumerate(self._taken) if each.event is event)
+        if not self._taken.pop(place).was_refused:
+            return event, verdicts
+        first, *others = verdicts
+        reason = f"{REVISED}{first.reason or 'as reported'}"
+        return event, (first._replace(reason=reason), *others)
 
     def _refuse_what_waited(self) -> None:
         """Refuse the events that have waited for too long."""
@@ -187,22 +196,6 @@ class EventIntake:
             reason = f"waited for more than {PATIENCE // NS_PER_S} s: the observer cannot keep up"
             verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
             self._refused.append((event, (verdict,)))
-
-    def _results(
-        self, work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]
-    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
-        return (self._revised(*item) for item in work if item is not None)
-
-    def _revised(
-        self, event: ImpactEvent, verdicts: tuple[Verdict, ...]
-    ) -> tuple[ImpactEvent, tuple[Verdict, ...]]:
-        """The verdicts on an event that was ahead of the clock say that they are not the first."""
-        if event not in self._again:
-            return event, verdicts
-        del self._again[event]
-        first, *others = verdicts
-        reason = f"{REVISED}{first.reason or 'as reported'}"
-        return event, (first._replace(reason=reason), *others)
 
     def _take_what_was_ahead(self) -> None:
         if not self._ahead:

@@ -103,8 +103,8 @@ class LiveIntake:
         """Take the samples that wait where subscriptions are polled; whether more may wait."""
         end, since = time.monotonic_ns() + SLICE, MAX_STAMP
         for interface, subscription in self._polled:
-            messages = slice_of_waiting(subscription, interface.quality.depth)
-            since = min([since, *(self._take(interface, each) for each in messages)])
+            for message in slice_of_waiting(subscription, interface.quality.depth):
+                since = min(since, self._take(interface, message))
         if since < MAX_STAMP:
             self._on_samples(since)
         return time.monotonic_ns() >= end

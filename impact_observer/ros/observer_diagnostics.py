@@ -248,10 +248,10 @@ class MisfitNews:
 
         Empty for nothing new.
         """
-        names = frozenset(name for name, *_ in estimate.parameters)
         was_misfit, self._is_misfit = self._is_misfit, bool(estimate.misfit)
         if not estimate.misfit:
             return "the model explains the impacts again" if was_misfit else ""
+        names = frozenset(name for name, *_ in estimate.parameters)
         is_new = not was_misfit or not names <= self._told
         self._told = names | self._told if was_misfit else names
         return estimate.misfit if is_new else ""

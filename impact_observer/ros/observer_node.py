@@ -19,10 +19,9 @@ An event passes through ``_on_impact``, ``EventIntake``, ``_apply`` and ``_publi
 
 import math
 import re
-import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from impact_observer_msgs.srv import SetState
@@ -58,7 +57,7 @@ from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnos
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.serialized import EstimateSerializer
-from impact_observer.ros.subscribing import SLICE, waiting_messages
+from impact_observer.ros.subscribing import EventsSeldom, slice_of_waiting
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
@@ -94,6 +93,7 @@ class ObserverNode(Node):
         self._initial = initial_state(options.initial_state, system, options.initial_deviation)
         sensors = read_measurements(values.text("measurements"))
         self._observer = make_observer(system, options, model.elements, measurements=sensors)
+        self._restarts = 0
         self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -161,6 +161,11 @@ class ObserverNode(Node):
             f"events on impacts{live}{topics}",
         )
 
+    @cached_property
+    def default_callback_group(self) -> EventsSeldom:
+        """Of all that the node waits for."""
+        return EventsSeldom()
+
     def _sensor_intake(self, values: parameters.Values, options: Options) -> SensorIntake:
         """The subscriptions to sensors, made as their topics appear."""
         intake = SensorIntake(
@@ -216,6 +221,7 @@ class ObserverNode(Node):
         """Take an event, and those that wait behind it; apply some."""
         self._take(message)
         self._take_waiting()
+        self._apply_events()
 
     def _take(self, message: bytes) -> None:
         if problem := self._intake.add(message):
@@ -223,12 +229,9 @@ class ObserverNode(Node):
             self._lines.error(f"impacts: {problem}")
 
     def _take_waiting(self) -> None:
-        """Take the events that have arrived already, if there is room; apply some."""
-        end = time.monotonic_ns() + SLICE
-        waiting = waiting_messages(self._impacts, self._intake.room)
-        while time.monotonic_ns() < end and (taken := next(waiting, None)) is not None:
-            self._take(taken[0])
-        self._apply_events()
+        """Take the events that have arrived already, if there is room."""
+        for message in slice_of_waiting(self._impacts, self._intake.room):
+            self._take(message)
 
     def _apply_events(self) -> None:
         """Apply events for some milliseconds, and go on after others had their turn."""
@@ -244,10 +247,10 @@ class ObserverNode(Node):
 
     def _apply(self, received: Iterable[tuple[ImpactEvent, tuple[Verdict, ...]]]) -> None:
         """Publish the estimate that events correct, then their verdicts."""
-        pending, restarts, is_corrected = [], self._observer.restarts, False
+        pending, is_corrected = [], False
         for event, verdicts in received:
-            if self._observer.restarts > restarts:
-                restarts, is_corrected = self._observer.restarts, False
+            if (restarts := self._observer.restarts) > self._restarts:
+                self._restarts, is_corrected = restarts, False
                 self._forget_estimates()
                 self._lines.warning(
                     f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
@@ -310,6 +313,8 @@ class ObserverNode(Node):
 
     def _log(self, verdict: Verdict) -> None:
         """Log a verdict other than a plain application."""
+        if verdict.ruling is Ruling.APPLIED and not verdict.reason:
+            return
         ruling, reason = verdict.ruling.name.lower(), verdict.reason
         short = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} ..."
         line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {short}"
@@ -317,14 +322,16 @@ class ObserverNode(Node):
         kind = f"{verdict.contact}: {ruling}, {first}"
         if verdict.ruling is not Ruling.APPLIED:
             self._lines.warning(line, kind)
-        elif reason:
+        else:
             self._lines.info(line, kind)
 
     def _on_timer(self) -> None:
         """Publish the estimates that are due, and take events that have arrived meanwhile."""
-        self._take_samples()
+        more = self._take_samples()
         self._publish_due()
         self._take_waiting()  # sooner than by the executor, which waits again first
+        if more or not self._intake.is_empty:
+            self._apply_events()
 
     def _publish_due(self) -> None:
         """Publish the estimates that are at least ``lag`` old."""

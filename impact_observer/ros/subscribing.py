@@ -16,11 +16,10 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
-from itertools import islice
 from typing import Any, TypeAlias
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import EventHandler
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -31,6 +30,10 @@ from impact_observer.ros.qos import offered_quality, qos_profile
 
 SLICE = 5_000_000
 """Longest time for messages before estimates, timers and services have their turn, ns."""
+_PERIOD = 1.0
+"""How often the executor looks for events of the middleware, s."""
+_MOMENT = 0.01
+"""For how long it looks then, s."""
 MessageInfo: TypeAlias = Mapping[str, int]
 """What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
 
@@ -55,6 +58,31 @@ class Polled(CallbackGroup):
         """Nothing has begun."""
 
 
+class EventsSeldom(MutuallyExclusiveCallbackGroup):
+    """One callback at a time; the middleware's events only for a moment in each second.
+
+    Each publisher and subscription has two such events, on partners that do not fit. Whenever the
+    executor waits, they cost it as much as five timers.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begun = -_PERIOD
+
+    def can_execute(self, entity: object) -> bool:
+        """Whether no callback runs and, for an event, whether it is such a moment."""
+        return (not isinstance(entity, EventHandler) or self._is_moment()) and bool(
+            super().can_execute(entity)
+        )
+
+    def _is_moment(self) -> bool:
+        """One begins when this is asked a second or more after the last one began."""
+        now = time.monotonic()
+        if now >= self._begun + _PERIOD:
+            self._begun = now
+        return now < self._begun + _MOMENT
+
+
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
     """What all publishers of a topic offer; at least one."""
     depth = usual_quality(topic).depth
@@ -67,9 +95,11 @@ def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[An
     The executor takes several times longer for a message than this, so that a burst could
     arrive faster than it is read.
     """
-    with subscription.handle:
-        take = partial(subscription.handle.take_message, subscription.msg_type, subscription.raw)
-        yield from islice(iter(take, None), most)
+    with (handle := subscription.handle):
+        for _ in range(most):
+            if (taken := handle.take_message(subscription.msg_type, subscription.raw)) is None:
+                return
+            yield taken
 
 
 def with_waiting(message: AnyMessage, subscription: Subscription, most: int) -> Iterator[Any]:
