@@ -65,6 +65,7 @@ class EventIntake:
         counts: ``future``: events ahead of the clock; ``invalid``: messages that are no event;
             ``overflow``: events for which there was no room; ``waited``: those that waited for
             too long.
+        passed: a stamp that the clock has passed, ns; events up to it are compared with no clock.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class EventIntake:
         self._now, self._future = now, future
         self._limits = limits
         self.counts = counts
+        self.passed = 0
         self._waiting: deque[Waiting] = deque()
         self._taken: list[Waiting] = []
         self._batch, self._begun = _FEW, 0
@@ -135,6 +137,7 @@ class EventIntake:
 
     def clear(self) -> None:
         """Forget all that waits, as when the clock has jumped back."""
+        self.passed = 0
         self._waiting.clear()
         self._ahead.clear()
         self._work = None
@@ -208,7 +211,7 @@ class EventIntake:
     def _reason_to_wait(self, event: ImpactEvent) -> str:
         """Why an event is too far ahead of the clock; empty where it is not."""
         latest = max(event.stamp, event.epoch)
-        if latest <= self._observer.last_event:  # no need to read the clock
+        if latest <= self.passed:
             return ""
         now = self._now()
         if not now:

@@ -142,7 +142,8 @@ class ObserverNode(Node):
         self.create_service(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._rate, self._on_timer)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        if system.live is not None or self._sensors.topics:
+        self._takes_samples = system.live is not None or bool(self._sensors.topics)
+        if self._takes_samples:
             self.create_timer(_POLL_PERIOD, self._apply_events, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         backwards = JumpThreshold(
@@ -242,6 +243,8 @@ class ObserverNode(Node):
 
     def _take_samples(self) -> bool:
         """Take the samples of inputs and sensors that have arrived; whether more may wait."""
+        if not self._takes_samples:
+            return False
         more = self._inputs.take_waiting()
         return self._sensors.take_waiting() or more
 
@@ -340,9 +343,9 @@ class ObserverNode(Node):
             return
         epoch = self._observer.epoch or start
         newest = int(seconds_between(epoch, now) * self._rate) + 1
-        simulated = self.get_clock().ros_time_is_active
         beginning = math.ceil(seconds_between(epoch, start) * self._rate)
         last = beginning - 1 if self._last_sample is None else self._last_sample
+        simulated = newest - last >= _BACKLOG and self.get_clock().ros_time_is_active
         first = max(last + 1, newest - (_SIMULATED_BACKLOG if simulated else _BACKLOG))
         due = [*range(first, newest + 1)]
         # The first estimate is never skipped: ratios of V refer to it.
@@ -358,7 +361,7 @@ class ObserverNode(Node):
             if stamp < start:
                 self._counts["passed_over"] += 1
             else:
-                self._last_stamp = stamp
+                self._last_stamp = self._intake.passed = stamp
                 self._publish(stamp)
             if simulated and (k - first) % _BACKLOG == _BACKLOG - 1:
                 self._states.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)

@@ -52,7 +52,6 @@ class SlowObserver:
     seconds: float
     batches: list[int] = field(default_factory=list)
     now: int = NS_PER_S
-    last_event: int = 2**62
 
     def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
         """As ``Observer.receiving``."""
@@ -69,7 +68,7 @@ class SlowObserver:
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
     """What takes in its events, by its clock."""
     monkeypatch.setattr(event_intake, "time", observer)
-    return EventIntake(observer, lambda: 0, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
+    return EventIntake(observer, lambda: NS_PER_S, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
 
 
 def event_bytes(number: int) -> bytes:
