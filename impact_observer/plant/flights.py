@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import ImpactLaw, Phases, Search
-from impact_observer.kernel import Arena, Flights
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.kernel import Arena, Flights, Guards
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
@@ -62,22 +62,21 @@ class PlainImpacts:
     """
 
     def __init__(
-        self, phases: Phases, law: ImpactLaw, search: Search, shortest: float, lowest: float
+        self, phases: Phases, law: ImpactLaw, gaps: Guards, shortest: float, lowest: float
     ) -> None:
         """Prepare the flights.
 
         Args:
             phases: of the plant's system.
             law: of its impacts.
-            search: of all gaps while no contact is closed.
+            gaps: all of them while no contact is closed.
             shortest: flight that counts as none, s.
             lowest: height of a flight that counts as none, relative to what gaps are rounded
                 against.
         """
-        system, times = phases.system, (search.window, phases.scales.timescale, shortest)
-        self.arena = Arena(
-            search.guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
-        )
+        system, scales = phases.system, phases.scales
+        times = scales.window, scales.timescale, shortest
+        self.arena = Arena(gaps, system.M, system.W.T, system.q_r, phases.length, times, lowest)
         self._phases, self._law = phases, law
         self._flights: Flights | None = None
         simple = (system.eps > 0) & (system.contact_time == 0)

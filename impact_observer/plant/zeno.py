@@ -97,10 +97,8 @@ class ZenoCutoff:
         # A contact that depends on the others rests with them, even without load.
         if not found:
             return ()
-        rank = len(self._phases.independent(tuple(found)))
-        return tuple(
-            i for i in contacts if i in found or len(self._phases.independent((*found, i))) == rank
-        )
+        independent = self._phases.independent
+        return tuple(i for i in contacts if i in found or not independent((i,), tuple(found)))
 
     def _rubbed(self, u: Vector, slow: tuple[int, ...]) -> Vector:
         """The forces of guides that slip, shape (n,), N."""

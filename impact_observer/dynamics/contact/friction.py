@@ -222,27 +222,30 @@ def _vertex(D: Matrix, y: Vector, low: Vector, high: Vector, zero: float) -> Vec
 
 
 def ended(
-    phases: Phases, found: Grip, before: Phase, contacts: Iterable[int], ends: Iterable[int]
+    phases: Phases,
+    before: Phase,
+    closed: tuple[int, ...],
+    contacts: Iterable[int],
+    ends: Iterable[int],
 ) -> Grip:
-    """``found`` where it would be what it was, though something has ended.
+    """What ``closed`` contacts and guides do where it would be what it was, though it has ended.
 
     A load that reaches its bound too slowly to see its sign may not go beyond it, and a speed that
     vanishes may not turn: ``contacts`` are released, and of the guides' ``Rubbing.ends`` those
     with the indices ``ends`` slip or stick.
     """
     m, most = phases.system.m, phases.system.friction
-    released, loads, held = set(contacts), list(found.loads), list(found.held)
+    released, loads, held = set(contacts), list(before.rubbing.loads), [*before.held, *closed]
     for each in ends:
-        assert before.rubbing is not None, "guides end something"
         j, side = before.rubbing.ends[each]
         if side:
             released.add(m + j)
             loads[j] = side * float(most[j])
         else:
             held.append(m + j)
-    kept = phases.independent(tuple(i for i in held if i not in released))
+    kept = phases.independent(tuple(i for i in dict.fromkeys(held) if i not in released))
     loads = [0.0 if m + j in kept else load for j, load in enumerate(loads)]
-    return Grip(tuple(i for i in found.closed if i not in released), kept, tuple(loads))
+    return Grip(tuple(i for i in closed if i not in released), kept, tuple(loads))
 
 
 def _unsolved(phases: Phases, index: list[int]) -> DynamicsError:

@@ -130,20 +130,6 @@ class PhaseFrame(NamedTuple):
     rest: Vector
 
 
-class Functions(NamedTuple):
-    """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of states and of time.
-
-    Attributes:
-        rows: shape (w, 2n).
-        waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
-        force: of its samples, shape (w, n).
-    """
-
-    rows: Matrix
-    waves: Matrix
-    force: Matrix
-
-
 class Flow(ABC):
     """The flow of one linear phase."""
 
@@ -161,8 +147,14 @@ class Flow(ABC):
         """
 
     @abstractmethod
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of this flow's motions, as the kernel needs them."""
+    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
+        """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of this flow's motions.
+
+        Args:
+            rows: shape (w, 2n).
+            waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
+            force: of its samples, shape (w, n).
+        """
 
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.
@@ -198,17 +190,17 @@ class Flow(ABC):
     def _inertia(self) -> Factor:
         return Factor(self._system.M)
 
-    def _seen(self, functions: Functions, time: float) -> tuple[Matrix, Matrix, Matrix]:
+    def _seen(self, rows: Matrix, time: float) -> tuple[Matrix, Matrix, Matrix]:
         """Rows of ``q``, rows of the free coordinates, and what these are rounded against.
 
         By all that moves, also by what pulls at it within the ``time`` scale, s: a body may rest
         while others move.
 
         Args:
-            functions: what is seen.
+            rows: of states, shape (w, 2n).
             time: inverse of the fastest rate, s.
         """
-        position, velocity = np.split(functions.rows, 2, axis=1)
+        position, velocity = np.split(rows, 2, axis=1)
         q, u = position.T, velocity.T
         if self._frame is not None:
             q, u = self._frame.free.seen(q), self._frame.free.seen(u)

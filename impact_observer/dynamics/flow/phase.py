@@ -97,7 +97,8 @@ class Rubbing(NamedTuple):
     """What the guides do in a phase.
 
     Attributes:
-        loads: those of guides that are not held, constant, and 0 for the others, N.
+        loads: those of guides that are not held, constant, and 0 for the others, N; empty where
+            there are none.
         ends: guide and side of each way in which that ends: the load of a held one reaches its
             upper or its lower bound, 1 or -1; the speed of one that slips vanishes, 0.
     """
@@ -113,7 +114,7 @@ class Phase:
     Attributes:
         held: contacts and guides with ``gamma = 0``, independent of each other, as indices.
         pressed: the contacts among them.
-        rubbing: what guides can do in the phase; None where there are none.
+        rubbing: what guides can do in the phase.
         fixed: contacts whose gaps stay closed though they may slip, as indices.
         equations: of ``p``, without the loads of the held contacts.
         inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
@@ -126,7 +127,7 @@ class Phase:
 
     held: tuple[int, ...]
     pressed: tuple[int, ...]
-    rubbing: "Rubbing | None"
+    rubbing: Rubbing
     fixed: tuple[int, ...]
     equations: Equations
     inverse: Matrix
@@ -206,22 +207,23 @@ class Phases:
         """
         return self._prepared(held, fixed, loads)
 
-    def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of ``contacts`` whose direction does not depend on others before them."""
-        if len(contacts) < 2:
+    def independent(
+        self, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
+    ) -> tuple[int, ...]:
+        """Those of ``contacts`` whose direction depends neither on ``fixed`` nor ones before."""
+        if len(contacts) < 2 and not fixed:
             return contacts
         chosen: list[int] = []
-        basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
-        for i in contacts:
-            if len(chosen) == self.system.n:
+        basis = np.empty((self.system.n, 0))
+        for k, i in enumerate((*fixed, *contacts)):
+            if basis.shape[1] == self.system.n:
                 break
-            direction, found = self.B[:, i], basis[:, : len(chosen)]
-            left = direction - found @ (found.T @ direction)
-            left -= found @ (found.T @ left)
+            left = without(basis, self.B[:, i])
             length = np.linalg.norm(left)
-            if length > RANK * np.linalg.norm(direction):
-                basis[:, len(chosen)] = left / length
-                chosen.append(i)
+            if length > RANK * self.lengths[i]:
+                basis = np.column_stack([basis, left / length])
+                if k >= len(fixed):
+                    chosen.append(i)
         return tuple(chosen)
 
     def white(self, loads: Matrix) -> Matrix:
@@ -315,7 +317,7 @@ class Phases:
     def _prepare(
         self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
     ) -> Phase:
-        if fixed and len(self.independent((*held, *fixed))) == len(held):
+        if fixed and not self.independent(fixed, held):
             return self.phase(held, (), loads)
         p, m = len(held), self.system.m
         free = self.unloaded(fixed, loads)
@@ -324,7 +326,7 @@ class Phases:
         return Phase(
             held=held,
             pressed=tuple(i for i in held if i < m),
-            rubbing=self._rubbing(held, loads) if loads else None,
+            rubbing=self._rubbing(held, loads),
             fixed=fixed,
             equations=free.equations,
             inverse=self._left(orthogonal[:, p:]) if p else self._inverse,

@@ -38,7 +38,6 @@ from impact_observer.dynamics.flow.flow import (
     Complex,
     Equations,
     Flow,
-    Functions,
     PhaseFrame,
 )
 from impact_observer.dynamics.flow.modes import Modes
@@ -96,10 +95,10 @@ class SpectralFlow(Flow):
         """The motion through ``x`` at ``t``."""
         return self._kernel.start(t, x)
 
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of all motions."""
-        position, *rows = self._seen(functions, self._time)
-        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves)
+    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:  # noqa: ARG002
+        """Functions of all motions; there are no samples."""
+        position, *seen = self._seen(rows, self._time)
+        return self._kernel.guards(position, *self.modes.seen(*seen), waves)
 
     def moving(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``."""

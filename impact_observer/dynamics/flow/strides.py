@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, PhaseFrame
+from impact_observer.dynamics.flow.flow import Equations, Flow, PhaseFrame
 from impact_observer.dynamics.flow.modes import Modes, split
 from impact_observer.dynamics.flow.spectral import SpectralFlow
 from impact_observer.kernel import Guards, PhaseMotion, SampledForces
@@ -92,12 +92,12 @@ class SeriesFlow(Flow):
         """The motion through ``x`` at ``t``."""
         return self._kernel.start(t, x)
 
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of all motions."""
+    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
+        """Functions of all motions."""
         time = 1 / self._rate if self._rate > 0 else 0.0
-        position, *rows = self._seen(functions, time)
-        force = self._with_phase(functions.force[:, self._active])
-        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves, force)
+        position, *seen = self._seen(rows, time)
+        force = self._with_phase(force[:, self._active])
+        return self._kernel.guards(position, *self.modes.seen(*seen), waves, force)
 
     def _with_phase(self, forces: Matrix) -> Matrix:
         """Columns of sampled forces, and of the drive's phase, which is no force."""
