@@ -19,9 +19,12 @@ says what ends a phase.
 """
 
 from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
-from impact_observer.dynamics.contact.friction import Grip, ended
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
-from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
+from impact_observer.dynamics.contact.persistent_contact import (
+    Grip,
+    ended,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases

@@ -23,8 +23,7 @@ from collections import deque
 import numpy as np
 
 from impact_observer.dynamics import DEPTH, Phases
-from impact_observer.dynamics.contact.complementarity import nonnegative
-from impact_observer.dynamics.contact.friction import bounded
+from impact_observer.dynamics.contact.complementarity import bounded, nonnegative
 from impact_observer.dynamics.flow.phase import without
 from impact_observer.stamps import Instant
 from impact_observer.states import Matrix, Vector
@@ -73,8 +72,8 @@ class ZenoCutoff:
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
         law = self._phases.unloaded()
-        slow = self._phases.slow_guides(x) if system.guides else ()
-        rubbed = self._rubbed(u, slow) if system.guides else 0.0
+        slow = self._phases.slow_guides(x)
+        rubbed = system.W_T @ self._phases.slip_loads(u, slow)
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
         size = math.sqrt(free.dot(free))
 
@@ -99,13 +98,6 @@ class ZenoCutoff:
             return ()
         independent = self._phases.independent
         return tuple(i for i in contacts if i in found or not independent((i,), tuple(found)))
-
-    def _rubbed(self, u: Vector, slow: tuple[int, ...]) -> Vector:
-        """The forces of guides that slip, shape (n,), N."""
-        system = self._phases.system
-        loads = -system.friction * np.sign(system.W_T.T @ u)
-        loads[list(slow)] = 0.0
-        return np.asarray(system.W_T @ loads)
 
     def _flight(self, speed: float, fall: float, lowest: float) -> float:
         """Next flight, relative to the longest that counts as none.

@@ -27,8 +27,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.contact.friction import Grip, ended
-from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
+from impact_observer.dynamics.contact.persistent_contact import (
+    Grip,
+    ended,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases

@@ -259,11 +259,19 @@ class Phases:
         Relative to all motion, to its springs and to what friction makes of it in the time scale.
         """
         system, q, u = self.system, x[: self.system.n], x[self.system.n :]
+        if not system.guides:
+            return ()
         lengths = self.lengths[system.m :]
         energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
         rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale
         slow = np.abs(system.W_T.T @ u) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
         return tuple(np.flatnonzero(slow).tolist())
+
+    def slip_loads(self, u: Vector, slow: tuple[int, ...]) -> Vector:
+        """Loads of guides that slip with velocities ``u``, shape (k,), N; 0 of ``slow`` ones."""
+        loads = -self.system.friction * np.sign(self.system.W_T.T @ u)
+        loads[list(slow)] = 0.0
+        return np.asarray(loads)
 
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
