@@ -26,10 +26,9 @@ from impact_observer.dynamics.contact.persistent_contact import (
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
-from impact_observer.dynamics.flow.flow import Flow, Motion
+from impact_observer.dynamics.flow.flow import Flow, Motion, flow_of
 from impact_observer.dynamics.flow.phase import Phase, Phases
-from impact_observer.dynamics.flow.scales import Scales, sizes
-from impact_observer.dynamics.flow.strides import flow_of
+from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.dynamics.watched import DEPTH, End, Watch, Watched
 
 __all__ = [
@@ -51,5 +50,4 @@ __all__ = [
     "ended",
     "flow_of",
     "persistent_contacts",
-    "sizes",
 ]

@@ -28,7 +28,7 @@ from impact_observer.dynamics import (
     Piecewise,
     persistent_contacts,
 )
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate

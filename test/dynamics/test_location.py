@@ -38,8 +38,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Phase, Phases, Watched
-from impact_observer.dynamics.flow.strides import SeriesFlow
+from impact_observer.dynamics import Flow, Phase, Phases, Scales, Watched
 from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
@@ -55,7 +54,7 @@ def phase_of(model: System) -> Phase:
 
 def in_one_block(model: System) -> Phase:
     """The same, moving as where no modes can be split."""
-    return replace(phase_of(model), flow=SeriesFlow(model, one_block(model)))
+    return replace(phase_of(model), flow=Flow(model, one_block(model)))
 
 
 def in_strides(model: System) -> Phase:
@@ -80,7 +79,9 @@ def first_crossing(
     phase: Phase, watched: Watched, motion: PhaseMotion, horizon: float, start: float = 0.0
 ) -> Crossing | None:
     """The first crossing of the functions along ``motion`` in [start, horizon]."""
-    hunt = RootSearch(watched.along(phase).guards, motion, phase.scales.window, start)
+    hunt = RootSearch(
+        watched.along(phase).guards, motion, Scales.of(phase.equations).window, start
+    )
     found = hunt.first(horizon)
     return None if found is None or found[0] > horizon else Crossing(*found)
 
@@ -301,7 +302,7 @@ def test_body_at_rest_against_its_stop_costs_little(
     x[0] = -model.q_r[0] / model.W[0, 0] if model.W[0, 0] else 1.0
     x[model.n - 1] += -1.0 if model.n == 3 else float(model.n == 2)
     phase = way(model)
-    window, motion = phase.scales.window, phase.start(0.0, x)
+    window, motion = Phases(model).scales.window, phase.start(0.0, x)
     guards = Watched.gaps(model, [0]).along(phase).guards
     hunt = RootSearch(guards, motion, window)
     assert hunt.first(10.0) is None
@@ -443,7 +444,7 @@ def test_derivatives_and_bounds_hold_in_strides(hold: str | None, data: st.DataO
         model = replace(model, forcing=Forcing.of_samples(samples))
     phase = Phases(model).phase(held)
     if hold is None:
-        phase = replace(phase, flow=SeriesFlow(model, one_block(model)))
+        phase = replace(phase, flow=Flow(model, one_block(model)))
     watched = Watched.gaps(model, range(model.m)).and_also(Watched.loads(phase))
     x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
     assert_known(phase, phase.start(data.draw(numbers(0, 4)), x), watched)

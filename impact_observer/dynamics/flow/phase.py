@@ -39,11 +39,11 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
+from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.flow import Equations, Flow, PhaseFrame
-from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
+from impact_observer.dynamics.flow.flow import Flow, flow_of
+from impact_observer.dynamics.flow.reduced_coordinates import PhaseFrame, ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.dynamics.flow.strides import flow_of
 from impact_observer.kernel import PhaseMotion
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
@@ -58,7 +58,7 @@ _CANCELLED = 1e-14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """Equations of motion in fewer coordinates; see ``flow.Equations``."""
+    """Equations of motion in fewer coordinates; see ``Equations``."""
 
     M: Matrix
     C: Matrix
@@ -122,7 +122,6 @@ class Phase:
         flow: of states (q, u), from such with ``p = q`` on.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
-        scales: of the equations.
     """
 
     held: tuple[int, ...]
@@ -135,7 +134,6 @@ class Phase:
     flow: Flow
     Q: Matrix
     rest: Vector
-    scales: Scales
 
     def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
@@ -161,7 +159,7 @@ class Phase:
             s: seconds; where negative the caller checks that there is forcing so far back.
         """
         if s >= 0:
-            return self.flow.moved(self.flow.start(t, x), s)
+            return self.flow.start(t, x).state(s), self.flow.transition(s)
         # Run forward from x, started s earlier; the difference to x is then carried back.
         now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
         return x + back.dot(x - now), back
@@ -347,7 +345,6 @@ class Phases:
             else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
             rest=free.rest,
-            scales=free.scales,
         )
 
     def _rubbing(self, held: tuple[int, ...], loads: tuple[float, ...]) -> Rubbing:

@@ -364,13 +364,14 @@ class _CommonPhase(Prediction):
     def belief(self, s: float) -> Belief:
         before = self._belief.ensemble
         if before.others:
-            after = before.propagated(*self._phase.flow.moved(self._first, s))
+            after = before.propagated(self._first.state(s), self._phase.transition(s))
         else:
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
     def replicas(self, s: Vector) -> NDArray[np.float64]:
         differences = np.pad(self._belief.ensemble.differences, ((0, 0), (1, 0)))
-        found = self._phase.flow.transitions(s) @ differences
+        maps = np.stack([self._phase.transition(at) for at in s.tolist()], axis=1)
+        found = maps @ differences
         found += self._first.states(s).T[..., None]
         return found
