@@ -155,11 +155,12 @@ class Plant:
         return self._end(limit)
 
     def _plain_switching(self, hit: Hit) -> Switching:
-        instant, contacts = Instant(self.epoch + hit.ns, hit.remainder), (hit.contact,)
+        ns, remainder, contact, energy, before, after = hit
+        instant, contacts = Instant(self.epoch + ns, remainder), (contact,)
         self._is_plain = True
-        self._energetic = max(self._energetic, hit.energy)
+        self._energetic = max(self._energetic, energy)
         changes = self._switches((), contacts, ())
-        return Switching(instant, contacts, (), (), hit.before, hit.after, changes)
+        return Switching(instant, contacts, (), (), before, after, changes)
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""

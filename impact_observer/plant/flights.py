@@ -20,7 +20,7 @@ their speed, and flights so short that impacts might accumulate.
 """
 
 from collections import deque
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,24 +33,9 @@ _NUMBERS = 1 << 20
 """Most numbers of states that are computed ahead."""
 
 
-class Hit(NamedTuple):
-    """One impact of one open contact, which stays open.
-
-    Attributes:
-        ns: its instant since the epoch, ns.
-        remainder: the instant less ``ns``, s.
-        contact: its index.
-        energy: kinetic energy before, J.
-        before: state (q, u-), shape (2n,).
-        after: state (q+, u+), shape (2n,).
-    """
-
-    ns: int
-    remainder: float
-    contact: int
-    energy: float
-    before: Vector
-    after: Vector
+Hit: TypeAlias = tuple[int, float, int, float, Vector, Vector]
+"""An impact of one contact, which stays open: instant since the epoch, ns, and its remainder, s;
+contact; kinetic energy before, J; states (q, u) before and after, shape (2n,) each."""
 
 
 class PlainImpacts:
@@ -102,7 +87,7 @@ class PlainImpacts:
             while self.left is not None and self._learn(self.left[1]):
                 more, self.left = self._flights.advance(limit, self._most)
                 hits += more
-            self._hits.extend(Hit(*each) for each in hits)
+            self._hits.extend(hits)
         return self._hits.popleft() if self._hits else None
 
     def _learn(self, contacts: tuple[int, ...]) -> bool:

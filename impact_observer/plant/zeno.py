@@ -116,10 +116,24 @@ class ZenoCutoff:
         loads, as ``Phases.white`` gives it, shape (n,). Guides that are ``slow`` stick where they
         can.
         """
+        along = self._phases.B[:, contacts]
         if slow:
-            free, directions = self._stuck(free, contacts, slow)
-            return self._fall_along(free, contacts, directions)
-        return self._fall_along(free, contacts, self._phases.B[:, contacts])
+            free, along = self._stuck(free, contacts, slow)
+        if len(contacts) == 1:
+            return np.asarray(np.maximum(-free.dot(along), 0.0))
+        size = math.sqrt(free.dot(free)) or 1.0
+        length = self._length[contacts]
+        directions = along / length
+        fall = np.zeros(len(contacts))
+        loads = nonnegative(directions, -free / size)
+        if loads is None:  # directions are almost equal
+            return fall
+        pushed = size * loads
+        pressed = np.flatnonzero(pushed > 0)  # independent of each other
+        if pressed.size:
+            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
+            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
+        return fall
 
     def _stuck(
         self, free: Vector, contacts: list[int], slow: tuple[int, ...]
@@ -137,23 +151,6 @@ class ZenoCutoff:
         free = free + D[:, count:][:, ~rubs] @ pushed[count:][~rubs]
         basis = np.linalg.qr(D[:, count:][:, rubs])[0]
         return without(basis, free), without(basis, self._phases.B[:, contacts])
-
-    def _fall_along(self, free: Vector, contacts: list[int], along: Matrix) -> Vector:
-        if len(contacts) == 1:
-            return np.asarray(np.maximum(-free.dot(along), 0.0))
-        size = math.sqrt(free.dot(free)) or 1.0
-        length = self._length[contacts]
-        directions = along / length
-        fall = np.zeros(len(contacts))
-        loads = nonnegative(directions, -free / size)
-        if loads is None:  # directions are almost equal
-            return fall
-        pushed = size * loads
-        pressed = np.flatnonzero(pushed > 0)  # independent of each other
-        if pressed.size:
-            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
-            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
-        return fall
 
 
 class AccumulationDetector:

@@ -71,9 +71,23 @@ class Clutches:
             return self.phases.phase().start(t, x)
         return Piecewise(self, t, x, closed, fixed=closed if fix else ())
 
-    def _watch(self, phase: Phase, slipping: tuple[int, ...]) -> Watch:
-        """What ends ``phase``: its loads, the speeds of ``slipping`` contacts, and its guides."""
+    def _watch(
+        self,
+        phase: Phase,
+        slipping: tuple[int, ...],
+        stopped: tuple[int, ...],
+        opened: tuple[int, ...],
+    ) -> Watch:
+        """What ends ``phase``, by the loads of its contacts and by its guides.
+
+        Also the speeds of ``slipping`` contacts, reactions of those ``stopped``, and gaps of those
+        ``opened``.
+        """
         watched = Watched.loads(phase).and_also(Watched.speeds(self.system, slipping))
+        if stopped:
+            R = self.phases.projection.reactions(phase.fixed)
+            watched = watched.and_also(Watched.reactions(self.system, phase, R, len(stopped)))
+        watched = watched.and_also(Watched.gaps(self.system, opened, phase))
         return watched.and_also(Watched.guides(self.system, phase)).along(phase)
 
 
@@ -205,7 +219,11 @@ class Piecewise(Motion):
 
     def _watch(self, part: Part) -> Watch:
         """What ends ``part``."""
-        return self._clutches.watch(part.phase, part.slipping)
+        return self._clutches.watch(part.phase, part.slipping, part.stopped, self._opened(part))
+
+    def _opened(self, _: Part) -> tuple[int, ...]:
+        """Contacts whose gaps may not become negative, and can change."""
+        return ()
 
     def _next(self, part: Part, s: float, which: tuple[int, ...]) -> Part:
         """The phase after ``part``, in which ``which`` of its functions vanish after ``s``."""

@@ -32,7 +32,6 @@ from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase
-from impact_observer.dynamics.watched import Watch, Watched
 from impact_observer.states import Vector
 
 _ORDERS = 6
@@ -50,7 +49,6 @@ class SweepingProcess:
         """Take the clutches of the contacts with ``chi = 1``."""
         self.clutches = clutches
         self.projection = UnilateralProjection(clutches.phases)
-        self.watch = lru_cache(KEPT)(self._watch)
         self.opened = lru_cache(KEPT)(self._open)
 
     def motion(
@@ -113,22 +111,6 @@ class SweepingProcess:
         phases, fixed = self.clutches.phases, (*closed, *stopped)
         return tuple(i for i in kept if i not in stopped and phases.independent((i,), fixed))
 
-    def _watch(
-        self, part: tuple[Phase, tuple[int, ...], tuple[int, ...]], opened: tuple[int, ...]
-    ) -> Watch:
-        """What ends a ``part``: its phase, slipping contacts and stopped ones.
-
-        Watched are loads, speeds of slipping contacts, reactions, and gaps of ``opened``.
-        """
-        phase, slipping, stopped = part
-        system = self.clutches.system
-        watched = Watched.loads(phase).and_also(Watched.speeds(system, slipping))
-        if stopped:
-            R = self.clutches.phases.projection.reactions(phase.fixed)
-            watched = watched.and_also(Watched.reactions(system, phase, R, len(stopped)))
-        watched = watched.and_also(Watched.gaps(system, opened, phase))
-        return watched.and_also(Watched.guides(system, phase)).along(phase)
-
 
 class _SweepingMotion(Piecewise):
     def __init__(
@@ -146,9 +128,8 @@ class _SweepingMotion(Piecewise):
         self._kept = tuple(sorted(others)) if possible else ()
         super().__init__(process.clutches, t, x, closed, fixed=closed)
 
-    def _watch(self, part: Part) -> Watch:
-        opened = self._process.opened(self._closed, part.stopped, self._kept)
-        return self._process.watch((part.phase, part.slipping, part.stopped), opened)
+    def _opened(self, part: Part) -> tuple[int, ...]:
+        return self._process.opened(self._closed, part.stopped, self._kept)
 
     def _at_stop(self, x: Vector) -> tuple[int, ...]:
         """Open contacts with ``g = 0``, as indices."""
