@@ -116,8 +116,8 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     """Call what plants and observers do not call, on objects that they have made."""
     from systems import PRESSED
 
-    from impact_observer.dynamics import Phases, Search, Watched
-    from impact_observer.kernel import triangular
+    from impact_observer.dynamics import Phases, Watched
+    from impact_observer.kernel import RootSearch, triangular
     from impact_observer.model import Forcing
     from impact_observer.model.force_samples import Samples
 
@@ -137,10 +137,10 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
         phase = Phases(model).phase()
         motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
         motion.states(np.linspace(0.0, 1.0, 5))
-        search = Search(phase, Watched.gaps(model, [0, 1]), 1.0)
-        search.first(motion, 2.0)
-        search.guards.known(motion, 0.1, 0.2)
-        search.guards.values(motion, np.linspace(0.0, 1.0, 5))
+        guards = Watched.gaps(model, [0, 1]).along(phase).guards
+        RootSearch(guards, motion, 1.0).first(2.0)
+        guards.known(motion, 0.1, 0.2)
+        guards.values(motion, np.linspace(0.0, 1.0, 5))
     Phases(PRESSED).phase().transition(0.1)
     make, time, jets = calls["SampledForces.__init__"][0].function, *_first_samples(calls)
     forces = make(*calls["SampledForces.__init__"][0].given)

@@ -29,7 +29,7 @@ from scipy import special
 
 from impact_observer.dynamics import Phase
 from impact_observer.dynamics.flow.flow import Motion
-from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.dynamics.watched import Watched
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
@@ -123,8 +123,7 @@ class Flight:
     @cached_property
     def _guards(self) -> Guards:
         gaps = Watched.gaps(self._system, list(self.contacts[: self.gaps]), self._phase)
-        watched = gaps.and_also(Watched.loads(self._phase))
-        return self._phase.flow.guards(watched.functions(self._phase.equations.forcing))
+        return gaps.and_also(Watched.loads(self._phase)).along(self._phase).guards
 
     def instants(self, duration: float) -> Vector:
         """Samples of the next ``duration`` seconds, shape (samples,)."""

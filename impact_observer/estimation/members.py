@@ -29,7 +29,7 @@ from impact_observer.dynamics import (
     ImpactLaw,
     PositionProjection,
 )
-from impact_observer.dynamics.flow.flow import balanced
+from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.saltation import Jet, Measured, Mirror

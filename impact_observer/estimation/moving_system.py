@@ -28,10 +28,9 @@ from impact_observer.dynamics import (
     Piecewise,
     persistent_contacts,
 )
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.dynamics.flow.spectral import SpectralFlow
-from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.dynamics.watched import Watched
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import FreePhase, StateRates
@@ -130,13 +129,12 @@ class MovingSystem:
         that are sampled, of guides.
         """
         system, phase = self.system, self.phase(())
-        known = self.is_plain and system.n <= _SMALL and isinstance(phase.flow, SpectralFlow)
+        known = self.is_plain and system.n <= _SMALL and phase.flow.is_in_closed_form
         if not known or system.m == 0:
             return None
-        watched = Watched.gaps(system, list(range(system.m)))
         times = self.scales.window, self.scales.timescale, _SHORTEST * self.scales.timescale
         arena = Arena(
-            phase.flow.guards(watched.functions(system.forcing)),
+            Watched.gaps(system, range(system.m)).along(phase).guards,
             system.M,
             system.W.T,
             system.q_r,

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics.flow.flow import balanced
+from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.estimation.square_root import triangular
 from impact_observer.states import Matrix, Vector

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.flow.flow import Equations
+from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.events import Contacts
 from impact_observer.model import System

@@ -20,18 +20,18 @@ import numpy as np
 
 from impact_observer.dynamics import (
     KEPT,
-    Crossing,
+    End,
     Grip,
     ImpactLaw,
     Phase,
     Phases,
-    Search,
+    Watch,
     Watched,
     ended,
     persistent_contacts,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
-from impact_observer.kernel import PhaseMotion
+from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.plant.flights import Hit, PlainImpacts
@@ -56,7 +56,8 @@ class Plant:
         impacts: those of one open contact, ahead.
     """
 
-    _crossing: Crossing | None
+    _crossing: tuple[float, tuple[int, ...]] | None
+    _watch: Watch
     _next: Switching | None
     _last: Switching | None
     _moving: PhaseMotion | None
@@ -97,10 +98,10 @@ class Plant:
         self._pending: list[tuple[Instant, int]] = []
         self._inside: tuple[int, ...] = ()
         self._left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None = None
-        self._searcher = lru_cache(KEPT)(self._search_of)
+        self._watch_of = lru_cache(KEPT)(self._watched)
         self._switches = lru_cache(KEPT)(partial(switches, system))
-        gaps = self._searcher(self._phases.phase(), tuple(range(system.m)), ())
-        self.impacts = PlainImpacts(self._phases, self._law, gaps, self._zeno.shortest, LOW)
+        gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)), ())
+        self.impacts = PlainImpacts(self._phases, self._law, gaps.guards, self._zeno.shortest, LOW)
         self._last, self._energetic = None, 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
@@ -146,23 +147,20 @@ class Plant:
             return self._plain_switching(hit)
         if self._crossing is None:
             if self._flies:
-                left = self.impacts.left
-                self._crossing = None if left is None else Crossing(*left)
+                self._crossing = self.impacts.left
             else:
                 self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
         if self._pending:
             return self._jump_or_end(limit)
-        crossing = self._crossing
-        if crossing is None or self._start.after(crossing.s).stamp > limit:
-            return None
-        return self._ended(crossing)
+        return self._end(limit)
 
     def _plain_switching(self, hit: Hit) -> Switching:
-        instant, contacts = Instant(self.epoch + hit.ns, hit.remainder), (hit.contact,)
+        ns, remainder, contact, energy, before, after = hit
+        instant, contacts = Instant(self.epoch + ns, remainder), (contact,)
         self._is_plain = True
-        self._energetic = max(self._energetic, hit.energy)
+        self._energetic = max(self._energetic, energy)
         changes = self._switches((), contacts, ())
-        return Switching(instant, contacts, (), (), hit.before, hit.after, changes)
+        return Switching(instant, contacts, (), (), before, after, changes)
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
@@ -193,16 +191,17 @@ class Plant:
         self._start = instant
         self.closed = grip.closed
         busy = {*grip.closed, *self._inside, *(i for _, i in self._pending)}
-        self._open = tuple(i for i in range(self.system.m) if i not in busy)
+        opened = tuple(i for i in range(self.system.m) if i not in busy)
         self._phase = self._phases.phase(grip.held, (), grip.loads)
+        self._watch = self._watch_of(self._phase, opened, self._inside)
         self._state = x
         self._moving = None
         self._flies = not (busy or self.system.guides)
         if self._flies:
             self.impacts.start(self._time(instant), x)
         else:
-            search = self._searcher(self._phase, self._open, self._inside)
-            self._hunt = search.along(self._motion)
+            guards, window = self._watch.guards, self._phases.scales.window
+            self._hunt = RootSearch(guards, self._motion, window)
         self._crossing = None
         self._next = None
         self._is_plain = False
@@ -217,53 +216,40 @@ class Plant:
     def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
-    def _search_of(
-        self, phase: Phase, open_contacts: tuple[int, ...], inside: tuple[int, ...]
-    ) -> Search:
-        """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads.
+    def _watched(self, phase: Phase, opened: tuple[int, ...], inside: tuple[int, ...]) -> Watch:
+        """What ends a phase: gaps of the contacts ``opened``, loads, guides.
 
-        Between them, of those ``inside`` their stops, their gaps negated, then their speeds.
+        Of contacts ``inside`` their stops also the gaps, which open again, and the speeds.
         """
-        watched = Watched.gaps(self.system, list(open_contacts))
-        if inside:
-            watched = watched.and_also(Watched.gaps(self.system, list(inside)).negated())
-            watched = watched.and_also(Watched.speeds(self.system, list(inside)))
-        watched = watched.and_also(Watched.loads(phase))
-        if phase.rubbing is not None:
-            watched = watched.and_also(Watched.guides(self.system, phase))
-        return Search(phase, watched, self._phases.scales.window)
+        system = self.system
+        watched = Watched.gaps(system, opened).and_also(Watched.within(system, inside))
+        watched = watched.and_also(Watched.speeds(system, inside)).and_also(Watched.loads(phase))
+        return watched.and_also(Watched.guides(system, phase)).along(phase)
 
-    def _ended(self, crossing: Crossing) -> Switching:
-        instant = self._start.after(crossing.s)
-        x = self._motion.state(crossing.s)
-        hit = [self._open[i] for i in crossing.which if i < len(self._open)]
-        self._check_progress(crossing.s, instant)
-        if len(hit) == 1 and self._lasts(hit[0]):
-            return self._onset(instant, x, hit[0])
-        if hit:
+    def _end(self, limit: int) -> Switching | None:
+        """The end of the phase, if it is found and its stamp is not after ``limit`` (ns)."""
+        if self._crossing is None or self._start.after(self._crossing[0]).stamp > limit:
+            return None
+        s, which = self._crossing
+        instant, x, crossed = (
+            self._start.after(s),
+            self._motion.state(s),
+            self._watch.crossed(which),
+        )
+        self._check_progress(s, instant)
+        if hit := crossed[End.GAP]:
+            if len(hit) == 1 and self._lasts(*hit):
+                return self._onset(instant, x, *hit)
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
-        phase, inside = self._phase, len(self._inside)
-        first = len(self._open) + 2 * inside
-        at = [i - len(self._open) for i in crossing.which if i < first]
-        if at:
-            reopened = {self._inside[i] for i in at if i < inside}
-            turned = {self._inside[i - inside] for i in at if i >= inside} - reopened
-            return self._out(instant, x, reopened, turned)
-        switching = self._switched(instant, x, x, (), self.closed)
-        rubbed = phase.rubbing.loads if phase.rubbing is not None else ()
-        if (switching.held, switching.loads) == (phase.held, rubbed):
-            # The load falls too slowly to see its sign, but it may not be negative.
-            which, loads = [i - first for i in crossing.which], len(phase.pressed)
-            unloaded = {phase.pressed[i] for i in which if i < loads}
-            loaded = tuple(i for i in self.closed if i not in unloaded)
-            if phase.rubbing is None:
-                return self._switched(instant, x, x, (), loaded)
-            ends = [i - loads for i in which if i >= loads]
-            grip = ended(
-                self._phases, Grip(self.closed, phase.held, rubbed), phase, unloaded, ends
-            )
-            switching = self._gripped(instant, x, x, (), grip)
-        return switching
+        if out := crossed[End.STOP] | crossed[End.SPEED]:
+            return self._out(instant, x, crossed[End.STOP], out)
+        switching, phase = self._switched(instant, x, x, (), self.closed), self._phase
+        if (switching.held, switching.loads) != (phase.held, phase.rubbing.loads):
+            return switching
+        # The load falls too slowly to see its sign, but it may not be negative.
+        ends = crossed[End.LOAD], crossed[End.GUIDE]
+        grip = ended(self._phases, phase, self.closed, *ends)
+        return self._gripped(instant, x, switching.after, (), grip)
 
     def _lasts(self, contact: int) -> bool:
         """Whether the velocities jump after the onset, as a contact is hit now."""
@@ -274,16 +260,15 @@ class Plant:
         late = float(self.system.contact_time[contact]) / 2
         pending = [*self._pending, (instant.after(late), contact)]
         self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
-        phase = self._phase
-        rubbed = phase.rubbing.loads if phase.rubbing is not None else ()
-        return self._gripped(instant, x, x, (contact,), Grip((), phase.held, rubbed))
+        grip = Grip((), self._phase.held, self._phase.rubbing.loads)
+        return self._gripped(instant, x, x, (contact,), grip)
 
     def _jump_or_end(self, limit: int) -> Switching | None:
         """The jump of the velocities of a contact that was hit, or what comes before."""
         (due, contact), *others = self._pending
-        s, crossing = self._start.until(due.stamp) + due.remainder, self._crossing
-        if crossing is not None and crossing.s < s:
-            return None if self._start.after(crossing.s).stamp > limit else self._ended(crossing)
+        s = self._start.until(due.stamp) + due.remainder
+        if self._crossing is not None and self._crossing[0] < s:
+            return self._end(limit)
         if due.stamp > limit:
             return None
         x, n = self._motion.state(max(s, 0.0)), self.system.n
@@ -295,11 +280,10 @@ class Plant:
         self._left = others, (*self._inside, contact)
         return self._switched(due, x, after, (), self.closed)
 
-    def _out(self, instant: Instant, x: Vector, reopened: set[int], turned: set[int]) -> Switching:
-        """Contacts inside their stops have ``reopened``, or ``turned`` before and come to rest."""
-        inside = tuple(i for i in self._inside if i not in reopened | turned)
-        self._left = self._pending, inside
-        if turned:
+    def _out(self, instant: Instant, x: Vector, reopened: set[int], out: set[int]) -> Switching:
+        """Contacts ``out`` of their stops: those that have not ``reopened`` come to rest."""
+        self._left = self._pending, tuple(i for i in self._inside if i not in out)
+        if turned := out - reopened:
             return self._impact(instant, x, tuple(sorted({*self.closed, *turned})))
         return self._switched(instant, x, x, (), self.closed)
 

@@ -20,12 +20,12 @@ their speed, and flights so short that impacts might accumulate.
 """
 
 from collections import deque
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.dynamics import ImpactLaw, Phases, Search
-from impact_observer.kernel import Arena, Flights
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.kernel import Arena, Flights, Guards
 from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
@@ -33,24 +33,9 @@ _NUMBERS = 1 << 20
 """Most numbers of states that are computed ahead."""
 
 
-class Hit(NamedTuple):
-    """One impact of one open contact, which stays open.
-
-    Attributes:
-        ns: its instant since the epoch, ns.
-        remainder: the instant less ``ns``, s.
-        contact: its index.
-        energy: kinetic energy before, J.
-        before: state (q, u-), shape (2n,).
-        after: state (q+, u+), shape (2n,).
-    """
-
-    ns: int
-    remainder: float
-    contact: int
-    energy: float
-    before: Vector
-    after: Vector
+Hit: TypeAlias = tuple[int, float, int, float, Vector, Vector]
+"""An impact of one contact, which stays open: instant since the epoch, ns, and its remainder, s;
+contact; kinetic energy before, J; states (q, u) before and after, shape (2n,) each."""
 
 
 class PlainImpacts:
@@ -62,22 +47,21 @@ class PlainImpacts:
     """
 
     def __init__(
-        self, phases: Phases, law: ImpactLaw, search: Search, shortest: float, lowest: float
+        self, phases: Phases, law: ImpactLaw, gaps: Guards, shortest: float, lowest: float
     ) -> None:
         """Prepare the flights.
 
         Args:
             phases: of the plant's system.
             law: of its impacts.
-            search: of all gaps while no contact is closed.
+            gaps: all of them while no contact is closed.
             shortest: flight that counts as none, s.
             lowest: height of a flight that counts as none, relative to what gaps are rounded
                 against.
         """
-        system, times = phases.system, (search.window, phases.scales.timescale, shortest)
-        self.arena = Arena(
-            search.guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
-        )
+        system, scales = phases.system, phases.scales
+        times = scales.window, scales.timescale, shortest
+        self.arena = Arena(gaps, system.M, system.W.T, system.q_r, phases.length, times, lowest)
         self._phases, self._law = phases, law
         self._flights: Flights | None = None
         simple = (system.eps > 0) & (system.contact_time == 0)
@@ -103,7 +87,7 @@ class PlainImpacts:
             while self.left is not None and self._learn(self.left[1]):
                 more, self.left = self._flights.advance(limit, self._most)
                 hits += more
-            self._hits.extend(Hit(*each) for each in hits)
+            self._hits.extend(hits)
         return self._hits.popleft() if self._hits else None
 
     def _learn(self, contacts: tuple[int, ...]) -> bool:

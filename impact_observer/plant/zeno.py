@@ -23,8 +23,7 @@ from collections import deque
 import numpy as np
 
 from impact_observer.dynamics import DEPTH, Phases
-from impact_observer.dynamics.contact.complementarity import nonnegative
-from impact_observer.dynamics.contact.friction import bounded
+from impact_observer.dynamics.contact.complementarity import bounded, nonnegative
 from impact_observer.dynamics.flow.phase import without
 from impact_observer.stamps import Instant
 from impact_observer.states import Matrix, Vector
@@ -73,8 +72,8 @@ class ZenoCutoff:
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
         law = self._phases.unloaded()
-        slow = self._phases.slow_guides(x) if system.guides else ()
-        rubbed = self._rubbed(u, slow) if system.guides else 0.0
+        slow = self._phases.slow_guides(x)
+        rubbed = system.W_T @ self._phases.slip_loads(u, slow)
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
         size = math.sqrt(free.dot(free))
 
@@ -97,17 +96,8 @@ class ZenoCutoff:
         # A contact that depends on the others rests with them, even without load.
         if not found:
             return ()
-        rank = len(self._phases.independent(tuple(found)))
-        return tuple(
-            i for i in contacts if i in found or len(self._phases.independent((*found, i))) == rank
-        )
-
-    def _rubbed(self, u: Vector, slow: tuple[int, ...]) -> Vector:
-        """The forces of guides that slip, shape (n,), N."""
-        system = self._phases.system
-        loads = -system.friction * np.sign(system.W_T.T @ u)
-        loads[list(slow)] = 0.0
-        return np.asarray(system.W_T @ loads)
+        independent = self._phases.independent
+        return tuple(i for i in contacts if i in found or not independent((i,), tuple(found)))
 
     def _flight(self, speed: float, fall: float, lowest: float) -> float:
         """Next flight, relative to the longest that counts as none.
@@ -126,10 +116,24 @@ class ZenoCutoff:
         loads, as ``Phases.white`` gives it, shape (n,). Guides that are ``slow`` stick where they
         can.
         """
+        along = self._phases.B[:, contacts]
         if slow:
-            free, directions = self._stuck(free, contacts, slow)
-            return self._fall_along(free, contacts, directions)
-        return self._fall_along(free, contacts, self._phases.B[:, contacts])
+            free, along = self._stuck(free, contacts, slow)
+        if len(contacts) == 1:
+            return np.asarray(np.maximum(-free.dot(along), 0.0))
+        size = math.sqrt(free.dot(free)) or 1.0
+        length = self._length[contacts]
+        directions = along / length
+        fall = np.zeros(len(contacts))
+        loads = nonnegative(directions, -free / size)
+        if loads is None:  # directions are almost equal
+            return fall
+        pushed = size * loads
+        pressed = np.flatnonzero(pushed > 0)  # independent of each other
+        if pressed.size:
+            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
+            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
+        return fall
 
     def _stuck(
         self, free: Vector, contacts: list[int], slow: tuple[int, ...]
@@ -147,23 +151,6 @@ class ZenoCutoff:
         free = free + D[:, count:][:, ~rubs] @ pushed[count:][~rubs]
         basis = np.linalg.qr(D[:, count:][:, rubs])[0]
         return without(basis, free), without(basis, self._phases.B[:, contacts])
-
-    def _fall_along(self, free: Vector, contacts: list[int], along: Matrix) -> Vector:
-        if len(contacts) == 1:
-            return np.asarray(np.maximum(-free.dot(along), 0.0))
-        size = math.sqrt(free.dot(free)) or 1.0
-        length = self._length[contacts]
-        directions = along / length
-        fall = np.zeros(len(contacts))
-        loads = nonnegative(directions, -free / size)
-        if loads is None:  # directions are almost equal
-            return fall
-        pushed = size * loads
-        pressed = np.flatnonzero(pushed > 0)  # independent of each other
-        if pressed.size:
-            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
-            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
-        return fall
 
 
 class AccumulationDetector:

@@ -23,7 +23,7 @@ from scipy import integrate
 from systems import chain, examples, numbers, system, systems
 
 from impact_observer.dynamics import Phase, Phases
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from scipy import linalg
 from systems import chain, examples, sample, systems
 
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.gaussian_state import GaussianState

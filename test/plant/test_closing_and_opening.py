@@ -183,7 +183,7 @@ def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: fl
     assert kinds_in_order(closed) == [Kind.CLOSE]
     plant.cross(closed)
     assert plant.next_switching(EPOCH + 1000 * NS_PER_S) is None
-    assert plant._hunt._search.looks <= 2 + 2 * 1000 / plant._phases.scales.window
+    assert plant._hunt.looks <= 2 + 2 * 1000 / plant._phases.scales.window
 
 
 def test_closed_contacts_take_part_in_an_impact_on_their_body() -> None:

@@ -20,7 +20,6 @@ the root of ``lambda`` on; in between the motion is one linear phase (``phase.py
 geometric law the gaps stay closed in both.
 """
 
-from abc import abstractmethod
 from bisect import bisect
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,14 +27,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.contact.friction import Grip, ended
-from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
+from impact_observer.dynamics.contact.persistent_contact import (
+    Grip,
+    ended,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
-from impact_observer.dynamics.guards.location import Crossing, Hunt, Search
-from impact_observer.dynamics.guards.watched import Watched
-from impact_observer.kernel import PhaseMotion
+from impact_observer.dynamics.watched import End, Watch, Watched
+from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -58,7 +59,7 @@ class Clutches:
         self.phases = Phases(system) if phases is None else phases
         self.window = self.phases.scales.window
         self.instant = _INSTANT * self.phases.scales.timescale
-        self.search = lru_cache(KEPT)(self._search)
+        self.watch = lru_cache(KEPT)(self._watch)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
         """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
@@ -68,15 +69,26 @@ class Clutches:
         """
         if not (closed or self.system.guides):
             return self.phases.phase().start(t, x)
-        return ClutchMotion(self, t, x, closed, fixed=closed if fix else ())
+        return Piecewise(self, t, x, closed, fixed=closed if fix else ())
 
-    def _search(self, phase: Phase, slipping: tuple[int, ...]) -> Search:
-        """The search for the end of ``phase``: loads first, then speeds of ``slipping``."""
-        speeds = Watched.speeds(self.system, list(slipping))
-        watched = Watched.loads(phase).and_also(speeds)
-        if phase.rubbing is not None:
-            watched = watched.and_also(Watched.guides(self.system, phase))
-        return Search(phase, watched, self.window)
+    def _watch(
+        self,
+        phase: Phase,
+        slipping: tuple[int, ...],
+        stopped: tuple[int, ...],
+        opened: tuple[int, ...],
+    ) -> Watch:
+        """What ends ``phase``, by the loads of its contacts and by its guides.
+
+        Also the speeds of ``slipping`` contacts, reactions of those ``stopped``, and gaps of those
+        ``opened``.
+        """
+        watched = Watched.loads(phase).and_also(Watched.speeds(self.system, slipping))
+        if stopped:
+            R = self.phases.projection.reactions(phase.fixed)
+            watched = watched.and_also(Watched.reactions(self.system, phase, R, len(stopped)))
+        watched = watched.and_also(Watched.gaps(self.system, opened, phase))
+        return watched.and_also(Watched.guides(self.system, phase)).along(phase)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,31 +121,29 @@ class Piecewise(Motion):
     After ``_SEARCHED`` windows its phase stays, so that a stamp of another day costs seconds.
     """
 
-    def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
-        """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
+    def __init__(
+        self,
+        clutches: Clutches,
+        t: float,
+        x: Vector,
+        closed: tuple[int, ...],
+        *,
+        fixed: tuple[int, ...],
+    ) -> None:
+        """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on.
+
+        The gaps of ``fixed`` ones stay closed.
+        """
         self.t = t
         self._clutches = clutches
-        self._closed = closed
-        self._searched, self._windows = 0.0, 0
-        self._hunt: Hunt | None = None
+        self._closed, self._fixed = closed, fixed
+        self._search: RootSearch | None = None
         self._short_phases = 0
         self._carried: list[Matrix] = [np.eye(x.size)]  # differences, to the start of each part
         system = clutches.system
         u = x[system.n :]
         slow = system.contact_speed(u) <= clutches.phases.speed_tolerance(u)
-        self._parts = [self._first(x, tuple(i for i in closed if slow[i]))]
-
-    @abstractmethod
-    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
-        """The first phase, ``slow`` contacts having ``gamma = 0``."""
-
-    @abstractmethod
-    def _next(self, part: Part, crossing: Crossing) -> Part:
-        """The phase after ``part`` ended by ``crossing``."""
-
-    @abstractmethod
-    def _search(self, part: Part) -> Search:
-        """The search for the end of ``part``."""
+        self._parts = [self._part(0.0, x, tuple(i for i in closed if slow[i]), ())]
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
@@ -164,13 +174,13 @@ class Piecewise(Motion):
         """``I + (F+ - F-) grad h / (dh/dt)-`` for the slip ``h`` that vanishes between parts."""
         system, n = self._clutches.system, self._clutches.system.n
         found = np.eye(2 * n)
-        if part.phase.rubbing is None or later.phase.rubbing is None:
+        slips = [j for j, side in part.phase.rubbing.ends if not side]
+        if not slips:
             return found
         t, x = self.t + later.start, part.motion.state(later.start - part.start)
         before = part.phase.acceleration(t, x)
         jump = later.phase.acceleration(t, x) - before
         speeds = system.W_T.T @ x[n:]
-        slips = [j for j, side in part.phase.rubbing.ends if not side]
         loads, now = part.phase.rubbing.loads, later.phase.rubbing.loads
         for j in sorted(slips, key=lambda j: abs(float(speeds[j]))):
             rate = float(system.W_T[:, j] @ before)
@@ -180,20 +190,21 @@ class Piecewise(Motion):
         return found
 
     def _extend(self, until: float) -> None:
-        window = self._clutches.window
-        while self._parts[-1].start + self._searched <= until and self._windows < _SEARCHED:
+        clutches = self._clutches
+        while True:
             part, least = self._parts[-1], self._least()
-            if self._hunt is None:
-                self._hunt = self._search(part).along(part.motion, least)
-            self._windows += 1
-            self._searched += window
-            crossing = self._hunt.first(self._searched)
-            if crossing is not None and crossing.s <= self._searched:
-                crossing = crossing._replace(s=max(crossing.s, least))
-                is_short = crossing.s <= max(self._clutches.instant, least)
-                self._short_phases = self._short_phases + 1 if is_short else 0
-                self._parts.append(self._next(part, crossing))
-                self._searched, self._hunt = 0.0, None
+            end = min(until, clutches.window * (_SEARCHED - len(self._parts)))
+            if self._search is None:
+                guards = self._watch(part).guards
+                self._search = RootSearch(guards, part.motion, clutches.window, least)
+            crossing = self._search.first(end - part.start)
+            if crossing is None or part.start + crossing[0] > end:
+                return
+            s = max(crossing[0], least)
+            is_short = s <= max(clutches.instant, least)
+            self._short_phases = self._short_phases + 1 if is_short else 0
+            self._parts.append(self._next(part, s, crossing[1]))
+            self._search = None
 
     def _least(self) -> float:
         """Least length of the present phase, s.
@@ -206,56 +217,41 @@ class Piecewise(Motion):
             return 0.0
         return self._clutches.instant * 2.0 ** min(self._short_phases - _MOST, _PATIENCE)
 
+    def _watch(self, part: Part) -> Watch:
+        """What ends ``part``."""
+        return self._clutches.watch(part.phase, part.slipping, part.stopped, self._opened(part))
 
-class ClutchMotion(Piecewise):
-    """The motion of a replica with clutches and guides."""
+    def _opened(self, _: Part) -> tuple[int, ...]:
+        """Contacts whose gaps may not become negative, and can change."""
+        return ()
 
-    def __init__(
-        self,
-        clutches: Clutches,
-        t: float,
-        x: Vector,
-        closed: tuple[int, ...],
-        *,
-        fixed: tuple[int, ...],
-    ) -> None:
-        self._fixed = fixed
-        super().__init__(clutches, t, x, closed)
-
-    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
-        return self._part(0.0, x, slow)
-
-    def _search(self, part: Part) -> Search:
-        return self._clutches.search(part.phase, part.slipping)
-
-    def _next(self, part: Part, crossing: Crossing) -> Part:
-        start = part.start + crossing.s
-        x = part.motion.state(crossing.s)
-        pressed, slips = part.phase.pressed, len(part.phase.pressed) + len(part.slipping)
-        released = {pressed[i] for i in crossing.which if i < len(pressed)}
-        caught = {
-            part.slipping[i - len(pressed)] for i in crossing.which if len(pressed) <= i < slips
-        }
-        slow = [i for i in self._closed if i not in part.slipping or i in caught]
-        found = self._part(start, x, tuple(slow))
+    def _next(self, part: Part, s: float, which: tuple[int, ...]) -> Part:
+        """The phase after ``part``, in which ``which`` of its functions vanish after ``s``."""
+        start, x, phase = part.start + s, part.motion.state(s), part.phase
+        crossed = self._watch(part).crossed(which)
+        slow = tuple(i for i in self._closed if i not in part.slipping or i in crossed[End.SPEED])
+        stopped = {*part.stopped, *crossed[End.GAP]}
+        found = self._part(start, x, slow, tuple(stopped))
         if found.kind != part.kind:
             return found
         # A load that falls too slowly to see its sign may not become negative either.
-        closed, phases = tuple(i for i in slow if i not in released), self._clutches.phases
-        if part.phase.rubbing is None:
-            return self._begun(start, x, Grip(closed, phases.independent(closed)))
-        grip = Grip(closed, part.phase.held, part.phase.rubbing.loads)
-        ends = [i - slips for i in crossing.which if i >= slips]
-        return self._begun(start, x, ended(phases, grip, part.phase, released, ends))
-
-    def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
-        """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``."""
         phases = self._clutches.phases
-        return self._begun(
-            start, x, persistent_contacts(phases, self._fixed, self.t + start, x, slow)
-        )
+        grip = ended(phases, phase, slow, crossed[End.LOAD], crossed[End.GUIDE])
+        still = tuple(sorted(stopped - crossed[End.REACTION]))
+        return self._begun(start, x, grip, phases.independent(still, self._closed))
 
-    def _begun(self, start: float, x: Vector, persistent: Grip) -> Part:
-        phase = self._clutches.phases.phase(persistent.held, self._fixed, persistent.loads)
-        slipping = tuple(i for i in self._closed if i not in persistent.closed)
-        return Part(start, phase, phase.start(self.t + start, x), slipping)
+    def _part(
+        self, start: float, x: Vector, slow: tuple[int, ...], stopped: tuple[int, ...]
+    ) -> Part:
+        """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``.
+
+        Those ``stopped`` before, or now, have ``g = 0``.
+        """
+        grip = persistent_contacts(self._clutches.phases, self._fixed, self.t + start, x, slow)
+        return self._begun(start, x, grip, stopped)
+
+    def _begun(self, start: float, x: Vector, grip: Grip, stopped: tuple[int, ...]) -> Part:
+        fixed = (*self._fixed, *stopped)
+        phase = self._clutches.phases.phase(grip.held, fixed, grip.loads)
+        slipping = tuple(i for i in self._closed if i not in grip.closed)
+        return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

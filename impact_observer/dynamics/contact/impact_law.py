@@ -60,11 +60,8 @@ class ImpactLaw:
         self._B = factor.solved(system.W)
         self._Minv_W = factor.solved_transposed(self._B)
         # Nearly every event has a single contact: u+ = u- - kick gamma.
-        self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
-        stops = self._Minv_W / np.sum(self._B**2, axis=0)
-        self._stopped: list[Vector] = list(np.ascontiguousarray(stops.T))
-        kicks = stops * (1.0 + self._eps)
-        self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
+        self._stopped = (self._Minv_W / np.sum(self._B**2, axis=0)).T
+        self._kicks = self._stopped * (1.0 + self._eps)[:, None]
         self.is_nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
 
     @cached_property
@@ -82,7 +79,7 @@ class ImpactLaw:
         """
         if len(active) == 1:
             i = active[0]
-            gamma = self._rows[i].dot(u)
+            gamma = self.system.W[:, i].dot(u)
             if i in self._curved and gamma < 0:
                 lost = (1.0 + float(self.system.restitution(i, -gamma))) * gamma
                 return np.asarray(u - self._stopped[i] * lost)
@@ -122,7 +119,7 @@ class ImpactLaw:
         """
         if len(active) == 1 and not closed:
             i = active[0]
-            gamma = np.minimum(U @ self._rows[i], 0.0)
+            gamma = np.minimum(U @ self.system.W[:, i], 0.0)
             if i in self._curved:
                 gamma *= 1.0 + self.system.restitution(i, -gamma)
                 return np.asarray(U - gamma[:, None] * self._stopped[i])
@@ -152,7 +149,7 @@ class ImpactLaw:
 
         At the nominal restitution, where that depends on the speed.
         """
-        return self._kicks[contact]
+        return np.asarray(self._kicks[contact])
 
     def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
         """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.contact.complementarity import nonnegative
+from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
@@ -47,8 +47,6 @@ _INSIDE = 1e-12
 """Gap that counts as closed, relative to the terms of its sum."""
 _PROJECTIONS = 2000
 """Most projections in a step; only steps far too long for the gyroscopic part need so many."""
-_INFEASIBLE = 1e-14
-"""Squared sine of the angle below which the least distance problem has no solution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +157,7 @@ class MoreauScheme:
         jump = np.zeros(len(B))
         for _ in range(_PROJECTIONS):
             start = jump - self._relaxation * (jump + self._R @ jump)
-            multipliers = _least_distance(B, d - B.T @ start)
+            multipliers = complementary(B, B.T @ start - d)
             if multipliers is None:
                 return
             pressed = multipliers > 0
@@ -170,16 +168,3 @@ class MoreauScheme:
             if self._relaxation == 1.0:
                 return
             jump = start + B @ multipliers
-
-
-def _least_distance(B: Matrix, e: Vector) -> Vector | None:
-    """``y >= 0`` with ``B y`` the shortest vector of ``B^T v >= e``; None where there is none."""
-    scale = float(np.max(e))
-    if scale <= 0:
-        return np.zeros(e.size)
-    target = np.append(np.zeros(len(B)), 1.0)
-    y = nonnegative(np.vstack([B, e / scale]), target)
-    if y is None:
-        return None
-    left = 1.0 - float(e @ y) / scale
-    return np.asarray(y * (scale / left)) if left > _INFEASIBLE else None

@@ -12,29 +12,48 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Persistent contact: which contacts at rest on their stops stay closed, and which carry loads.
+"""Persistent contact and dry friction: which contacts stay closed, which guides stick.
 
-``0 <= dgamma/dt _|_ lambda >= 0`` on contacts with ``g = 0, gamma = 0``: by Gauss's principle of
-least constraint, the acceleration is the nearest to the free one, in the metric of ``M``, that
-closes no gap. This is a nonnegative least squares problem. Where both are zero the next
-derivatives decide, and so on: a contact whose load has just fallen to zero opens if the load would
-fall further. A contact on which no derivative decides is closed without load.
+``0 <= dgamma/dt _|_ lambda >= 0`` on contacts with ``g = 0, gamma = 0``. A guide of prescribed
+load has ``-lambda in a d|gamma|``, ``gamma = W_T^T u``: it slips with the constant load
+``-a sign(gamma)``, or sticks with ``gamma = 0`` and ``|lambda| <= a``. By Gauss's principle of
+least constraint, the acceleration is the nearest to the free one, in the metric of ``M``, with
+loads ``lambda >= 0`` of contacts and ``|lambda| <= a`` of guides: a problem of least squares.
+
+Where a load is at its bound and the acceleration zero the next derivatives decide, and so on: a
+contact whose load has just fallen to zero opens if the load would fall further. There a guide is
+like a contact: its load may only go back, its speed only on. A contact on which no derivative
+decides is closed without load, and such a guide sticks.
 """
 
-import math
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics.contact.complementarity import nonnegative
-from impact_observer.dynamics.contact.friction import Grip, grip
-from impact_observer.dynamics.flow.phase import RANK, Phases, orthonormal, without
+from impact_observer.dynamics.contact.complementarity import bounded, nonnegative, vertex
+from impact_observer.dynamics.flow.phase import RANK, Phase, Phases, orthonormal, without
 from impact_observer.errors import DynamicsError
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 _ORDERS = 6
-"""Derivatives that are examined before a contact counts as closed without load."""
+"""Derivatives that are examined before a contact counts as closed, and a guide as sticking."""
 _ZERO = 1e-11
 """Acceleration that counts as none, relative to the largest term of its sum."""
+
+
+class Grip(NamedTuple):
+    """What closed contacts and guides do.
+
+    Attributes:
+        closed: contacts that stay closed, as indices.
+        held: contacts and guides that carry the loads, independent of each other, as indices.
+        loads: those of guides that are not held, N.
+    """
+
+    closed: tuple[int, ...]
+    held: tuple[int, ...]
+    loads: tuple[float, ...] = ()
 
 
 def persistent_contacts(
@@ -48,51 +67,139 @@ def persistent_contacts(
     Raises:
         DynamicsError: the loads cannot be found.
     """
-    if phases.system.guides:
-        return grip(phases, fixed, t, x, contacts)
-    if not contacts:
+    slow, n = phases.slow_guides(x), phases.system.n
+    if not (contacts or phases.system.guides):
         return Grip((), ())
-    unloaded, n = phases.unloaded(fixed), phases.system.n
-    motion = [x[:n], x[n:]]
-    pressing: list[int] = []
-    undecided = list(contacts)
-    for _ in range(_ORDERS):
-        free, size = phases.free(unloaded, t, motion)
-        directions = phases.B[:, undecided]
-        if pressing:
-            basis = orthonormal(phases.B[:, pressing])
-            directions, free = without(basis, directions), without(basis, free)
-        directions = directions / phases.length[undecided]
-        pushed, acceleration = _least(phases, undecided, directions, free)
-        separating = acceleration.dot(directions)
-        motion.append(phases.unwhite(acceleration))
-        decided = zip(undecided, pushed.tolist(), separating.tolist(), strict=True)
-        undecided = []
-        for i, load, away in decided:
-            if load > _ZERO * size:
-                pressing.append(i)
-            elif away <= _ZERO * size:
-                undecided.append(i)
-        if not undecided:
-            break
-    closed = tuple(sorted([*pressing, *undecided]))
-    return Grip(closed, phases.independent((*pressing, *undecided)))
+    found = _Found([], [], [(i, 1.0) for i in contacts], phases.slip_loads(x[n:], slow))
+    if contacts or slow:
+        unloaded = phases.unloaded(fixed, tuple(found.loads.tolist()))
+        motion = [x[:n], x[n:]]
+        for _ in range(_ORDERS):
+            free, size = phases.free(unloaded, t, motion)
+            if slow and len(motion) == 2:
+                acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
+            else:
+                acceleration = found.decide(phases, free, _ZERO * size)
+            motion.append(phases.unwhite(acceleration))
+            if not found.undecided:
+                break
+    return found.grip(phases)
 
 
-def _least(
-    phases: Phases, contacts: list[int], directions: Matrix, free: Vector
-) -> tuple[Vector, Vector]:
-    """Loads on unit ``directions``, and the acceleration with them, both of length as energy."""
-    independent = np.linalg.norm(directions, axis=0) > RANK
-    pushed = np.zeros(len(contacts))
-    size = math.sqrt(free.dot(free))
-    if size > 0 and independent.any():
-        loads = nonnegative(directions[:, independent], -free / size)
-        if loads is None:
-            names = ", ".join(repr(phases.system.contact_names[i]) for i in contacts)
-            raise DynamicsError(
-                f"contacts {names}: the loads that hold them cannot be found;"
-                " are their directions almost the same?"
-            )
-        pushed[independent] = size * loads
-    return pushed, free + directions @ pushed
+class _Found(NamedTuple):
+    """What has been decided: contacts that press, guides that stick, and loads of guides.
+
+    Those that are undecided are each with the sign of the direction in which they would open, or
+    slip.
+    """
+
+    pressing: list[int]
+    sticking: list[int]
+    undecided: list[tuple[int, float]]
+    loads: Vector
+
+    def decide_guides(
+        self, phases: Phases, slow: tuple[int, ...], free: Vector, zero: float
+    ) -> Vector:
+        """Decide by the accelerations, with ``slow`` guides.
+
+        Returns that with all loads, as ``Phases.white``.
+        """
+        m, most = phases.system.m, phases.system.friction
+        contacts = [i for i, _ in self.undecided]
+        index = [*contacts, *(m + j for j in slow)]
+        length = phases.lengths[index]
+        D = phases.B[:, index] / length
+        high = np.array([np.inf] * len(contacts) + [most[j] for j in slow]) * length
+        low = np.where(np.isfinite(high), -high, 0.0)
+        pushed = vertex(D, bounded(D, -free, low, high), low, high, zero)
+        acceleration = free + D @ pushed
+        away = (D.T @ acceleration).tolist()
+        self.undecided.clear()
+        for i, push, rate in zip(contacts, pushed.tolist(), away, strict=False):
+            if push > zero:
+                self.pressing.append(i)
+            elif max(push, rate) <= zero:
+                self.undecided.append((i, 1.0))
+        last = len(contacts)
+        for j, push, rate, bound, unit in zip(
+            slow, pushed[last:], away[last:], high[last:], length[last:], strict=True
+        ):
+            side = float(np.sign(push)) if bound - abs(push) <= zero else 0.0
+            self.loads[j] = side * most[j] if side else push / unit
+            if not side:
+                self.sticking.append(m + j)
+            elif -side * rate <= zero:
+                self.undecided.append((m + j, -side))
+        return acceleration
+
+    def decide(self, phases: Phases, free: Vector, zero: float) -> Vector:
+        """The same by accelerations, or a derivative of them, of those that are undecided."""
+        m, waiting = phases.system.m, list(self.undecided)
+        basis = orthonormal(phases.B[:, [*self.pressing, *self.sticking]])
+        index = [i for i, _ in waiting]
+        length = phases.lengths[index]
+        D = without(basis, phases.B[:, index] * [sign for _, sign in waiting]) / length
+        rest = without(basis, free)
+        pushed = np.zeros(len(index))
+        independent, size = np.linalg.norm(D, axis=0) > RANK, float(np.linalg.norm(rest))
+        if size > 0 and independent.any():
+            found = nonnegative(D[:, independent], -rest / size)
+            if found is None:
+                raise _unsolved(phases, index)
+            pushed[independent] = size * found
+        acceleration = rest + D @ pushed
+        away = D.T @ acceleration
+        self.undecided.clear()
+        for (i, sign), push, rate in zip(waiting, pushed.tolist(), away.tolist(), strict=True):
+            if push > zero:
+                (self.pressing if i < m else self.sticking).append(i)
+            elif rate <= zero:
+                self.undecided.append((i, sign))
+        return np.asarray(acceleration)
+
+    def grip(self, phases: Phases) -> Grip:
+        """What is left undecided stays closed, or sticks."""
+        m = phases.system.m
+        idle = [i for i, _ in self.undecided]
+        closed = tuple(sorted([*self.pressing, *(i for i in idle if i < m)]))
+        held = phases.independent((*self.pressing, *self.sticking, *idle))
+        loads = [0.0 if m + j in held else load for j, load in enumerate(self.loads.tolist())]
+        return Grip(closed, held, tuple(loads))
+
+
+def ended(
+    phases: Phases,
+    before: Phase,
+    closed: tuple[int, ...],
+    contacts: Iterable[int],
+    ends: Iterable[int],
+) -> Grip:
+    """What ``closed`` contacts and guides do where it would be what it was, though it has ended.
+
+    A load that reaches its bound too slowly to see its sign may not go beyond it, and a speed that
+    vanishes may not turn: ``contacts`` are released, and of the guides' ``Rubbing.ends`` those
+    with the indices ``ends`` slip or stick.
+    """
+    m, most = phases.system.m, phases.system.friction
+    released, loads, held = set(contacts), list(before.rubbing.loads), [*before.held, *closed]
+    for each in ends:
+        j, side = before.rubbing.ends[each]
+        if side:
+            released.add(m + j)
+            loads[j] = side * float(most[j])
+        else:
+            held.append(m + j)
+    kept = phases.independent(tuple(i for i in dict.fromkeys(held) if i not in released))
+    loads = [0.0 if m + j in kept else load for j, load in enumerate(loads)]
+    return Grip(tuple(i for i in closed if i not in released), kept, tuple(loads))
+
+
+def _unsolved(phases: Phases, index: list[int]) -> DynamicsError:
+    system = phases.system
+    names = [*system.contact_names, *(each.name for each in system.guides)]
+    kinds = "contacts and guides" if system.guides else "contacts"
+    return DynamicsError(
+        f"{kinds} {', '.join(repr(names[i]) for i in index)}: the loads that hold them"
+        " cannot be found; are their directions almost the same?"
+    )

@@ -21,7 +21,6 @@ extension to rigid-body modes.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -44,24 +43,6 @@ _WAY = 30.0
 """Ratio of the cost of the softest elastic motion to that of a rigid one, in root energy."""
 
 
-class _PositionJump(NamedTuple):
-    """The position jump on a set of contacts.
-
-    Attributes:
-        W: their directions, a row each, shape (|A|, n).
-        q_r: their gaps in the rest position, shape (|A|,), m.
-        Z: shape (n, |A|).
-        stretch: ``R W``, where ``R^T R = Z^T K Z``, shape (at most |A|, n).
-        stretched: ``R q_r``, in roots of J.
-    """
-
-    W: Matrix
-    q_r: Vector
-    Z: Matrix
-    stretch: Matrix
-    stretched: Vector
-
-
 class PositionProjection:
     """The position jumps of one system, with one matrix ``Z`` for each set of contacts."""
 
@@ -72,7 +53,6 @@ class PositionProjection:
         """
         self._system = system
         self._directions = system.directions
-        self._q_r = np.append(system.q_r, np.zeros(len(system.guides)))  # guides have no gap
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]
@@ -84,19 +64,20 @@ class PositionProjection:
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
-        return self._jumps(active).Z
+        return self._jumps(active)[0]
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (..., n): the closest positions with ``g = 0`` on the active contacts."""
-        W, q_r, Z, _, _ = self._jumps(active)
-        return np.asarray(q - (q.dot(W.T) + q_r).dot(Z.T))
+        return np.asarray(q - self._gaps(q, active) @ self.jump(active).T)
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
-        jump = self._jumps(active)
-        stretch = jump.stretch.dot(q)
-        stretch += jump.stretched
+        stretch = self._jumps(active)[1] @ self._gaps(q, active)
         return float(stretch.dot(stretch)) / 2
+
+    def _gaps(self, q: Vector, active: tuple[int, ...]) -> Vector:
+        A = list(active)
+        return np.asarray(q @ self._system.W[:, A] + self._system.q_r[A])
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
@@ -104,12 +85,10 @@ class PositionProjection:
         W = self._system.W
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
-    def _solve(self, active: tuple[int, ...]) -> _PositionJump:
-        A = list(active)
+    def _solve(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix]:
+        """``Z``, and the amplitudes of elastic modes that it has, in roots of J/m^2."""
         elastic, rigid, _, _ = self._split(active)
-        Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
-        W, q_r, R = self._directions[:, A].T, self._q_r[A], np.linalg.qr(elastic, mode="r")
-        return _PositionJump(frozen(W), q_r, Z, frozen(R @ W), R @ q_r)
+        return frozen(self._elastic @ elastic + self._rigid @ rigid), frozen(elastic)
 
     def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
         """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).

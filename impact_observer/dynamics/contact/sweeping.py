@@ -27,14 +27,11 @@ from functools import lru_cache
 import numpy as np
 
 from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
-from impact_observer.dynamics.contact.friction import Grip, ended
 from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase
-from impact_observer.dynamics.guards.location import Crossing, Search
-from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.states import Vector
 
 _ORDERS = 6
@@ -52,7 +49,6 @@ class SweepingProcess:
         """Take the clutches of the contacts with ``chi = 1``."""
         self.clutches = clutches
         self.projection = UnilateralProjection(clutches.phases)
-        self.search = lru_cache(KEPT)(self._search)
         self.opened = lru_cache(KEPT)(self._open)
 
     def motion(
@@ -84,8 +80,7 @@ class SweepingProcess:
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
         f = system.forcing.derivatives(at, _ORDERS - 1)[:, 0]
-        if phase.rubbing is not None:
-            f[0] += system.W_T @ np.array(phase.rubbing.loads)
+        f[0] += system.W_T @ np.array(phase.rubbing.loads)
         q, u = x[:n], x[n:]
         size = float(np.sqrt(u @ system.M @ u))
         pressed: tuple[int, ...] = ()
@@ -109,40 +104,12 @@ class SweepingProcess:
             u = phase.inverse @ terms.sum(axis=1)
         return tuple(sorted(pressed))
 
-    def independent(self, fixed: tuple[int, ...], some: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of ``some`` that depend neither on ``fixed`` nor on ones before them."""
-        rank = len(self.clutches.phases.independent(fixed))
-        found: tuple[int, ...] = ()
-        for i in some:
-            if len(self.clutches.phases.independent((*fixed, *found, i))) > rank + len(found):
-                found = (*found, i)
-        return found
-
     def _open(
         self, closed: tuple[int, ...], stopped: tuple[int, ...], kept: tuple[int, ...]
     ) -> tuple[int, ...]:
         """Those of the contacts ``kept`` whose gaps can change while others are fixed."""
-        fixed = (*closed, *stopped)
-        return tuple(i for i in kept if i not in stopped and self.independent(fixed, (i,)))
-
-    def _search(
-        self, part: tuple[Phase, tuple[int, ...], tuple[int, ...]], opened: tuple[int, ...]
-    ) -> Search:
-        """The search for the end of a ``part``: its phase, slipping contacts and stopped ones.
-
-        Watched are loads, speeds of slipping contacts, reactions, and gaps of ``opened``.
-        """
-        phase, slipping, stopped = part
-        system, clutches = self.clutches.system, self.clutches
-        watched = Watched.loads(phase).and_also(Watched.speeds(system, list(slipping)))
-        if stopped:
-            R = clutches.phases.projection.reactions(phase.fixed)
-            pushing = -R @ system.W[:, list(phase.fixed)].T
-            watched = watched.and_also(Watched.of_velocity(pushing[-len(stopped) :]))
-        watched = watched.and_also(Watched.gaps(system, list(opened), phase))
-        if phase.rubbing is not None:
-            watched = watched.and_also(Watched.guides(system, phase))
-        return Search(phase, watched, clutches.window)
+        phases, fixed = self.clutches.phases, (*closed, *stopped)
+        return tuple(i for i in kept if i not in stopped and phases.independent((i,), fixed))
 
 
 class _SweepingMotion(Piecewise):
@@ -159,15 +126,9 @@ class _SweepingMotion(Piecewise):
         possible = process.projection.is_possible(closed)
         others = {*range(system.m)} - {*closed, *without}
         self._kept = tuple(sorted(others)) if possible else ()
-        super().__init__(process.clutches, t, x, closed)
+        super().__init__(process.clutches, t, x, closed, fixed=closed)
 
-    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
-        return self._part(0.0, x, slow, self._at_stop(x))
-
-    def _search(self, part: Part) -> Search:
-        return self._process.search((part.phase, part.slipping, part.stopped), self._open(part))
-
-    def _open(self, part: Part) -> tuple[int, ...]:
+    def _opened(self, part: Part) -> tuple[int, ...]:
         return self._process.opened(self._closed, part.stopped, self._kept)
 
     def _at_stop(self, x: Vector) -> tuple[int, ...]:
@@ -180,52 +141,15 @@ class _SweepingMotion(Piecewise):
         )
         return tuple(i for i in self._kept if gap[i] <= most[i])
 
-    def _next(self, part: Part, crossing: Crossing) -> Part:
-        start = part.start + crossing.s
-        x = part.motion.state(crossing.s)
-        watched = [
-            *((0, i) for i in part.phase.pressed),
-            *((1, i) for i in part.slipping),
-            *((2, i) for i in part.stopped),
-            *((3, i) for i in self._open(part)),
-            *((4, i) for i in range(len(part.phase.rubbing.ends if part.phase.rubbing else ()))),
-        ]
-        crossed: list[set[int]] = [set(), set(), set(), set(), set()]
-        for which in crossing.which:
-            kind, i = watched[which]
-            crossed[kind].add(i)
-        released, caught, let_go, struck, ends = crossed
-        slow = tuple(i for i in self._closed if i not in part.slipping or i in caught)
-        at_stop = tuple(sorted({*self._at_stop(x), *part.stopped, *struck}))
-        found = self._part(start, x, slow, at_stop)
-        if found.kind != part.kind:
-            return found
-        # A load that falls too slowly to see its sign may not become negative either.
-        closed = tuple(i for i in slow if i not in released)
-        phases = self._clutches.phases
-        persistent = Grip(closed, phases.independent(closed))
-        if part.phase.rubbing is not None:
-            grip = Grip(closed, part.phase.held, part.phase.rubbing.loads)
-            persistent = ended(phases, grip, part.phase, released, ends)
-        stopped = tuple(sorted({*part.stopped, *struck} - let_go))
-        return self._begun(start, x, persistent, self._process.independent(self._closed, stopped))
-
     def _part(
-        self, start: float, x: Vector, slow: tuple[int, ...], at_stop: tuple[int, ...]
+        self, start: float, x: Vector, slow: tuple[int, ...], stopped: tuple[int, ...]
     ) -> Part:
-        """The phase from ``start`` on: ``slow`` with ``gamma = 0``, ``at_stop`` with ``g = 0``."""
+        """The phase from ``start`` on: the next derivatives decide which gaps are stopped."""
         phases, t, closed = self._clutches.phases, self.t + start, self._closed
-        persistent = persistent_contacts(phases, closed, t, x, slow)
-        stopped: tuple[int, ...] = ()
-        if at_stop:
-            phase = phases.phase(persistent.held, closed, persistent.loads)
+        grip = persistent_contacts(phases, closed, t, x, slow)
+        if at_stop := tuple(sorted({*self._at_stop(x), *stopped})):
+            phase = phases.phase(grip.held, closed, grip.loads)
             stopped = self._process.stopped(t, x, phase, closed=closed, at_stop=at_stop)
         if stopped:
-            persistent = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
-        return self._begun(start, x, persistent, stopped)
-
-    def _begun(self, start: float, x: Vector, persistent: Grip, stopped: tuple[int, ...]) -> Part:
-        fixed = (*self._closed, *stopped)
-        phase = self._clutches.phases.phase(persistent.held, fixed, persistent.loads)
-        slipping = tuple(i for i in self._closed if i not in persistent.closed)
-        return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)
+            grip = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
+        return self._begun(start, x, grip, stopped)

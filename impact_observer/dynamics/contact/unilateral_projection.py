@@ -139,13 +139,10 @@ class UnilateralProjection:
         """
         D = self._directions
         basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
-        contacts = [i for i in others if self._is_independent(active, i)]
+        contacts = [i for i in others if self._phases.independent((i,), active)]
         directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
         directions -= basis @ (basis.T @ directions)
         return tuple(contacts), frozen(directions)
-
-    def _is_independent(self, active: tuple[int, ...], i: int) -> bool:
-        return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))
 
     def _checked(
         self,
@@ -170,7 +167,7 @@ class UnilateralProjection:
             low = [
                 i
                 for i in free
-                if i not in pressed and self._is_independent((*active, *pressed), i)
+                if i not in pressed and self._phases.independent((i,), (*active, *pressed))
             ]
             pulled, missed = reactions + noise, (left + rounding)[low]
             if np.any(pulled < 0):

@@ -61,28 +61,26 @@ class Factor:
         """``L^T x`` as a function of ``x``."""
         return product_with(self._lower.T)
 
-    # LAPACK's routines themselves: on the path of every impact, where checks cost more.
-
     def solution(self, B: Matrix) -> Matrix:
         """``M^-1 B``, of shape (n,) or (n, columns) like ``B``."""
         return self.solved_transposed(self.solved(B))
 
     def solved(self, B: Matrix) -> Matrix:
         """``L^-1 B``, of shape (n,) or (n, columns) like ``B``."""
-        if not B.size:
-            return B
-        if self._band is not None:
-            return np.reshape(linalg.lapack.dtbtrs(self._band, B, uplo="L")[0], B.shape)
-        return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1)[0])
+        return self._solved(B, trans=0)
 
     def solved_transposed(self, B: Matrix) -> Matrix:
         """``L^-T B``, of the same shape."""
+        return self._solved(B, trans=1)
+
+    def _solved(self, B: Matrix, trans: int) -> Matrix:
+        # LAPACK's routines themselves: on the path of every impact, where checks cost more.
         if not B.size:
             return B
-        if self._band is not None:
-            found = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="T")[0]
-            return np.reshape(found, B.shape)
-        return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1, trans=1)[0])
+        if self._band is None:
+            return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1, trans=trans)[0])
+        found = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="NT"[trans])[0]
+        return np.reshape(found, B.shape)
 
 
 def _band_of(A: Matrix) -> Matrix | None:
@@ -90,12 +88,9 @@ def _band_of(A: Matrix) -> Matrix | None:
 
     None where ``A`` is small, or more than ``_FEW`` diagonals are not zero.
     """
-    n = len(A)
-    if n < MANY:
-        return None
     # A copy, as scipy 1.11 refuses read-only arrays.
-    below = int(linalg.bandwidth(A.copy())[0])
-    if below > _FEW:
+    n, below = len(A), int(linalg.bandwidth(A.copy())[0])
+    if n < MANY or below > _FEW:
         return None
     band = np.zeros((below + 1, n), order="F")
     for k, row in enumerate(band):

@@ -14,77 +14,29 @@
 
 """Exact flow of a linear phase ``M du/dt = -C u - K q + f(t)``, ``dq/dt = u``.
 
-Two ways lead to it, both in the kernel. ``SpectralFlow`` splits the motion into ``n`` pairs of
-modes, each in closed form. ``SeriesFlow`` goes on in strides, by Taylor polynomials: where that
+Two ways lead to it, both in the kernel. ``spectral.py`` splits the motion into ``n`` pairs of
+modes, each in closed form. ``strides.py`` goes on in strides, by Taylor polynomials: where that
 splitting is ill-conditioned (eigenvectors of a non-proportionally damped system that almost
 coincide), and under a sampled forcing.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.few import Factor
-from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
-from impact_observer.kernel import Guards, PhaseMotion
-from impact_observer.model import Forcing
+from impact_observer.dynamics.flow.modes import Modes, split
+from impact_observer.dynamics.flow.reduced_coordinates import PhaseFrame
+from impact_observer.dynamics.flow.spectral import closed_form
+from impact_observer.dynamics.flow.strides import forces_of
+from impact_observer.kernel import Guards, ModalFlow, PhaseMotion, SeriesFlow
+from impact_observer.model.angles import Angles
 from impact_observer.states import Matrix, Vector
-
-Complex = NDArray[np.complex128]
-
-
-class Equations(Protocol):
-    """What a flow is made from: a ``System``, or one reduced to fewer coordinates.
-
-    ``M`` symmetric positive definite, ``K`` symmetric positive semidefinite, the symmetric part
-    of ``C`` positive semidefinite, shape (n, n) each; SI units.
-    """
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates, at least one."""
-
-    @property
-    def M(self) -> Matrix:  # noqa: N802
-        """Mass matrix."""
-
-    @property
-    def C(self) -> Matrix:  # noqa: N802
-        """Damping matrix."""
-
-    @property
-    def K(self) -> Matrix:  # noqa: N802
-        """Stiffness matrix."""
-
-    @property
-    def forcing(self) -> Forcing:
-        """``f(t)``, on all coordinates of the frame."""
-
-
-def state_matrix(system: Equations) -> Matrix:
-    """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
-    n = system.n
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.eye(n)
-    A[n:, :n] = -linalg.solve(system.M, system.K, assume_a="pos")
-    A[n:, n:] = -linalg.solve(system.M, system.C, assume_a="pos")
-    return A
-
-
-def balanced(A: Matrix) -> tuple[Matrix, Vector]:
-    """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
-
-    Then its entries are rates, and its norm is about the fastest: a matrix exponential needs no
-    more squarings than the motion has oscillations. Shapes (2n, 2n) and (2n,).
-    """
-    n = len(A) // 2
-    rate = max(np.sqrt(np.linalg.norm(A[n:, :n], 1)), np.linalg.norm(A[n:, n:], 1)) or 1.0
-    unit = np.concatenate([np.full(n, rate), np.ones(n)])
-    return np.asarray(unit[:, None] * A / unit), unit
 
 
 class Motion(Protocol):
@@ -112,46 +64,51 @@ class Motion(Protocol):
         return np.asarray(self.states(np.array([s]))[0])
 
 
-class PhaseFrame(NamedTuple):
-    """Where the coordinates of a phase lie in which contacts are held or fixed.
+class Flow:
+    """The flow of one linear phase.
 
     Attributes:
-        free: those that are free.
-        inverse: free coordinates of the nearest motion, shape (r, n).
-        held: the part of ``p`` that does not move, shape (n, n), or empty where all moves.
-        Q: ``dq/dt = Q u``, shape (n, n), or empty where ``p`` is ``q``.
-        rest: ``q = Q p + rest``, shape (n,), m, or empty.
+        modes: in which it is computed.
     """
 
-    free: ReducedCoordinates
-    inverse: Matrix
-    held: Matrix
-    Q: Matrix
-    rest: Vector
+    def __init__(
+        self,
+        system: Equations,
+        modes: Modes,
+        frame: PhaseFrame | None = None,
+        *,
+        strides: bool = False,
+    ) -> None:
+        """Prepare what is the same for all motions.
 
+        Args:
+            system: what moves.
+            modes: its splitting.
+            frame: in which its coordinates lie; None where they are all that there are.
+            strides: whether also motions with a closed form go on in strides.
+        """
+        self._system, self._frame, self.modes = system, frame, modes
+        forcing = system.forcing
+        self._rate = max(modes.fastest, *forcing.fastest, 0.0)
+        harmonics = forcing.frequency, Angles(forcing.frequency).turns
+        given = modes.coordinates(frame), harmonics
+        load = self._load(np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T)
+        self._forces = forces_of(forcing)
+        self._modal = closed_form(modes, *given, load, self._rate) if modes.are_pairs else None
+        self._kernel: ModalFlow | SeriesFlow
+        if self._modal is not None and not strides and forcing.sampled is None:
+            self._kernel = self._modal
+            return
+        J = modes.J.reshape(len(load), modes.J.shape[-1])
+        push = self._load(self._forces.columns(np.eye(len(forcing.constant))))
+        sampled = self._forces.samples, self._rate, self._forces.orders
+        self._kernel = SeriesFlow(given[0], J, given[1], load, push, *sampled)
 
-class Functions(NamedTuple):
-    """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of states and of time.
+    @property
+    def is_in_closed_form(self) -> bool:
+        """Whether motions are, and do not go on in strides."""
+        return self._kernel is self._modal
 
-    Attributes:
-        rows: shape (w, 2n).
-        waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
-        force: of its samples, shape (w, n).
-    """
-
-    rows: Matrix
-    waves: Matrix
-    force: Matrix
-
-
-class Flow(ABC):
-    """The flow of one linear phase."""
-
-    def __init__(self, system: Equations, frame: PhaseFrame | None) -> None:
-        """Take what moves, and the frame in which its coordinates lie; None where all move."""
-        self._system, self._frame = system, frame
-
-    @abstractmethod
     def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch.
 
@@ -159,10 +116,31 @@ class Flow(ABC):
             DynamicsError: there is no sample of the forcing at ``t``; so also where states are
                 asked for beyond the samples.
         """
+        return self._kernel.start(t, x)
 
-    @abstractmethod
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of this flow's motions, as the kernel needs them."""
+    def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
+        """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of this flow's motions.
+
+        They are rounded against all that moves, also against what pulls at it within the inverse
+        of the fastest rate: a body may rest while others move.
+
+        Args:
+            rows: shape (w, 2n).
+            waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
+            force: of its samples, shape (w, n).
+        """
+        position, velocity = np.split(rows, 2, axis=1)
+        q, u, time = position.T, velocity.T, 1 / self._rate if self._rate > 0 else 0.0
+        if self._frame is not None:
+            q, u = self._frame.free.seen(q), self._frame.free.seen(u)
+        pulls = np.hstack([self._system.K, self._system.C])
+        pulled = time**2 / 2 * np.abs(self._accelerated(q).T @ pulls)
+        pulled += time * np.abs(self._accelerated(u).T @ pulls)
+        rows = np.hstack([q.T, u.T])
+        given = position, *self.modes.seen(rows, np.abs(rows) + pulled), waves
+        if isinstance(self._kernel, SeriesFlow):
+            return self._kernel.guards(*given, self._forces.columns(force))
+        return self._kernel.guards(*given)
 
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.
@@ -170,25 +148,39 @@ class Flow(ABC):
         Returns:
             ``e^{As}``, shape (2n, 2n).
         """
-        found = self.moving(s)
-        if self._frame is not None and self._frame.held.size:
-            n, held = len(found) // 2, self._frame.held
-            found[:, :n] -= found[:, :n] @ held
-            found[:n, :n] += held
-        if self._frame is not None and self._frame.Q.size:
-            Q = self._frame.Q
-            found[: len(Q)] = Q @ found[: len(Q)]
+        found, frame = self._moving(s), self._frame
+        if frame is not None and frame.held.size:
+            n = len(frame.held)
+            found[:, :n] -= found[:, :n] @ frame.held
+            found[:n, :n] += frame.held
+        if frame is not None and frame.Q.size:
+            found[: len(frame.Q)] = frame.Q @ found[: len(frame.Q)]
         return found
 
-    @abstractmethod
-    def moving(self, s: float) -> Matrix:
-        """``transition`` without what is at rest."""
+    def _moving(self, s: float) -> Matrix:
+        """``transition`` without what is at rest: ``T e^{Js} T^{-1}``."""
+        if self._modal is not None:
+            return np.asarray(self._modal.propagated(s).T.dot(self._inverse))
+        T, T_inverse, *_ = self.modes.coordinates(self._frame)
+        return np.asarray(T @ linalg.expm(s * self.modes.J[0]) @ T_inverse)
 
-    def _pushed(self, forces: Matrix) -> Matrix:
-        """Accelerations of the coordinates, shape (r, k), by forces, shape (n, k)."""
+    @cached_property
+    def _inverse(self) -> Matrix:
+        """``T^{-1}`` of states in their frame, shape (2r, 2n)."""
+        inverse = self.modes.coordinates(self._frame)[1]
+        if not self.modes.proportional:
+            return inverse
+        r, n = inverse.shape
+        found = np.zeros((2 * r, 2 * n))
+        found[0::2, :n] = found[1::2, n:] = inverse
+        return found
+
+    def _load(self, forces: Matrix) -> Matrix:
+        """Loads of the modes, shape (2r, k), by forces on all coordinates, shape (n, k)."""
         if self._frame is not None:
             forces = self._frame.free.seen(forces)
-        return self._accelerated(forces)
+        pushed = self.modes.pushed(self._accelerated(forces))
+        return pushed.reshape(2 * len(pushed), forces.shape[1])
 
     def _accelerated(self, forces: Matrix) -> Matrix:
         """``M^-1 forces``, shape (r, k)."""
@@ -198,30 +190,15 @@ class Flow(ABC):
     def _inertia(self) -> Factor:
         return Factor(self._system.M)
 
-    def _seen(self, functions: Functions, time: float) -> tuple[Matrix, Matrix, Matrix]:
-        """Rows of ``q``, rows of the free coordinates, and what these are rounded against.
 
-        By all that moves, also by what pulls at it within the ``time`` scale, s: a body may rest
-        while others move.
+def flow_of(
+    system: Equations, shapes: Matrix | None = None, frame: PhaseFrame | None = None
+) -> Flow:
+    """The flow of ``system`` without contact: in closed form where there is one.
 
-        Args:
-            functions: what is seen.
-            time: inverse of the fastest rate, s.
-        """
-        position, velocity = np.split(functions.rows, 2, axis=1)
-        q, u = position.T, velocity.T
-        if self._frame is not None:
-            q, u = self._frame.free.seen(q), self._frame.free.seen(u)
-        pulls = np.hstack([self._system.K, self._system.C])
-        pulled = time**2 / 2 * np.abs(self._accelerated(q).T @ pulls)
-        pulled += time * np.abs(self._accelerated(u).T @ pulls)
-        rows = np.hstack([q.T, u.T])
-        return position, rows, np.abs(rows) + pulled
-
-    def transitions(self, s: Vector) -> NDArray[np.float64]:
-        """``transition`` by each of ``s`` seconds, shape (2n, samples, 2n)."""
-        return np.stack([self.transition(at) for at in s.tolist()], axis=1)
-
-    def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
-        """``state`` of a motion of this flow, equal to the bit, and ``transition`` after ``s``."""
-        return motion.state(s), self.transition(s)
+    Args:
+        system: what moves.
+        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
+        frame: in which its coordinates lie; None where they are all that there are.
+    """
+    return Flow(system, split(system, shapes), frame)

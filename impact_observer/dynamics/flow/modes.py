@@ -16,16 +16,18 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.flow.eigenmodes import congruence, diagonal, modes_of
-from impact_observer.dynamics.flow.flow import Complex, Equations, PhaseFrame
+from impact_observer.dynamics.flow.equations import Equations
+from impact_observer.dynamics.flow.reduced_coordinates import PhaseFrame
 from impact_observer.kernel import product
 from impact_observer.states import Matrix, Vector
+
+Complex = NDArray[np.complex128]
 
 _PROPORTIONAL = 1e-12
 """Coupling of modes by damping that counts as rounding, relative to the damping."""
@@ -33,22 +35,6 @@ _RIGID = 1e-15
 """``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
 _WORST_CONDITION = 1e3
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
-
-
-class Rates(NamedTuple):
-    """How pairs go on by themselves: eigenvalues ``a +- d``.
-
-    Attributes:
-        a: mean of a pair's eigenvalues, shape (n,), 1/s.
-        d: half their distance, shape (n,), 1/s.
-        oscillates: whether ``d`` is imaginary, shape (n,).
-        slow: ``a + d`` of those that do not oscillate, ``a`` of the others, shape (n,).
-    """
-
-    a: Vector
-    d: Vector
-    oscillates: NDArray[np.bool_]
-    slow: Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +62,13 @@ class Modes:
         return self.proportional or 2 * len(self.J) == len(self.T)
 
     @cached_property
-    def rates(self) -> Rates:
-        """Of pairs, ``a`` and ``d``."""
+    def rates(self) -> tuple[Matrix, NDArray[np.bool_]]:
+        """How pairs go on by themselves, with eigenvalues ``a +- d``, in 1/s.
+
+        Returns:
+            ``a``, ``d`` and the slow one, ``a + d`` or, of those that oscillate, ``a``, shape
+            (n, 3); and whether a pair oscillates, so that ``d`` is imaginary, shape (n,).
+        """
         J = self.J
         a = (J[:, 0, 0] + J[:, 1, 1]) / 2
         d2 = (J[:, 0, 0] - a) ** 2 + J[:, 0, 1] * J[:, 1, 0]
@@ -86,7 +77,7 @@ class Modes:
         fast = a - np.where(oscillates, 0.0, d)
         # The slow eigenvalue a + d would cancel; the product of both is the determinant.
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
-        return Rates(a, d, oscillates, slow)
+        return np.stack([a, d, slow], axis=1), oscillates
 
     @property
     def fastest(self) -> float:
@@ -94,12 +85,6 @@ class Modes:
         if not self.are_pairs:
             return float(np.linalg.norm(self.J[0], 2))
         return float(np.max(np.abs(self.eigenvalues), initial=0.0))
-
-    @property
-    def splitting(self) -> tuple[Matrix, Matrix, NDArray[np.bool_]]:
-        """What the kernel needs of pairs: blocks and rates."""
-        a, d, oscillates, slow = self.rates
-        return self.J.reshape(-1, 4), np.stack([a, d, slow], axis=1), oscillates
 
     def coordinates(
         self, frame: PhaseFrame | None
@@ -146,11 +131,10 @@ class Modes:
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:
         """Both of each pair, the one with positive imaginary part or the slow one first."""
-        a, d, oscillates, slow = self.rates
+        rates, oscillates = self.rates
+        a, d, slow = rates.T
         imaginary = np.where(oscillates, 1j * d, 0.0)
-        one = np.where(oscillates, a + imaginary, slow)
-        two = np.where(oscillates, a - imaginary, 2 * a - slow)
-        return one, two
+        return slow + imaginary, np.where(oscillates, a, 2 * a - slow) - imaginary
 
 
 def split(system: Equations, shapes: Matrix | None = None) -> Modes:
@@ -160,6 +144,8 @@ def split(system: Equations, shapes: Matrix | None = None) -> Modes:
         system: what is split.
         shapes: of its undamped modes by LAPACK, shape (n, n), if available.
     """
+    if not system.n:
+        return Modes(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 2, 2)), proportional=True)
     stiffness, shapes = modes_of(system.M, system.K, shapes)
     rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))
     stiffness = np.where(rigid, 0.0, stiffness)

@@ -39,11 +39,11 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
+from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.flow import Equations, Flow, PhaseFrame
-from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
+from impact_observer.dynamics.flow.flow import Flow, flow_of
+from impact_observer.dynamics.flow.reduced_coordinates import PhaseFrame, ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.dynamics.flow.strides import flow_of
 from impact_observer.kernel import PhaseMotion
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
@@ -58,7 +58,7 @@ _CANCELLED = 1e-14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduced:
-    """Equations of motion in fewer coordinates; see ``flow.Equations``."""
+    """Equations of motion in fewer coordinates; see ``Equations``."""
 
     M: Matrix
     C: Matrix
@@ -97,7 +97,8 @@ class Rubbing(NamedTuple):
     """What the guides do in a phase.
 
     Attributes:
-        loads: those of guides that are not held, constant, and 0 for the others, N.
+        loads: those of guides that are not held, constant, and 0 for the others, N; empty where
+            there are none.
         ends: guide and side of each way in which that ends: the load of a held one reaches its
             upper or its lower bound, 1 or -1; the speed of one that slips vanishes, 0.
     """
@@ -113,7 +114,7 @@ class Phase:
     Attributes:
         held: contacts and guides with ``gamma = 0``, independent of each other, as indices.
         pressed: the contacts among them.
-        rubbing: what guides can do in the phase; None where there are none.
+        rubbing: what guides can do in the phase.
         fixed: contacts whose gaps stay closed though they may slip, as indices.
         equations: of ``p``, without the loads of the held contacts.
         inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
@@ -121,12 +122,11 @@ class Phase:
         flow: of states (q, u), from such with ``p = q`` on.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
-        scales: of the equations.
     """
 
     held: tuple[int, ...]
     pressed: tuple[int, ...]
-    rubbing: "Rubbing | None"
+    rubbing: Rubbing
     fixed: tuple[int, ...]
     equations: Equations
     inverse: Matrix
@@ -134,7 +134,6 @@ class Phase:
     flow: Flow
     Q: Matrix
     rest: Vector
-    scales: Scales
 
     def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
@@ -160,7 +159,7 @@ class Phase:
             s: seconds; where negative the caller checks that there is forcing so far back.
         """
         if s >= 0:
-            return self.flow.moved(self.flow.start(t, x), s)
+            return self.flow.start(t, x).state(s), self.flow.transition(s)
         # Run forward from x, started s earlier; the difference to x is then carried back.
         now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
         return x + back.dot(x - now), back
@@ -206,22 +205,23 @@ class Phases:
         """
         return self._prepared(held, fixed, loads)
 
-    def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of ``contacts`` whose direction does not depend on others before them."""
-        if len(contacts) < 2:
+    def independent(
+        self, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
+    ) -> tuple[int, ...]:
+        """Those of ``contacts`` whose direction depends neither on ``fixed`` nor ones before."""
+        if len(contacts) < 2 and not fixed:
             return contacts
         chosen: list[int] = []
-        basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
-        for i in contacts:
-            if len(chosen) == self.system.n:
+        basis = np.empty((self.system.n, 0))
+        for k, i in enumerate((*fixed, *contacts)):
+            if basis.shape[1] == self.system.n:
                 break
-            direction, found = self.B[:, i], basis[:, : len(chosen)]
-            left = direction - found @ (found.T @ direction)
-            left -= found @ (found.T @ left)
+            left = without(basis, self.B[:, i])
             length = np.linalg.norm(left)
-            if length > RANK * np.linalg.norm(direction):
-                basis[:, len(chosen)] = left / length
-                chosen.append(i)
+            if length > RANK * self.lengths[i]:
+                basis = np.column_stack([basis, left / length])
+                if k >= len(fixed):
+                    chosen.append(i)
         return tuple(chosen)
 
     def white(self, loads: Matrix) -> Matrix:
@@ -257,11 +257,19 @@ class Phases:
         Relative to all motion, to its springs and to what friction makes of it in the time scale.
         """
         system, q, u = self.system, x[: self.system.n], x[self.system.n :]
+        if not system.guides:
+            return ()
         lengths = self.lengths[system.m :]
         energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
         rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale
         slow = np.abs(system.W_T.T @ u) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
         return tuple(np.flatnonzero(slow).tolist())
+
+    def slip_loads(self, u: Vector, slow: tuple[int, ...]) -> Vector:
+        """Loads of guides that slip with velocities ``u``, shape (k,), N; 0 of ``slow`` ones."""
+        loads = -self.system.friction * np.sign(self.system.W_T.T @ u)
+        loads[list(slow)] = 0.0
+        return np.asarray(loads)
 
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
@@ -315,7 +323,7 @@ class Phases:
     def _prepare(
         self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
     ) -> Phase:
-        if fixed and len(self.independent((*held, *fixed))) == len(held):
+        if fixed and not self.independent(fixed, held):
             return self.phase(held, (), loads)
         p, m = len(held), self.system.m
         free = self.unloaded(fixed, loads)
@@ -324,7 +332,7 @@ class Phases:
         return Phase(
             held=held,
             pressed=tuple(i for i in held if i < m),
-            rubbing=self._rubbing(held, loads) if loads else None,
+            rubbing=self._rubbing(held, loads),
             fixed=fixed,
             equations=free.equations,
             inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
@@ -337,7 +345,6 @@ class Phases:
             else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
             rest=free.rest,
-            scales=free.scales,
         )
 
     def _rubbing(self, held: tuple[int, ...], loads: tuple[float, ...]) -> Rubbing:

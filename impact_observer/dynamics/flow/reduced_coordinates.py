@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 
 class ReducedCoordinates(NamedTuple):
@@ -57,18 +57,13 @@ class ReducedCoordinates(NamedTuple):
             return cls(free, following, np.zeros((following.size, 0)))
         return cls(free, following, -linalg.solve(W[following].T, W[free].T))
 
-    @property
-    def shapes(self) -> Matrix:
-        """The motions, a column for each free coordinate, shape (n, r)."""
-        return np.asarray(self.all(np.eye(self.free.size)).T)
-
     def restricted(self, A: Matrix) -> Matrix:
-        """``shapes^T A shapes``, shape (r, r), for ``A`` of shape (n, n)."""
+        """``S^T A S``, shape (r, r), for ``A`` of shape (n, n) and the free motions ``S``."""
         seen = self.seen(A)
         return np.asarray(seen[:, self.free] + seen[:, self.following] @ self.ties)
 
     def seen(self, A: Matrix) -> Matrix:
-        """``shapes^T A``, shape (r, columns), for ``A`` of shape (n, columns)."""
+        """``S^T A``, shape (r, columns), for ``A`` of shape (n, columns)."""
         return np.asarray(A[self.free] + self.ties.T @ A[self.following])
 
     def all(self, y: Matrix) -> Matrix:
@@ -77,3 +72,21 @@ class ReducedCoordinates(NamedTuple):
         found[:, self.free] = y
         found[:, self.following] = y @ self.ties.T
         return found
+
+
+class PhaseFrame(NamedTuple):
+    """Where the coordinates of a phase lie in which contacts are held or fixed.
+
+    Attributes:
+        free: those that are free.
+        inverse: free coordinates of the nearest motion, shape (r, n).
+        held: the part of ``p`` that does not move, shape (n, n), or empty where all moves.
+        Q: ``dq/dt = Q u``, shape (n, n), or empty where ``p`` is ``q``.
+        rest: ``q = Q p + rest``, shape (n,), m, or empty.
+    """
+
+    free: ReducedCoordinates
+    inverse: Matrix
+    held: Matrix
+    Q: Matrix
+    rest: Vector

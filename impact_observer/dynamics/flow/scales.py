@@ -19,38 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.flow.flow import Equations
+from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.states import Matrix, Vector
 
 _PERIODS = 2.0
 """Length of a search window, in periods of the fastest rate."""
 _STILL = 16.0
 """The same where nothing oscillates, s."""
-
-
-def sizes(x: Vector, s: float, scale: tuple[Matrix, Matrix, Matrix, Matrix]) -> Vector:
-    """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
-
-    The time since the start of a phase is rounded too, by up to half of ``eps``, and each mode
-    moves on by as much.
-
-    Args:
-        x: state (q, u), shape (2n,).
-        s: seconds since the start of the phase.
-        scale: ``modes`` as of ``Scales``; what an amplitude and its speed come to within the time
-            scale, shape (2, 2); how fast each mode moves on, by its speed and by its amplitude,
-            shape (2, n); and ``spread`` as of ``Scales``.
-
-    Returns:
-        Shape (2n,), not negative.
-    """
-    modes, in_time, rates, spread = scale
-    amplitudes = np.abs(x.reshape(2, -1).dot(modes))
-    largest = in_time.dot(amplitudes)
-    if s > 0:
-        largest += s / 2 * rates * amplitudes[::-1]
-    found: Vector = largest.dot(spread).ravel()
-    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +47,6 @@ class Scales:
     spread: Matrix
     fastest: float
     timescale: float
-    _in_time: Matrix
-    _rates: Matrix
 
     @classmethod
     def of(cls, equations: Equations) -> "Scales":
@@ -82,10 +55,7 @@ class Scales:
         spread = np.ascontiguousarray(np.abs(shapes).T)
         fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
         timescale = 1.0 / max(fastest, 1.0)
-        in_time = np.array([[1.0, timescale], [0.0, 1.0]])
-        rates = np.stack([np.ones(squares.shape), np.maximum(squares, 0.0)])
-        modes = equations.M @ shapes
-        return cls(squares, shapes, modes, spread, fastest, timescale, in_time, rates)
+        return cls(squares, shapes, equations.M @ shapes, spread, fastest, timescale)
 
     @property
     def window(self) -> float:
@@ -100,13 +70,22 @@ class Scales:
         return np.abs(rows @ self.shapes)
 
     def sizes(self, x: Vector, s: float = 0.0) -> Vector:
-        """``sizes`` of a state (q, u), shape (2n,), ``s`` seconds after the start of a phase."""
-        return sizes(x, s, self.of_sizes)
+        """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
 
-    @property
-    def of_sizes(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """The last argument of ``sizes``."""
-        return self.modes, self._in_time, self._rates, self.spread
+        The time since the start of a phase is rounded too, by up to half of ``eps``, and each mode
+        moves on by as much.
+
+        Args:
+            x: state (q, u), shape (2n,).
+            s: seconds since the start of the phase.
+
+        Returns:
+            Shape (2n,), not negative.
+        """
+        q, u = np.abs(x.reshape(2, -1) @ self.modes)
+        q_late, u_late = s / 2 * u, s / 2 * np.maximum(self.squares, 0.0) * q
+        largest = np.stack([q + self.timescale * u + q_late, u + u_late])
+        return np.asarray((largest @ self.spread).ravel())
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """Largest amplitude that each mode may have within the time scale, not negative.
@@ -116,13 +95,3 @@ class Scales:
             u: velocities, shape (..., n).
         """
         return np.asarray(np.abs(q @ self.modes) + np.abs(u @ self.modes) * self.timescale)
-
-    def amplitudes(self, q: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
-        """Absolute amplitude and speed of each mode, shape (samples, n) each.
-
-        Args:
-            q: positions, shape (samples, n).
-            u: velocities, shape (samples, n).
-        """
-        found = np.abs(np.vstack([q, u]) @ self.modes)  # modes are read once
-        return found[: len(q)], found[len(q) :]

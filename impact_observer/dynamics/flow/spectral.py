@@ -29,22 +29,17 @@ a soft spring: then both are rounded to the motion's own size. No constant here 
 What is the same for all motions is prepared here; the kernel computes motions (``motion.hpp``).
 """
 
-from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.flow.flow import (
-    Complex,
-    Equations,
-    Flow,
-    Functions,
-    PhaseFrame,
-)
-from impact_observer.dynamics.flow.modes import Modes
-from impact_observer.kernel import Guards, ModalFlow, PhaseMotion
-from impact_observer.model.angles import Angles
+from impact_observer.dynamics.flow.modes import Complex, Modes
+from impact_observer.kernel import ModalFlow
 from impact_observer.states import Matrix, Vector
+
+Coordinates: TypeAlias = tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool]
+Harmonics: TypeAlias = tuple[Vector, NDArray[np.uint64]]
 
 _RESONANCE = 1e-2
 """Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
@@ -52,69 +47,45 @@ _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
 
 
-class SpectralFlow(Flow):
-    """Flow of a system in its modes."""
+def closed_form(
+    modes: Modes, coordinates: Coordinates, harmonics: Harmonics, load: Matrix, fastest: float
+) -> ModalFlow:
+    """The flow of a system in its modes.
 
-    def __init__(self, system: Equations, modes: Modes, frame: PhaseFrame | None = None) -> None:
-        """Prepare steady responses and the pairs that resonate."""
-        super().__init__(system, frame)
-        self.modes = modes
-        forcing = system.forcing
-        mu = 1j * np.concatenate([[0.0], forcing.frequency])
-        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine])
-        load = modes.pushed(self._pushed(forces.T))
-        beta = load[:, :, : mu.size].astype(np.complex128)
-        beta[..., 1:] -= 1j * load[:, :, mu.size :]
-        one, two = modes.eigenvalues
-        distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
-        fastest = float(np.max(np.abs(np.concatenate([one, two, mu]))))
-        self._time = 1.0 / fastest if fastest > 0 else 0.0
-        forced = np.any(beta != 0, axis=1)
-        # Eigenvalues that are found all together are rounded to the fastest of them.
-        rates = np.abs(one)[:, None] + np.abs(mu) if modes.proportional else fastest
-        near = forced & (distance <= _RESONANCE * rates)
-        far = forced & ~near
-        response = _steady(modes, mu, beta, far)
-        weights = modes.energy
-        small = float(np.sqrt(np.sum(weights * np.sum(np.abs(response), axis=2) ** 2))) / _HUGE
-        young = 1.0 / float(np.min(distance[far], initial=np.inf))
-        real = np.concatenate([response.real, -response.imag[..., 1:]], axis=2)
-        self._kernel = ModalFlow(
-            modes.coordinates(frame),
-            modes.splitting,
-            (forcing.frequency, Angles(forcing.frequency).turns),
-            real.reshape(2 * system.n, -1),
-            load.reshape(2 * system.n, -1),
-            near,
-            forced,
-            weights,
-            small,
-            young,
-        )
-
-    def start(self, t: float, x: Vector) -> PhaseMotion:
-        """The motion through ``x`` at ``t``."""
-        return self._kernel.start(t, x)
-
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of all motions."""
-        position, *rows = self._seen(functions, self._time)
-        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves)
-
-    def moving(self, s: float) -> Matrix:
-        """``T e^{Js} T^{-1}``."""
-        return np.asarray(self._kernel.propagated(s).T.dot(self._inverse))
-
-    @cached_property
-    def _inverse(self) -> Matrix:
-        """``T^{-1}`` of states in their frame, shape (2r, 2n)."""
-        inverse = self.modes.coordinates(self._frame)[1]
-        if not self.modes.proportional:
-            return inverse
-        r, n = inverse.shape
-        found = np.zeros((2 * r, 2 * n))
-        found[0::2, :n] = found[1::2, n:] = inverse
-        return found
+    Args:
+        modes: pairs.
+        coordinates: their ``Modes.coordinates``.
+        harmonics: angular frequencies, shape (h,), rad/s, and ``Angles.turns``.
+        load: of the modes, constant, by cosines and by sines, shape (2n, 1 + 2h).
+        fastest: of all rates, 1/s.
+    """
+    mu = 1j * np.concatenate([[0.0], harmonics[0]])
+    pairs = load.reshape(len(modes.J), 2, load.shape[1])
+    beta = pairs[:, :, : mu.size].astype(np.complex128)
+    beta[..., 1:] -= 1j * pairs[:, :, mu.size :]
+    one, two = modes.eigenvalues
+    distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
+    driven = np.any(beta != 0, axis=1)
+    # Eigenvalues that are found all together are rounded to the fastest of them.
+    rates = np.abs(one)[:, None] + np.abs(mu) if modes.proportional else fastest
+    near = driven & (distance <= _RESONANCE * rates)
+    far = driven & ~near
+    response = _steady(modes, mu, beta, far)
+    small = float(np.sqrt(np.sum(modes.energy * np.sum(np.abs(response), axis=2) ** 2))) / _HUGE
+    young = 1.0 / float(np.min(distance[far], initial=np.inf))
+    real = np.concatenate([response.real, -response.imag[..., 1:]], axis=2).reshape(load.shape)
+    return ModalFlow(
+        coordinates,
+        (modes.J.reshape(-1, 4), *modes.rates),
+        harmonics,
+        real,
+        load,
+        near,
+        driven,
+        modes.energy,
+        small,
+        young,
+    )
 
 
 def _steady(modes: Modes, mu: Complex, beta: Complex, far: NDArray[np.bool_]) -> Complex:

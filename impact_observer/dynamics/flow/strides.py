@@ -19,113 +19,54 @@ polynomial but for rounding. Strides are counted from the phase's start, so that
 not depend on which instants are asked for, to the bit. The kernel makes them (``series.hpp``).
 """
 
-from functools import cached_property, lru_cache
-from typing import TypeAlias
+from functools import lru_cache
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, PhaseFrame
-from impact_observer.dynamics.flow.modes import Modes, split
-from impact_observer.dynamics.flow.spectral import SpectralFlow
-from impact_observer.kernel import Guards, PhaseMotion, SampledForces
-from impact_observer.kernel import SeriesFlow as Strides
-from impact_observer.model.angles import Angles
+from impact_observer.kernel import SampledForces
+from impact_observer.model import Forcing
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.states import Matrix, Vector
 
-
-def flow_of(
-    system: Equations, shapes: Matrix | None = None, frame: PhaseFrame | None = None
-) -> Flow:
-    """The flow of ``system`` without contact: in closed form where there is one.
-
-    Args:
-        system: what moves.
-        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
-        frame: in which its coordinates lie; None where they are all that there are.
-    """
-    modes = split(system, shapes) if system.n else _NOTHING
-    if modes.are_pairs and system.n and system.forcing.sampled is None:
-        return SpectralFlow(system, modes, frame)
-    return SeriesFlow(system, modes, frame)
-
-
-_NOTHING = Modes(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 2, 2)), proportional=True)
-
-
-class SeriesFlow(Flow):
-    """Flow of a system, free or in its modes, in strides."""
-
-    def __init__(self, system: Equations, modes: Modes, frame: PhaseFrame | None = None) -> None:
-        """Prepare loads and rates."""
-        super().__init__(system, frame)
-        self.modes = modes
-        forcing, r = system.forcing, system.n
-        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T
-        sampled, self._active = None, np.zeros(0, dtype=np.intp)
-        orders = np.zeros(forcing.frequency.size)
-        if forcing.sampled is not None:
-            sampled, self._active = _forces(forcing.sampled)
-        if isinstance(forcing.sampled, LiveSamples):
-            orders = forcing.sampled.orders.astype(np.float64)
-        self._phases = int(orders.any())
-        forces = np.hstack([forces, np.eye(len(forces))[:, self._active]])
-        loads = modes.pushed(self._pushed(forces)).reshape(2 * r, forces.shape[1])
-        load, push = np.hsplit(loads, [1 + 2 * forcing.frequency.size])
-        self._rate = max(modes.fastest, *forcing.fastest, 0.0)
-        self._kernel = Strides(
-            modes.coordinates(frame),
-            modes.J.reshape(2 * r, -1) if r else np.zeros((0, 2)),
-            (forcing.frequency, Angles(forcing.frequency).turns),
-            load,
-            self._with_phase(push),
-            sampled,
-            self._rate,
-            orders,
-        )
-
-    def start(self, t: float, x: Vector) -> PhaseMotion:
-        """The motion through ``x`` at ``t``."""
-        return self._kernel.start(t, x)
-
-    def guards(self, functions: Functions) -> Guards:
-        """``functions`` of all motions."""
-        time = 1 / self._rate if self._rate > 0 else 0.0
-        position, *rows = self._seen(functions, time)
-        force = self._with_phase(functions.force[:, self._active])
-        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves, force)
-
-    def _with_phase(self, forces: Matrix) -> Matrix:
-        """Columns of sampled forces, and of the drive's phase, which is no force."""
-        return np.pad(forces, ((0, 0), (0, self._phases)))
-
-    @cached_property
-    def _spectral(self) -> SpectralFlow:
-        return SpectralFlow(self._system, self.modes, self._frame)
-
-    def moving(self, s: float) -> Matrix:
-        """``T e^{Js} T^{-1}``; where it is not split, by a matrix exponential."""
-        if self.modes.are_pairs and self._system.n:
-            return self._spectral.moving(s)
-        T, T_inverse, *_ = self.modes.coordinates(self._frame)
-        if not self._system.n:
-            return np.zeros((2 * len(T), 2 * len(T)))
-        return np.asarray(T @ linalg.expm(s * self.modes.J[0]) @ T_inverse)
-
-
 Jets: TypeAlias = NDArray[np.float64]
 
 
-@lru_cache(KEPT)
-def _forces(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
-    """The forces that are not always zero, and their coordinates.
+class Forces(NamedTuple):
+    """The sampled forces of a forcing that are not always zero.
 
-    The phase of a drive is the last of the forces, if something turns with it.
+    Attributes:
+        samples: as the kernel has them; None where there are none.
+        active: their coordinates.
+        orders: how often each harmonic turns in a revolution of the drive, shape (h,). If any
+            does, the phase of the drive is the last of the forces.
     """
+
+    samples: SampledForces | None
+    active: NDArray[np.intp]
+    orders: Vector
+
+    def columns(self, forces: Matrix) -> Matrix:
+        """Those of ``forces``, a column a coordinate; the drive's phase is no force."""
+        return np.pad(forces[:, self.active], ((0, 0), (0, int(self.orders.any()))))
+
+
+def forces_of(forcing: Forcing) -> Forces:
+    """The sampled forces of ``forcing``."""
+    sampled, orders = forcing.sampled, np.zeros(forcing.frequency.size)
+    if sampled is None:
+        return Forces(None, np.zeros(0, dtype=np.intp), orders)
+    if isinstance(sampled, LiveSamples):
+        orders = sampled.orders.astype(np.float64)
+    return Forces(*_shared(sampled), orders)
+
+
+@lru_cache(KEPT)
+def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
+    """The samples that are not always zero, and their coordinates."""
     assert samples.jets is not None, "derived"
     active = np.flatnonzero(samples.drives)
     if not isinstance(samples, LiveSamples):

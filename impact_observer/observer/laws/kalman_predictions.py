@@ -68,7 +68,7 @@ class SinglePrediction(Prediction):
     def _moved(self, s: float) -> tuple[Vector, Matrix]:
         if self._guided:
             return self._motion.state(s), transition_of(self._motion, s)
-        return self._phase.flow.moved(self._motion, s)
+        return self._motion.state(s), self._phase.transition(s)
 
     def _root_after(self, map_: Matrix, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""

@@ -364,11 +364,11 @@ class _CommonPhase(Prediction):
     def belief(self, s: float) -> Belief:
         before = self._belief.ensemble
         if before.others:
-            after = before.propagated(*self._phase.flow.moved(self._first, s))
+            after = before.propagated(self._first.state(s), self._phase.transition(s))
         else:
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
     def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix]:
-        maps = np.moveaxis(self._phase.flow.transitions(s), 1, 2)
+        maps = np.stack([self._phase.transition(at) for at in s.tolist()], axis=2)
         return self._first.states(s), maps, self._belief.ensemble.differences

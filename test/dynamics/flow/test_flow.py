@@ -38,20 +38,18 @@ from systems import (
 )
 
 from impact_observer.dynamics import Flow, flow_of
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.modes import split
-from impact_observer.dynamics.flow.spectral import SpectralFlow
-from impact_observer.dynamics.flow.strides import SeriesFlow
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
 
 
-def spectral(model: System) -> SpectralFlow:
+def spectral(model: System) -> Flow:
     """The flow by modes, which must exist."""
     modes = split(model)
     assert modes.are_pairs
-    return SpectralFlow(model, modes)
+    return Flow(model, modes)
 
 
 def error(model: System, found: Array, expected: Array, start: Array) -> float:
@@ -72,9 +70,9 @@ def push(frequency: float) -> Harmonic:
     return Harmonic(frequency, [1.0], [0.5])
 
 
-def strides(model: System) -> SeriesFlow:
+def strides(model: System) -> Flow:
     """The flow in strides, by modes where these can be split."""
-    return SeriesFlow(model, split(model))
+    return Flow(model, split(model), strides=True)
 
 
 TWO = [Harmonic(2.7, [3, 0, 1], [0, 0, 2]), Harmonic(0.4, [0, 1, 0], [0, 1, 1])]
@@ -140,7 +138,7 @@ def test_flow_is_exact(model: System) -> None:
     seconds = np.array([0.0, 1e-9, 0.013, 0.4, 1.7])
     for t in (0.0, 3.3):
         expected = precise.flow(model, t, x, seconds.tolist())
-        for flow in (flow_of(model), strides(model), SeriesFlow(model, one_block(model))):
+        for flow in (flow_of(model), strides(model), Flow(model, one_block(model))):
             assert error(model, flow.start(t, x).states(seconds), expected, x) < 3e-14
 
 
@@ -200,7 +198,7 @@ def test_flow_of_any_size_agrees_with_a_matrix_exponential(n: int) -> None:
     x, t, s = rng.normal(size=2 * n), 0.8, 1.3
     start = np.concatenate([x, [1.0, np.cos(2.2 * t), np.sin(2.2 * t)]])
     expected = (linalg.expm(s * A) @ start)[None, : 2 * n]
-    assert isinstance(flow_of(model), SpectralFlow)
+    assert flow_of(model).modes.are_pairs
     found = flow_of(model).start(t, x).states(np.array([s]))
     assert error(model, found, expected, x) < 2e-13
 
@@ -246,7 +244,7 @@ def test_flow_by_modes_agrees_with_that_in_strides(data: st.DataObject) -> None:
     assume(modes.are_pairs)
     s = np.array([0.0, 0.1, 1.0, 3.0])
     found = strides(model).start(t, x).states(s)
-    assert error(model, SpectralFlow(model, modes).start(t, x).states(s), found, x) < 1e-11
+    assert error(model, Flow(model, modes).start(t, x).states(s), found, x) < 1e-11
 
 
 @pytest.mark.parametrize("flow", [spectral, strides])
@@ -280,7 +278,6 @@ def test_defective_system_moves_in_strides() -> None:
     """Where eigenvectors coincide no splitting is safe, and the flow stays exact."""
     model = defective()
     assert not split(model).are_pairs
-    assert isinstance(flow_of(model), SeriesFlow)
     x, s = np.array([1.0, 0.5, -0.3, 0.2]), np.array([0.3, 2.0])
     expected = precise.flow(model, 0.0, x, s.tolist())
     assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 1e-13
@@ -302,10 +299,6 @@ def test_one_state_is_as_exact_as_many(model: System) -> None:
         motion = flow.start(t, x)
         alone = np.array([motion.state(at) for at in s.tolist()])
         np.testing.assert_array_equal(motion.states(s), alone)
-        for at, state in zip(s.tolist(), alone, strict=True):
-            moved, transition = flow.moved(motion, at)
-            np.testing.assert_array_equal(moved, state)
-            np.testing.assert_array_equal(transition, flow.transition(at))
 
 
 @examples(40)

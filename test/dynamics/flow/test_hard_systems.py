@@ -30,7 +30,7 @@ from systems import Harmonic, chain, examples, forcing, numbers, system, systems
 
 from impact_observer.dynamics import flow_of
 from impact_observer.dynamics.flow.eigenmodes import modes_of
-from impact_observer.dynamics.flow.flow import state_matrix
+from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.modes import split
 from impact_observer.model import Forcing, System
 

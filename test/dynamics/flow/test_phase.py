@@ -32,7 +32,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Phase, Phases, PositionProjection, Search, Watched
+from impact_observer.dynamics import Phase, Phases, PositionProjection, Watched
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def assert_is_the_integrated_one(
     gaps = (q @ model.W + model.q_r)[:, kept]
     assert np.max(np.abs(gaps - gaps[0]), initial=0.0) <= 1e-11 * size
     ends = np.array([0.0, SECONDS])
-    guards = Search(phase, Watched.loads(phase), 1.0).guards
+    guards = Watched.loads(phase).along(phase).guards
     loads = [guards.known(motion, s, s)[0][0] for s in ends.tolist()]
     for found, s, at in zip(loads, ends, (x, states[-1]), strict=True):
         stated = moving(model, held, fixed, t + s, at)[1]
@@ -204,7 +204,7 @@ def test_held_contact_away_from_its_stop_stays_where_it_is() -> None:
     motion = phase.start(0.0, np.array([2.0, 0.0]))
     states = motion.states(np.array([0.0, 1.0, 1e6]))
     np.testing.assert_allclose(states, [[2.0, 0.0]] * 3, rtol=1e-15)
-    load = Search(phase, Watched.loads(phase), 1.0).guards.known(motion, 0.0, 1.0)[0]
+    load = Watched.loads(phase).along(phase).guards.known(motion, 0.0, 1.0)[0]
     assert load[0, 0] == pytest.approx(4 * 2.0 + 9.81, rel=1e-14)
 
 

@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -37,8 +38,7 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Crossing, Phase, Phases, Search, Watched
-from impact_observer.dynamics.flow.strides import SeriesFlow
+from impact_observer.dynamics import Flow, Phase, Phases, Scales, Watched
 from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
@@ -54,7 +54,7 @@ def phase_of(model: System) -> Phase:
 
 def in_one_block(model: System) -> Phase:
     """The same, moving as where no modes can be split."""
-    return replace(phase_of(model), flow=SeriesFlow(model, one_block(model)))
+    return replace(phase_of(model), flow=Flow(model, one_block(model)))
 
 
 def in_strides(model: System) -> Phase:
@@ -68,10 +68,22 @@ def in_strides(model: System) -> Phase:
 WAYS = (phase_of, in_strides, in_one_block)
 
 
-def searcher(model: System) -> Search:
-    """The search for the first gap that closes while no contact is held."""
-    gaps = Watched.gaps(model, list(range(model.m)))
-    return Search(phase_of(model), gaps, Phases(model).scales.window)
+class Crossing(NamedTuple):
+    """Where functions vanish: seconds since the start of the motion, and which of them."""
+
+    s: float
+    which: tuple[int, ...]
+
+
+def first_crossing(
+    phase: Phase, watched: Watched, motion: PhaseMotion, horizon: float, start: float = 0.0
+) -> Crossing | None:
+    """The first crossing of the functions along ``motion`` in [start, horizon]."""
+    hunt = RootSearch(
+        watched.along(phase).guards, motion, Scales.of(phase.equations).window, start
+    )
+    found = hunt.first(horizon)
+    return None if found is None or found[0] > horizon else Crossing(*found)
 
 
 def derivatives(phase: Phase, motion: PhaseMotion, watched: Watched, s: float) -> Array:
@@ -91,7 +103,7 @@ def derivatives(phase: Phase, motion: PhaseMotion, watched: Watched, s: float) -
 
 def assert_known(phase: Phase, motion: PhaseMotion, watched: Watched) -> None:
     """Values and derivatives are those of the states, and bounds hold between instants."""
-    guards = Search(phase, watched, 1.0).guards
+    guards = watched.along(phase).guards
     for start, stop in ((0.0, 0.01), (0.01, 0.4), (0.4, 2.0), (2.0, 10.0)):
         found, bounds, scale, smooth = guards.known(motion, start, stop)
         assert np.all(scale >= np.abs(found[0]) * (1 - 1e-12))
@@ -122,8 +134,7 @@ def first_closing(
     phase: Phase, model: System, x: Array, horizon: float, t: float = 0.0
 ) -> Crossing | None:
     """The same, in a phase of a system that may have other gaps: they do not change the motion."""
-    gaps = Watched.gaps(model, list(range(model.m)))
-    return Search(phase, gaps, phase.scales.window).first(phase.start(t, x), horizon)
+    return first_crossing(phase, Watched.gaps(model, range(model.m)), phase.start(t, x), horizon)
 
 
 def assert_closing(found: Crossing | None, s: float, *contacts: int) -> None:
@@ -181,8 +192,7 @@ def test_short_dip_between_two_samples_is_found() -> None:
     # x = cos t against a stop just below its peak: closed for about 2 sqrt(2 d).
     for depth in (1e-3, 1e-7, 1e-10):
         model = system(1, 0, 1, contacts=[([-1], 1 - depth, 0.5)])
-        start = phase_of(model).start(0.0, np.array([np.cos(-2.0), -np.sin(-2.0)]))
-        found = searcher(model).first(start, 5.0)
+        found = search(model, np.array([np.cos(-2.0), -np.sin(-2.0)]), 5.0)
         assert found is not None
         assert found.s == pytest.approx(2.0 - np.arccos(1 - depth), abs=1e-11 / np.sqrt(depth))
 
@@ -243,12 +253,13 @@ def test_length_of_the_search_window_does_not_change_the_closing() -> None:
     """Several short searches find the closing of one long search."""
     model = sample("three_mass").system
     x = np.array([0.1, -0.1, 0.05, 0.5, 0.0, -0.5])
-    motion, look = phase_of(model).start(0.0, x), searcher(model)
-    once = look.first(motion, 10.0)
+    phase, gaps = phase_of(model), Watched.gaps(model, range(model.m))
+    motion = phase.start(0.0, x)
+    once = first_crossing(phase, gaps, motion, 10.0)
     assert once is not None
     pieces, start, found = np.linspace(0.0, 10.0, 97)[1:], 0.0, None
     for stop in pieces:
-        found = look.first(motion, stop, start)
+        found = first_crossing(phase, gaps, motion, stop, start)
         if found is not None:
             break
         start = stop
@@ -291,8 +302,8 @@ def test_body_at_rest_against_its_stop_costs_little(
     x[0] = -model.q_r[0] / model.W[0, 0] if model.W[0, 0] else 1.0
     x[model.n - 1] += -1.0 if model.n == 3 else float(model.n == 2)
     phase = way(model)
-    window, motion = phase.scales.window, phase.start(0.0, x)
-    guards = Search(phase, Watched.gaps(model, [0]), window).guards
+    window, motion = Phases(model).scales.window, phase.start(0.0, x)
+    guards = Watched.gaps(model, [0]).along(phase).guards
     hunt = RootSearch(guards, motion, window)
     assert hunt.first(10.0) is None
     assert hunt.looks < 200 * (1 + 10.0 / window)
@@ -411,7 +422,7 @@ def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject
     """Of gaps, speeds and loads, with a contact held or none."""
     model = data.draw(systems(contacts=(2, 3)))
     phase = Phases(model).phase((0,) if data.draw(st.booleans()) else ())
-    watched = Watched.gaps(model, list(range(model.m))).and_also(Watched.loads(phase))
+    watched = Watched.gaps(model, range(model.m)).and_also(Watched.loads(phase))
     watched = watched.and_also(Watched.speeds(model, [1]))
     x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
     motion = phase.start(data.draw(numbers(0, 4)), x)
@@ -433,8 +444,8 @@ def test_derivatives_and_bounds_hold_in_strides(hold: str | None, data: st.DataO
         model = replace(model, forcing=Forcing.of_samples(samples))
     phase = Phases(model).phase(held)
     if hold is None:
-        phase = replace(phase, flow=SeriesFlow(model, one_block(model)))
-    watched = Watched.gaps(model, list(range(model.m))).and_also(Watched.loads(phase))
+        phase = replace(phase, flow=Flow(model, one_block(model)))
+    watched = Watched.gaps(model, range(model.m)).and_also(Watched.loads(phase))
     x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
     assert_known(phase, phase.start(data.draw(numbers(0, 4)), x), watched)
 
@@ -492,6 +503,5 @@ def test_load_that_vanishes_at_a_knot_or_on_a_ramp_is_found(hold: str, expected:
         force=Forcing.of_samples(Samples(times, force, hold)),
     )
     phase = Phases(model).phase((0,))
-    look = Search(phase, Watched.loads(phase), Phases(model).scales.window)
-    found = look.first(phase.start(0.0, np.zeros(2)), 2.0)
+    found = first_crossing(phase, Watched.loads(phase), phase.start(0.0, np.zeros(2)), 2.0)
     assert_closing(found, expected, 0)

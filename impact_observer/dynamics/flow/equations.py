@@ -1,0 +1,73 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Equations of motion of a linear phase, ``M du/dt = -C u - K q + f(t)``, ``dq/dt = u``."""
+
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.model import Forcing
+from impact_observer.states import Matrix, Vector
+
+
+class Equations(Protocol):
+    """What a flow is made from: a ``System``, or one reduced to fewer coordinates.
+
+    ``M`` symmetric positive definite, ``K`` symmetric positive semidefinite, the symmetric part
+    of ``C`` positive semidefinite, shape (n, n) each; SI units.
+    """
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates, at least one."""
+
+    @property
+    def M(self) -> Matrix:  # noqa: N802
+        """Mass matrix."""
+
+    @property
+    def C(self) -> Matrix:  # noqa: N802
+        """Damping matrix."""
+
+    @property
+    def K(self) -> Matrix:  # noqa: N802
+        """Stiffness matrix."""
+
+    @property
+    def forcing(self) -> Forcing:
+        """``f(t)``, on all coordinates of the frame."""
+
+
+def state_matrix(system: Equations) -> Matrix:
+    """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
+    n = system.n
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.eye(n)
+    A[n:, :n] = -linalg.solve(system.M, system.K, assume_a="pos")
+    A[n:, n:] = -linalg.solve(system.M, system.C, assume_a="pos")
+    return A
+
+
+def balanced(A: Matrix) -> tuple[Matrix, Vector]:
+    """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
+
+    Then its entries are rates, and its norm is about the fastest: a matrix exponential needs no
+    more squarings than the motion has oscillations. Shapes (2n, 2n) and (2n,).
+    """
+    n = len(A) // 2
+    rate = max(np.sqrt(np.linalg.norm(A[n:, :n], 1)), np.linalg.norm(A[n:, n:], 1)) or 1.0
+    unit = np.concatenate([np.full(n, rate), np.ones(n)])
+    return np.asarray(unit[:, None] * A / unit), unit

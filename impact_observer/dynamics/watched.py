@@ -1,0 +1,181 @@
+# Copyright 2026 impact_observer developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is watched along a motion: functions that end a phase when they fall below zero.
+
+The kernel finds the first root of any of them, and misses none: ``RootSearch``.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.kernel import Guards
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+DEPTH = 1e-13
+"""Depth below zero that may be passed over, relative to what a function is rounded against."""
+
+
+class End(Enum):
+    """How a phase ends, by what a function is of."""
+
+    GAP = auto()
+    STOP = auto()
+    SPEED = auto()
+    LOAD = auto()
+    REACTION = auto()
+    GUIDE = auto()
+
+
+class Watch(NamedTuple):
+    """Watched functions of the motions of one phase.
+
+    Attributes:
+        guards: the functions, as the kernel has them.
+        ends: what each is of: a contact, or one of ``Rubbing.ends``, by its index.
+    """
+
+    guards: Guards
+    ends: tuple[tuple[End, int], ...]
+
+    def crossed(self, which: Iterable[int]) -> dict[End, set[int]]:
+        """Indices of the contacts, or of ``Rubbing.ends``, whose functions are ``which``."""
+        found: dict[End, set[int]] = defaultdict(set)
+        for end, i in map(self.ends.__getitem__, which):
+            found[end].add(i)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watched:
+    """Functions ``h = a p + b u + c f(t) + d`` of a motion (p, u), a row each.
+
+    Attributes:
+        ends: what each is of; see ``Watch``.
+        position: ``a``, shape (w, n).
+        velocity: ``b``, shape (w, n).
+        force: ``c``, shape (w, n).
+        constant: ``d``, shape (w,).
+    """
+
+    ends: tuple[tuple[End, int], ...]
+    position: Matrix
+    velocity: Matrix
+    force: Matrix
+    constant: Vector
+
+    @classmethod
+    def gaps(
+        cls, system: System, contacts: Iterable[int], phase: Phase | None = None
+    ) -> "Watched":
+        """The gaps of ``contacts``: below zero they are penetrated.
+
+        Args:
+            system: whose contacts.
+            contacts: indices.
+            phase: in whose coordinates; None where these are the system's.
+        """
+        which = list(contacts)
+        a, d = system.W[:, which].T, system.q_r[which]
+        if phase is not None and phase.fixed:
+            a, d = a @ phase.Q, d + a @ phase.rest
+        return cls(_each(End.GAP, which), a, np.zeros_like(a), np.zeros_like(a), d)
+
+    @classmethod
+    def within(cls, system: System, contacts: Iterable[int]) -> "Watched":
+        """The gaps of ``contacts`` with the other sign: below zero their stops are left."""
+        gaps = cls.gaps(system, contacts)
+        ends = _each(End.STOP, contacts)
+        return cls(ends, -gaps.position, gaps.velocity, gaps.force, -gaps.constant)
+
+    @classmethod
+    def speeds(cls, system: System, contacts: Iterable[int]) -> "Watched":
+        """The contact speeds of ``contacts``: at zero a slipping one is held."""
+        return cls._of_velocity(_each(End.SPEED, contacts), system.W[:, list(contacts)].T)
+
+    @classmethod
+    def reactions(cls, system: System, phase: Phase, R: Matrix, stopped: int) -> "Watched":
+        """The reactions ``sigma`` of the last ``stopped`` contacts fixed in ``phase``.
+
+        ``R`` gives those of all fixed ones by their gaps, shape (fixed, fixed).
+        """
+        first, fixed = len(phase.fixed) - stopped, list(phase.fixed)
+        ends = _each(End.REACTION, fixed[first:])
+        return cls._of_velocity(ends, -R[first:] @ system.W[:, fixed].T)
+
+    @classmethod
+    def loads(cls, phase: Phase) -> "Watched":
+        """The loads ``lambda`` of the held contacts: below zero they are released."""
+        which = [phase.held.index(i) for i in phase.pressed]
+        ends = _each(End.LOAD, phase.pressed)
+        return cls._of_loads(ends, phase, phase.loads[which], np.zeros(len(which)))
+
+    @classmethod
+    def guides(cls, system: System, phase: Phase) -> "Watched":
+        """What ends the guides' part in ``phase``, in the order of ``Rubbing.ends``.
+
+        The load of one that sticks is at most its force in size, one that slips does not turn.
+        """
+        found = cls._of_velocity((), np.zeros((0, system.n)))
+        for k, (j, side) in enumerate(phase.rubbing.ends):
+            ends = _each(End.GUIDE, [k])
+            if side:
+                row = -side * phase.loads[[phase.held.index(system.m + j)]]
+                one = cls._of_loads(ends, phase, row, system.friction[[j]])
+            else:
+                slip = -np.sign(phase.rubbing.loads[j]) * system.W_T[:, [j]].T
+                one = cls._of_velocity(ends, slip)
+            found = found.and_also(one)
+        return found
+
+    @classmethod
+    def _of_velocity(cls, ends: tuple[tuple[End, int], ...], b: Matrix) -> "Watched":
+        return cls(ends, np.zeros_like(b), b, np.zeros_like(b), np.zeros(len(b)))
+
+    @classmethod
+    def _of_loads(
+        cls, ends: tuple[tuple[End, int], ...], phase: Phase, H: Matrix, constant: Vector
+    ) -> "Watched":
+        """``constant - H (f - C u - K p)``, in which ``f`` has the constant loads of guides."""
+        equations = phase.equations
+        return cls(ends, H @ equations.K, H @ equations.C, -H, constant)
+
+    def and_also(self, other: "Watched") -> "Watched":
+        """The functions of both, these first."""
+        return Watched(
+            self.ends + other.ends,
+            np.vstack([self.position, other.position]),
+            np.vstack([self.velocity, other.velocity]),
+            np.vstack([self.force, other.force]),
+            np.concatenate([self.constant, other.constant]),
+        )
+
+    def along(self, phase: Phase) -> Watch:
+        """The same functions along the motions of ``phase``."""
+        forcing = phase.equations.forcing
+        waves = np.vstack([forcing.constant, forcing.cosine, forcing.sine]) @ self.force.T
+        waves[0] += self.constant
+        rows = np.hstack([self.position, self.velocity])
+        return Watch(phase.flow.guards(rows, waves.T, self.force), self.ends)
+
+
+def _each(end: End, which: Iterable[int]) -> tuple[tuple[End, int], ...]:
+    return tuple((end, i) for i in which)
