@@ -55,6 +55,16 @@ class Row(NamedTuple):
         """At a state, shape (2n,)."""
         return float(self.h.dot(x)) + self.rest
 
+    @property
+    def whole(self) -> Vector:
+        """By the state, and then by the parameters, shape (2n,) or (2n + p,)."""
+        return np.concatenate([self.h, self.of_theta]) if self.of_theta.size else self.h
+
+    def variance(self, root: Matrix) -> float:
+        """That of the function, by a ``root`` of the covariance of state and constants."""
+        seen = self.whole.dot(root[: self.h.size + self.of_theta.size])
+        return float(seen.dot(seen))
+
     def rounding(self, sizes: Vector) -> float:
         """Standard deviation of its rounding, positive; states have these ``sizes``, (2n,)."""
         return ROUNDING * (float(np.abs(self.h).dot(sizes)) + abs(self.rest)) + LEAST

@@ -9,6 +9,7 @@ from impact_observer.states import Matrix, Vector
 SOURCES: str
 
 State: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
+Followed: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]
 
 def product(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]: ...
 def dots(X: Matrix, Y: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]: ...
@@ -19,6 +20,17 @@ def difference(
 ) -> Matrix: ...
 def triangular(root: Matrix) -> Matrix: ...
 def leading(root: Matrix, first: int, count: int) -> Matrix: ...
+def measured(
+    x: Vector,
+    constants: Vector,
+    root: Matrix,
+    differences: Matrix,
+    row: Vector,
+    rest: float,
+    value: float,
+    noise: float,
+    gate: float,
+) -> Followed: ...
 def largest_distance(columns: Matrix, metric: Matrix) -> float: ...
 
 class FreeMotion:
@@ -190,7 +202,7 @@ class Gaps:
         noise: float,
         gate: float,
         searches: bool,
-    ) -> list[tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]] | None: ...
+    ) -> list[Followed] | None: ...
     def root(
         self,
         t: float,

@@ -364,6 +364,34 @@ py::list flown(const Gaps& gaps, const Array& starts, const Array& durations,
     });
 }
 
+Sample sample_of(Vector row, double rest, double value, double noise, double gate) {
+    if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
+        throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
+    return {std::move(row), rest, value, noise, gate};
+}
+
+py::tuple tuple_of(const Followed& found) {
+    const Posterior& state = found.state;
+    return py::make_tuple(flat(state.x), flat(state.constants), to_python(state.root),
+                          to_python(state.differences), found.innovation, found.normalised,
+                          found.density, found.residual);
+}
+
+py::tuple measured(const Array& x, const Array& constants, const Array& root,
+                   const Array& differences, const Array& row, double rest, double value,
+                   double noise, double gate) {
+    const Vector about = vector(x, "x", ANY), beside = vector(constants, "constants", ANY);
+    const auto d = py::ssize_t(about.size() + beside.size());
+    Posterior prior{Matrix(1, about.size()), Matrix(1, beside.size()),
+                    Matrix(checked(root, "root", d, ANY)),
+                    Matrix(checked(differences, "differences", d, ANY))};
+    prior.x.data = about, prior.constants.data = beside;
+    const Vector by = vector(row, "row", ANY);
+    if (by.size() < about.size() || by.size() > prior.root.rows)
+        throw py::value_error("row: expected a number of each of the state, and of constants");
+    return tuple_of(Gaps::updated(sample_of(by, rest, value, noise, gate), std::move(prior)));
+}
+
 py::object followed(const Gaps& gaps, double t, double s, const py::sequence& states,
                     const Array& levels, double declared, const Array& row, double rest,
                     double value, double noise, double gate, bool searches) {
@@ -371,9 +399,8 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
     if (gaps.family->count()) throw py::value_error("states: not with parameters");
     const Priors given(states, Array(py::ssize_t(0)), *gaps.family, false);
     const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
-    Sample sample{vector(row, "row", py::ssize_t(gaps.motion->size())), rest, value, noise, gate};
-    if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
-        throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
+    const Sample sample =
+        sample_of(vector(row, "row", py::ssize_t(gaps.motion->size())), rest, value, noise, gate);
     positive(declared, "declared");
     std::vector<Followed> found;
     {
@@ -382,11 +409,7 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
     }
     if (found.size() < given.priors.size()) return py::none();
     py::list each_state;
-    for (const Followed& each : found)
-        each_state.append(py::make_tuple(flat(each.state.x), flat(each.state.constants),
-                                         to_python(each.state.root),
-                                         to_python(each.state.differences), each.innovation,
-                                         each.normalised, each.density, each.residual));
+    for (const Followed& each : found) each_state.append(tuple_of(each));
     return each_state;
 }
 
@@ -498,6 +521,10 @@ void bind_estimation(py::module_& module) {
              py::arg("clocks"), "The states after the impact, at its stamp t.")
         .def("missed", &missed, py::arg("t"), py::arg("states"),
              "The same where it was not reported, each near its zero t of the gap.");
+    module.def("measured", &measured, py::arg("x"), py::arg("constants"), py::arg("root"),
+               py::arg("differences"), py::arg("row"), py::arg("rest"), py::arg("value"),
+               py::arg("noise"), py::arg("gate"),
+               "A state corrected by a sample; see Gaps.followed.");
     module.def("largest_distance", &largest_distance, py::arg("columns"), py::arg("metric"),
                "The largest d^T metric d between two columns, or one of them and zero.");
     py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")

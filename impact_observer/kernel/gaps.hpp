@@ -41,7 +41,7 @@ struct Dip {
 
 // A linear function of the state that is measured with noise.
 struct Sample {
-    Vector row;  // by the state
+    Vector row;  // by the state, and then by as many constants as it has more numbers
     double rest, value;
     double noise;  // its variance
     double gate;   // innovation from which on it is rejected, in standard deviations
@@ -233,6 +233,39 @@ class Gaps {
         return found;
     }
 
+    // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
+    // Factorization methods for discrete sequential estimation, 1977, chapter II).
+    static Followed updated(const Sample& sample, Posterior prior) {
+        Followed found{std::move(prior), 0, 0, 0, 0};
+        Matrix &x = found.state.x, &root = found.state.root;
+        Matrix& differences = found.state.differences;
+        const std::size_t size = x.columns, d = root.rows, c = root.columns;
+        Vector columns(c), others(differences.columns);
+        for (std::size_t i = 0; i < sample.row.size(); ++i) {
+            if (sample.row[i] == 0.0) continue;
+            add(sample.row[i], root.row(i), columns.data(), c);
+            add(sample.row[i], differences.row(i), others.data(), others.size());
+        }
+        const double spread = dot(columns.data(), columns.data(), c);
+        const double variance = spread + sample.noise, share = sample.noise / variance;
+        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
+        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
+        const double least = std::min(found.normalised, sample.gate);
+        found.density = -(least * least + std::log(variance)) / 2;
+        found.residual = least * least * variance * share * share + spread * share;
+        if (!(found.normalised > sample.gate)) {
+            const double shrink = variance + std::sqrt(variance * sample.noise);
+            for (std::size_t i = 0; i < d; ++i) {
+                const double towards = dot(root.row(i), columns.data(), c);
+                const double change = towards / variance * found.innovation;
+                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
+                add(-towards / shrink, columns.data(), root.row(i), c);
+                add(-towards / variance, others.data(), differences.row(i), others.size());
+            }
+        }
+        return found;
+    }
+
   private:
     // The state s seconds after x at t; whether no gap can have vanished on the way, as not even
     // all terms of Taylor's series together reach so far.
@@ -276,39 +309,6 @@ class Gaps {
         make_triangular(whole);
         for (std::size_t i = 0; i < d; ++i)
             std::copy(whole.row(i), whole.row(i) + d, found.row(i));
-        return found;
-    }
-
-    // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
-    // Factorization methods for discrete sequential estimation, 1977, chapter II).
-    static Followed updated(const Sample& sample, Posterior prior) {
-        Followed found{std::move(prior), 0, 0, 0, 0};
-        Matrix &x = found.state.x, &root = found.state.root;
-        Matrix& differences = found.state.differences;
-        const std::size_t size = x.columns, d = root.rows, c = root.columns;
-        Vector columns(c), others(differences.columns);
-        for (std::size_t i = 0; i < size; ++i) {
-            if (sample.row[i] == 0.0) continue;
-            add(sample.row[i], root.row(i), columns.data(), c);
-            add(sample.row[i], differences.row(i), others.data(), others.size());
-        }
-        const double spread = dot(columns.data(), columns.data(), c);
-        const double variance = spread + sample.noise, share = sample.noise / variance;
-        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
-        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
-        const double least = std::min(found.normalised, sample.gate);
-        found.density = -(least * least + std::log(variance)) / 2;
-        found.residual = least * least * variance * share * share + spread * share;
-        if (!(found.normalised > sample.gate)) {
-            const double shrink = variance + std::sqrt(variance * sample.noise);
-            for (std::size_t i = 0; i < d; ++i) {
-                const double towards = dot(root.row(i), columns.data(), c);
-                const double change = towards / variance * found.innovation;
-                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
-                add(-towards / shrink, columns.data(), root.row(i), c);
-                add(-towards / variance, others.data(), differences.row(i), others.size());
-            }
-        }
         return found;
     }
 
