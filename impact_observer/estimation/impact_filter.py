@@ -32,14 +32,13 @@ from impact_observer.estimation.likelihood import (
 )
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
-from impact_observer.estimation.parametric import Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.square_root import lengths, narrow, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import Gaps
+from impact_observer.kernel._kernel import Gaps, Sensitivity, leading
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -353,8 +352,8 @@ class ImpactFilter:
             found = view.corrected(update, expected.rows(view), white)
             settled = expected.settled(found)
             if found.parameters:
-                z = self.members.within_bounds(found.z, found.root, found.of_theta)
-                found = found._replace(z=z)
+                bounded, rows = self.members.parameters.bounded, found.of_theta
+                found = found._replace(z=bounded(found.z, found.root, rows.start))
             found = self._at_estimated_instant(change, found, member)
             if settled:
                 break
@@ -381,7 +380,7 @@ class ImpactFilter:
         if joint.parameters:
             rate = self.members.rate_sensitivity(member, change.closed, after.x, joint.t)
             sensitivity = s * rate
-        x, map_ = member.moving.flow_map(joint.t, after.x, s, change.closed)
+        x, map_ = member.moving.moved(joint.t, after.x, s, change.closed)
         return after.propagated(x, map_, sensitivity)
 
     def _at_jump(self, change: ContactChange, joint: Joint) -> Joint:
@@ -477,12 +476,12 @@ class ImpactFilter:
         """``joint`` with its state ``s`` seconds later; of first order in ``s`` for parameters."""
         if abs(s) <= _NO_TIME:
             return joint
-        map_ = member.moving.flow_map(joint.t, joint.x, s, closed)
+        x, map_ = member.moving.moved(joint.t, joint.x, s, closed)
         if not joint.parameters:
-            return joint.propagated(s, map_)
+            return joint.propagated(s, x, map_)
         sensitivity = s * self.members.rate_sensitivity(member, closed, joint.x, joint.t)
         other = sensitivity @ (joint.theta - member.values)
-        return joint.propagated(s, map_._replace(value=map_.value + other), sensitivity)
+        return joint.propagated(s, x + other, map_, sensitivity)
 
     def pressed(self, member: Member, change: ContactChange, x: Vector) -> Contacts:
         """The contacts that take an impulse at an event, before which the state is ``x``."""
@@ -514,7 +513,7 @@ class ImpactFilter:
             sensitivity = Sensitivity(
                 lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
                 joint.theta,
-                self.members.steps(joint.theta, joint.root[joint.of_theta]),
+                self.members.parameters.steps(joint.theta, joint.root[joint.of_theta]),
             )
             own = whole[joint.of_theta]
             moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)

@@ -30,7 +30,6 @@ from impact_observer.dynamics import (
 )
 from impact_observer.dynamics.flow.flow import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import FreePhase, StateRates
 from impact_observer.events import Contacts
@@ -147,7 +146,8 @@ class MovingSystem:
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
 
-        Before it, guides do what they do at ``x``.
+        Before it, guides do what they do at ``x``. The caller must not ask for instants at which
+        the forcing is not defined.
         """
         if self.is_cheap(closed, s):
             return self.free.moved(t, x, s)
@@ -182,13 +182,6 @@ class MovingSystem:
     def _rates_rubbed(self, phase: Phase) -> StateRates:
         assert phase.rubbing is not None, "guides rub"
         return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
-
-    def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
-        """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
-
-        The caller must not ask for instants at which the forcing is not defined.
-        """
-        return Map(*self.moved(t, x, s, closed))
 
     def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""

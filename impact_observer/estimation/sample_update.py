@@ -176,7 +176,7 @@ class SampleFilter:
         """``state`` with other numbers, and parameters within their bounds."""
         if p := state.parameters:
             z = np.concatenate([x, constants])
-            z = self.filter.members.within_bounds(z, root, slice(x.size, x.size + p))
+            z = self.filter.members.parameters.bounded(z, root, x.size)
             x, constants = z[: x.size], z[x.size :]
         return GaussianState(x, constants, root, others, state.closed, p)
 
