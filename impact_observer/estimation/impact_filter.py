@@ -28,7 +28,6 @@ from impact_observer.estimation.likelihood import (
     STILL,
     Likelihood,
     likelihood_of,
-    outlier_likelihood,
 )
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
@@ -323,14 +322,7 @@ class ImpactFilter:
             return Likelihood(0.0, {})
         member = self.member(prior)
         expected = self._expected(member, change, contacts, prior, prior)
-
-        def rate() -> Vector:
-            rates = member.moving.rates_at(prior.t, prior.x, change.before)
-            forces = member.moving.forces(prior.t)
-            return rates.along(prior.x, forces)[0]
-
-        outlier = outlier_likelihood(contacts, expected, prior, rate) if change.hit else None
-        return outlier or likelihood_of(contacts, expected, prior)
+        return likelihood_of(contacts, expected, prior)
 
     def joint_posterior(
         self, change: ContactChange, prior: Joint, likelihood: Likelihood | None = None
@@ -348,8 +340,7 @@ class ImpactFilter:
             view = self._propagated(member, change.before, prior, found.t - prior.t)
             expected = first or self._expected(member, change, contacts, view, found)
             first, update = None, expected.correction(view)
-            white = update.whitened(expected.innovation.tolist())
-            found = view.corrected(update, expected.rows(view), white)
+            found = view.corrected(update, expected.rows(view), expected.innovation)
             settled = expected.settled(found)
             if found.parameters:
                 bounded, rows = self.members.parameters.bounded, found.of_theta

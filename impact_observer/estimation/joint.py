@@ -120,12 +120,12 @@ class Joint(NamedTuple):
         differences = propagate_errors(self.differences, 1, map_, sensitivity)
         return Joint(self.t + s, z, root, differences, self.size, self.parameters)
 
-    def corrected(self, update: Correction, H: Matrix, white: list[float]) -> "Joint":
-        """The posterior of a measurement of ``H z``; ``white`` are the normalised innovations."""
+    def corrected(self, update: Correction, H: Matrix, innovation: Vector) -> "Joint":
+        """The posterior of a measurement of ``H z`` with this ``innovation``, shape (k,)."""
         differences = self.differences
         if differences.size:
             differences = differences - update.change(H.dot(differences))
-        z = self.z + update.gain.dot(white)
+        z = self.z + update.change(innovation)
         return Joint(self.t, z, update.root, differences, self.size, self.parameters)
 
 
