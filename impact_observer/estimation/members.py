@@ -354,5 +354,5 @@ class Members:
         theta[: self.moving] = values
         if np.array_equal(theta, self._nominal):
             return MovingSystem(self.family.system)
-        like = None if any(self._weighs) else self.motion(self._nominal)
-        return MovingSystem(self.family.near(theta), like)
+        given = None if any(self._weighs) else self.motion(self._nominal).phase(()).inverse
+        return MovingSystem(self.family.near(theta), given)

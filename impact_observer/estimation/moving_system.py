@@ -54,24 +54,21 @@ class MovingSystem:
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
 
-    def __init__(self, system: System, like: "MovingSystem | None" = None) -> None:
+    def __init__(self, system: System, inverse: Matrix | None = None) -> None:
         """Each phase is prepared when it is first needed.
 
-        Where a system ``like`` it is given, which has the same masses, short motions without
-        contact are the kernel's: that is cheaper for a system of which few are asked.
+        Where the ``inverse`` of its mass matrix is given, short motions without contact are the
+        kernel's: that is cheaper for a system of which few are asked.
         """
         self.system = system
         self.guided = bool(system.guides)
         self.is_plain = not self.guided and system.forcing.sampled is None
-        like = like if self.is_plain and system.n <= _SMALL else None
+        self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
-        self._inverse = None if like is None else like.phase(()).inverse
         self.rates = lru_cache(KEPT)(self._rates_of)
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
-        if like is not None and like.system.forcing is system.forcing:
-            self.forces = like.forces
         self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._transition = lru_cache(KEPT)(lambda closed, s: self.phase(closed).transition(s))

@@ -16,7 +16,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -267,11 +266,7 @@ def sensors_of(measurements: Sequence[Measurement], system: System) -> tuple[Dec
     Raises:
         UsageError: the system does not have a coordinate or contact, by file and key.
     """
-    return tuple(map(partial(_sensor, system), range(len(measurements)), measurements))
-
-
-def _sensor(system: System, index: int, measurement: Measurement) -> DeclaredSensor:
-    return DeclaredSensor(measurement, system, index)
+    return tuple(DeclaredSensor(each, system, i) for i, each in enumerate(measurements))
 
 
 def _coefficients(given: Coefficients, system: System) -> Vector:
