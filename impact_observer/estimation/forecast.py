@@ -213,7 +213,7 @@ class Forecast:
         if not (self._flight.contacts and duration > 0):
             return []
         s = self._flight.instants(duration)
-        values = self._flight.values(self.prediction.motion, s)
+        values = np.nan_to_num(self._flight.values(self.prediction.motion, s))  # may overflow
         along = dips_along(s, values, self._value, self._rounding, self._deviation)
         contacts, gaps = self._flight.contacts, self._flight.gaps
         kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]

@@ -16,7 +16,6 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -37,11 +36,10 @@ from impact_observer.estimation.hypotheses import (
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
-from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.settling import rest_after
 from impact_observer.events import Kind
-from impact_observer.kernel._kernel import Gaps, measured
+from impact_observer.kernel._kernel import measured
 from impact_observer.states import Matrix, Vector
 
 DOUBTFUL = 3
@@ -88,6 +86,11 @@ class _Weighed(NamedTuple):
 
 
 _TOO_UNCERTAIN = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
+
+
+def _is_finite(state: GaussianState) -> bool:
+    """Whether no number of a state has overflowed."""
+    return math.isfinite(sum(float(each.sum()) for each in state[:4]))
 
 
 def _judged(innovation: float, normalized: float, gate: float) -> SampleOutcome:
@@ -221,7 +224,8 @@ class SampleUpdate:
                 )
                 hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
-            weighed = [self._weighed(reading, h, known) for h in hypotheses]
+            finite = [h for h in hypotheses if _is_finite(h.state)]
+            weighed = [self._weighed(reading, h, known) for h in finite]
         weighed = [each for each in weighed if each.is_finite]
         if not weighed:
             return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
@@ -238,15 +242,14 @@ class SampleUpdate:
         known = self._sure(reading, hypotheses, s)
         if known is None:
             return None
-        sensor, (moving, gaps, declared) = reading.sensor, self._free
-        at = Place(reading.t, reading.instant, hypotheses[0].state.x, ())
-        row, gate = sensor.row(moving, at), sensor.measurement.gate
-        made = gaps.followed(
+        row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
+        noise = self.bank.filter.noise
+        made = self.bank.filter.members.free_gaps.followed(
             since,
             s,
             [h.state for h in hypotheses],
             np.array([h.acceleration_error for h in hypotheses]),
-            declared,
+            0.0 if noise is None else noise.model_error,
             row.h,
             row.rest,
             reading.value,
@@ -266,13 +269,6 @@ class SampleUpdate:
         if goes_on or not all(each.is_finite for each in weighed):
             return None
         return self._kept(reading, weighed, known, new=False)
-
-    @cached_property
-    def _free(self) -> tuple[MovingSystem, Gaps, float]:
-        """The motion between impacts, its gaps, and the declared white accelerations, m/s^1.5."""
-        filter_, given = self.bank.filter, self.bank.filter.members.given
-        declared = 0.0 if filter_.noise is None else filter_.noise.model_error
-        return given.moving, filter_.members.free_gaps, declared
 
     def _sure(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float

@@ -14,13 +14,21 @@
 
 """What sensors measure as functions of the state, against motions of the plant."""
 
+import math
+
 import numpy as np
 import pytest
 from systems import EPOCH, Harmonic, chain, forcing, sample, started, system
 
+from impact_observer.estimation.filter_bank import FilterBank
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import DeclaredSensor, Place, SensorState
+from impact_observer.estimation.readings import DeclaredSensor, Place, Reading, SensorState
+from impact_observer.estimation.sample_update import SampleUpdate
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.kernel._kernel import measured
 from impact_observer.model import System
@@ -146,6 +154,21 @@ def test_a_square_root_is_updated_like_its_covariance() -> None:
         np.testing.assert_allclose(state[3], left @ others, atol=1e-12)
         assert (innovation, normalised) == pytest.approx((0.7, 0.7 / np.sqrt(variance)))
         assert residual == pytest.approx((0.7 * share) ** 2 + (variance - noise) * share)
+
+
+def test_an_estimate_that_has_overflowed_is_too_uncertain_for_a_sample() -> None:
+    """It stays as it is; nothing is learned of the sensor."""
+    model = sample("two_mass").system
+    declared = Measurement("a", "/a", field="a", position=(("x1", 1.0),), deviation=0.1)
+    reading = Reading(DeclaredSensor(declared, model), 0.5, 1.0, NS_PER_S)
+    update = SampleUpdate(FilterBank(ImpactFilter(model), Uncertainty(), (1e-3,)))
+    for large in (math.inf, math.nan, 1e200):
+        state = GaussianState.of(np.zeros((1, 4)), np.diag([large, 1.0, 1.0, 1.0]))
+        before = Hypothesis(state, 1e-3)
+        (after,), outcome, known = update.after(reading, [before])
+        assert after is before
+        assert outcome.reason == "the estimate is too uncertain"
+        assert known == reading.known
 
 
 def test_a_learned_variance_forgets_what_was_assumed_first() -> None:
