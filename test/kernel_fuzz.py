@@ -171,7 +171,7 @@ def estimate_parameters() -> None:
     filter_.correct(ContactChange(0.1, (), (0,), ()), state, 1e-6)
     filter_.priors(0.1, 0.2, [state], [0.1])
     filter_.predict(0.1, state, 0.1).prior(0.2)
-    filter_.members.bound_correction(theta, state.root, slice(4, d))
+    filter_.members.parameters.bounded(np.append(state.x, theta), state.root, 4)
     gaps = filter_.members.free_gaps
     gaps.dips(np.array([0.1]), np.array([5.0]), [state], np.zeros(1))
     gaps.root(0.1, state, 0.0, 0, 0.0, 0.5, 3.0)

@@ -27,7 +27,7 @@ from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.missed_switch import insert_switches
+from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.settling import rest_after
 from impact_observer.events import Kind
@@ -243,11 +243,9 @@ class BetweenEvents:
         """Paths after missed switches."""
         before = self._priors([each.path._replace(left=each.at) for each in missed])
         t = [each.path.t + each.at for each in missed]
-        after = insert_switches(self.filter, t, before, [each.dip for each in missed])
         found = []
-        for (path, dip, at, weight, is_dead), at_, prior, (state, kind, flight) in zip(
-            missed, t, before, after, strict=True
-        ):
+        for (path, dip, at, weight, is_dead), at_, prior in zip(missed, t, before, strict=True):
+            state, kind, flight = insert_switch(self.filter, at_, prior, dip)
             h, left = path.h, path.left - at
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)

@@ -19,11 +19,9 @@ An error begins in retrospect: it has been there since the last event, and expla
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
 import numpy as np
 
-from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -63,8 +61,7 @@ class ErrorAccounts:
         self._brief = BRIEF * self._timescale
         self._clocks = sorted(clocks)
         kicks = unit_kicks(filter_.system)
-        kicks = np.concatenate([np.zeros_like(kicks), kicks])
-        self._of = lru_cache(KEPT)(lambda hit: (kicks[:, hit], filter_.system.W[:, hit].T))
+        self._kicks = np.concatenate([np.zeros_like(kicks), kicks])
 
     def is_coarse(self, clock: float) -> bool:
         """Whether so large a deviation of stamps, s, may be an error of the model."""
@@ -122,8 +119,8 @@ class ErrorAccounts:
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
-        kicks, W = self._of(hit)
-        return np.asarray(kicks * np.abs(W.dot(x[self._system.n :])))
+        speeds = np.abs(self._system.W[:, hit].T.dot(x[self._system.n :]))
+        return np.asarray(self._kicks[:, hit] * speeds)
 
     def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
         """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""

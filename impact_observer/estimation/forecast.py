@@ -19,13 +19,11 @@ more than its deviation explains, an impact or a release was missed.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from itertools import count, islice
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from impact_observer.dynamics import Phase
 from impact_observer.dynamics.flow.flow import Motion
@@ -37,6 +35,7 @@ from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
 from impact_observer.kernel import Guards, PhaseMotion
+from impact_observer.kernel._kernel import dips_along, falls_at
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -49,14 +48,6 @@ _MOST = 4096
 _EPS = float(np.finfo(np.float64).eps)
 _ROUNDED = 64 * _EPS
 """Rounding of a guard function, relative to the terms of its sum."""
-_MOST_DIPS = 32
-"""Most dips of a function in a flight; a flight may last for years."""
-_SHALLOW = 8.0
-"""Depth of a dip that is rounding, in standard deviations of that."""
-_ROOT = 4 * _EPS
-_LEAST = 1e-15
-_FALSE = 40
-"""Turns of the regula falsi; more than any root takes at which a function is not flat."""
 
 
 class Dip(NamedTuple):
@@ -221,66 +212,29 @@ class Forecast:
         if not (self._flight.contacts and duration > 0):
             return []
         s = self._flight.instants(duration)
-        values = self._flight.values(self.prediction.motion, s)
-        each = [self._of(j, s, values[:, j]) for j in range(values.shape[1])]
-        dips = [dip for some in each for dip in islice(some, _MOST_DIPS)]
-        return sorted(dips, key=lambda dip: dip.below)
+        values = np.nan_to_num(self._flight.values(self.prediction.motion, s))  # may overflow
+        along = dips_along(s, values, self._value, self._rounding, self._deviation)
+        contacts, gaps = self._flight.contacts, self._flight.gaps
+        kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]
+        return [
+            Dip(contacts[dip[0]], kind, *dip[:7]) for dip, kind in zip(along, kinds, strict=True)
+        ]
 
-    def _of(self, j: int, s: Vector, values: Vector) -> Iterator[Dip]:
-        """The first dips of one function."""
-        s, values = self._with_minima(j, s, values)
-        below = np.flatnonzero(values < 0)
-        if not below.size:
-            return
-        for run in np.split(below, np.flatnonzero(np.diff(below) > 1) + 1):
-            first, last = int(run[0]), int(run[-1])
-            deepest = int(run[np.argmin(values[run])])
-            at, x = float(s[deepest]), self._state.x
-            depth = -float(values[deepest]) + min(float(values[0]), 0.0) * (first == 0)
-            if depth <= _SHALLOW * self._flight.rounding(j, at, x):
-                continue  # rounding; or it rises from the start: the jump there was a little early
-            deep = -float(values[deepest]) / self._deviation(j, at)
-            yield Dip(
-                self._flight.contacts[j],
-                Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,
-                j,
-                float(s[max(first - 1, 0)]),
-                float(s[first]),
-                at,
-                deep,
-                float(special.log_ndtr(-deep)),
-                last < len(values) - 1,
-            )
-
-    def _with_minima(self, j: int, s: Vector, values: Vector) -> tuple[Vector, Vector]:
-        """Samples, and the minima between them that are, or may be, below zero."""
-        h, change = np.diff(s), np.diff(values)
-        slope = change / h
-        bend = np.maximum((slope[1:] - slope[:-1]) / (h[1:] + h[:-1]), _LEAST)
-        slope = slope[:-1] + bend * h[:-1]  # of a parabola through three samples, at the middle
-        mid = values[1:-1]
-        lowest = (change[:-1] <= 0) & (change[1:] >= 0)
-        lowest &= mid - slope**2 / (4 * bend) <= mid / 2
-        if not lowest.any():
-            return s, values
-        at = s[1:-1][lowest] - (slope / (2 * bend))[lowest]
-        at = np.sort(np.clip(at, s[:-2][lowest], s[2:][lowest]))  # a flat one may be rounded away
-        where, now = np.searchsorted(s, at), self._flight.values(self.prediction.motion, at)[:, j]
-        return np.insert(s, where, at), np.insert(values, where, now)
+    def _rounding(self, j: int, s: float) -> float:
+        return self._flight.rounding(j, s, self._state.x)
 
     def _value(self, j: int, s: float) -> float:
         x = self.prediction.state(s)
         return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
 
     def _deviation(self, j: int, s: float) -> float:
-        """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
+        """Standard deviation of function ``j`` after ``s`` seconds."""
         if self._state.parameters:
             row = self._row(j, s)
             spread = row.dot(self.prediction.full_root(s)[: row.size])
         else:
             spread = self._flight.c[j].dot(self.prediction.root(s))
-        rounded = self._flight.rounding(j, s, self.prediction.state(s))
-        return math.hypot(*spread.tolist(), rounded)
+        return math.hypot(*spread.tolist())
 
     def _row(self, j: int, s: float) -> Vector:
         """Gradient of function ``j`` by state and parameters after ``s`` seconds, (2n + p,)."""
@@ -297,8 +251,7 @@ class Forecast:
         above, below = dip.above, dip.below
         if dip.began is not None:
             return dip.began
-        if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
-            return below  # negative from the start, or rounded otherwise when evaluated alone
+        # The end itself where it is negative from the start, or rounded otherwise when alone.
         return falls_at(lambda at: self._value(dip.which, at), above, below)
 
     def confident_from(self, dip: Dip, depth: float) -> float:
@@ -310,29 +263,4 @@ class Forecast:
         if gaps := self._filter.gaps(self._state.closed, dip.deepest):
             found = dip.which, dip.above, dip.deepest, depth
             return gaps.root(self._t, self._state, self._level, *found)
-        if not beyond(dip.above) > 0 > beyond(dip.deepest):
-            return dip.deepest
         return falls_at(beyond, dip.above, dip.deepest)
-
-
-def falls_at(function: Callable[[float], float], above: float, below: float) -> float:
-    """Where a function of time falls through zero, between instants where it is above and below.
-
-    Regula falsi in which the end that stays counts half (Illinois), and halves where that is slow:
-    importing SciPy's root finders takes longer than a second of a rig.
-    """
-    low, high, at_low, at_high = above, below, function(above), function(below)
-    for turn in count():
-        if abs(high - low) <= _ROOT * abs(high) + _LEAST:
-            break
-        middle = low + (high - low) * (at_low / (at_low - at_high) if turn < _FALSE else 0.5)
-        if not min(low, high) < middle < max(low, high):
-            middle = low + (high - low) / 2
-        if not min(low, high) < middle < max(low, high):
-            break
-        now = function(middle)
-        if now > 0:
-            low, at_low, at_high = middle, now, at_high / 2
-        else:
-            high, at_high, at_low = middle, now, at_low / 2
-    return high

@@ -28,18 +28,16 @@ from impact_observer.estimation.likelihood import (
     STILL,
     Likelihood,
     likelihood_of,
-    outlier_likelihood,
 )
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
-from impact_observer.estimation.parametric import Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.square_root import lengths, narrow, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import Gaps
+from impact_observer.kernel._kernel import Gaps, Sensitivity, leading
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -337,14 +335,7 @@ class ImpactFilter:
             return Likelihood(0.0, {})
         member = self.member(prior)
         expected = self._expected(member, change, contacts, prior, prior)
-
-        def rate() -> Vector:
-            rates = member.moving.rates_at(prior.t, prior.x, change.before)
-            forces = member.moving.forces(prior.t)
-            return rates.along(prior.x, forces)[0]
-
-        outlier = outlier_likelihood(contacts, expected, prior, rate) if change.hit else None
-        return outlier or likelihood_of(contacts, expected, prior)
+        return likelihood_of(contacts, expected, prior)
 
     def joint_posterior(
         self, change: ContactChange, prior: Joint, likelihood: Likelihood | None = None
@@ -362,12 +353,11 @@ class ImpactFilter:
             view = self._propagated(member, change.before, prior, found.t - prior.t)
             expected = first or self._expected(member, change, contacts, view, found)
             first, update = None, expected.correction(view)
-            white = update.whitened(expected.innovation.tolist())
-            found = view.corrected(update, expected.rows(view), white)
+            found = view.corrected(update, expected.rows(view), expected.innovation)
             settled = expected.settled(found)
             if found.parameters:
-                z = self.members.within_bounds(found.z, found.root, found.of_theta)
-                found = found._replace(z=z)
+                bounded, rows = self.members.parameters.bounded, found.of_theta
+                found = found._replace(z=bounded(found.z, found.root, rows.start))
             found = self._at_estimated_instant(change, found, member)
             if settled:
                 break
@@ -394,7 +384,7 @@ class ImpactFilter:
         if joint.parameters:
             rate = self.members.rate_sensitivity(member, change.closed, after.x, joint.t)
             sensitivity = s * rate
-        x, map_ = member.moving.flow_map(joint.t, after.x, s, change.closed)
+        x, map_ = member.moving.moved(joint.t, after.x, s, change.closed)
         return after.propagated(x, map_, sensitivity)
 
     def _at_jump(self, change: ContactChange, joint: Joint) -> Joint:
@@ -490,12 +480,12 @@ class ImpactFilter:
         """``joint`` with its state ``s`` seconds later; of first order in ``s`` for parameters."""
         if abs(s) <= _NO_TIME:
             return joint
-        map_ = member.moving.flow_map(joint.t, joint.x, s, closed)
+        x, map_ = member.moving.moved(joint.t, joint.x, s, closed)
         if not joint.parameters:
-            return joint.propagated(s, map_)
+            return joint.propagated(s, x, map_)
         sensitivity = s * self.members.rate_sensitivity(member, closed, joint.x, joint.t)
         other = sensitivity @ (joint.theta - member.values)
-        return joint.propagated(s, map_._replace(value=map_.value + other), sensitivity)
+        return joint.propagated(s, x + other, map_, sensitivity)
 
     def pressed(self, member: Member, change: ContactChange, x: Vector) -> Contacts:
         """The contacts that take an impulse at an event, before which the state is ``x``."""
@@ -527,7 +517,7 @@ class ImpactFilter:
             sensitivity = Sensitivity(
                 lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
                 joint.theta,
-                self.members.steps(joint.theta, joint.root[joint.of_theta]),
+                self.members.parameters.steps(joint.theta, joint.root[joint.of_theta]),
             )
             own = whole[joint.of_theta]
             moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
-from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.saltation import Expansion
 from impact_observer.estimation.square_root import (
     Correction,
@@ -103,27 +102,30 @@ class Joint(NamedTuple):
         """The parameters, shape (p,)."""
         return self.z[self.of_theta]
 
-    def propagated(self, s: float, map_: Map, sensitivity: Matrix | None = None) -> "Joint":
+    def propagated(
+        self, s: float, x: Vector, map_: Matrix, sensitivity: Matrix | None = None
+    ) -> "Joint":
         """The same with the state ``s`` seconds later.
 
         Args:
             s: seconds.
-            map_: the flow of the state.
-            sensitivity: of that to the parameters, shape (2n, p); None where it is zero.
+            x: the state then, shape (2n,).
+            map_: its derivative by the state, shape (2n, 2n).
+            sensitivity: of the state to the parameters, shape (2n, p); None where it is zero.
         """
         z = self.z.copy()
         z[0] += s
-        z[1 : 1 + self.size] = map_.value
-        root = propagate_errors(self.root, 1, map_.linear, sensitivity)
-        differences = propagate_errors(self.differences, 1, map_.linear, sensitivity)
+        z[1 : 1 + self.size] = x
+        root = propagate_errors(self.root, 1, map_, sensitivity)
+        differences = propagate_errors(self.differences, 1, map_, sensitivity)
         return Joint(self.t + s, z, root, differences, self.size, self.parameters)
 
-    def corrected(self, update: Correction, H: Matrix, white: list[float]) -> "Joint":
-        """The posterior of a measurement of ``H z``; ``white`` are the normalised innovations."""
+    def corrected(self, update: Correction, H: Matrix, innovation: Vector) -> "Joint":
+        """The posterior of a measurement of ``H z`` with this ``innovation``, shape (k,)."""
         differences = self.differences
         if differences.size:
             differences = differences - update.change(H.dot(differences))
-        z = self.z + update.gain.dot(white)
+        z = self.z + update.change(innovation)
         return Joint(self.t, z, update.root, differences, self.size, self.parameters)
 
 

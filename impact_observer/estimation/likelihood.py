@@ -15,23 +15,19 @@
 """The likelihood of an event, given the prior."""
 
 import math
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
 from impact_observer.estimation.joint import Expected, Joint
-from impact_observer.estimation.square_root import lengths, whitened
+from impact_observer.estimation.square_root import lengths
 from impact_observer.events import Contacts
-from impact_observer.states import Vector
 
 STILL = 1e-150
 """Least speed, m/s: instead of zero in a logarithm or a quotient."""
 _CLOSING = 1e-3
 """Least standard deviation of a closing speed, relative to the speed."""
-FAR = 30.0
-"""Innovation, in standard deviations, beyond which an event cannot be what is reported."""
 _NORMAL = math.log(2 * math.pi) / 2
 
 
@@ -73,7 +69,7 @@ def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likel
     goes through zero, times the probability that it does so from above.
     """
     root, innovation = expected.innovation_root(prior), expected.innovation.tolist()
-    white = whitened(root, innovation)
+    white = np.linalg.solve(root, expected.innovation).tolist()
     slopes = expected.expansion.H[:, 0].tolist()
     spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
     density = 0.0
@@ -97,47 +93,3 @@ def _density(white: float, deviation: float, slope: float, spread: float) -> flo
 def _from_above(slope: float, spread: float) -> float:
     """Logarithm of the probability that a gap of this ``slope`` closes."""
     return float(special.log_ndtr(slope / max(spread, _CLOSING * abs(slope), STILL)))
-
-
-def outlier_likelihood(
-    contacts: Contacts, expected: Expected, prior: Joint, rate: Callable[[], Vector]
-) -> Likelihood | None:
-    """The likelihood of an impact of ``contacts`` that is clearly an outlier; None for any other.
-
-    ``rate`` finds ``dx/dt`` at the estimate, shape (2n,).
-    """
-    value, H, D, _ = expected.expansion
-    seen = H[:, 1:].dot(prior.own[1:])
-    if prior.parameters:
-        seen += expected.sensitivity.dot(prior.root[prior.of_theta])
-    values, slopes, late = value.tolist(), H[:, 0].tolist(), prior.e
-    parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
-    clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
-    if max(_deviations(parts, bent, late, clock)) < FAR:  # curvature only makes it smaller
-        return None
-    bent = np.abs(D.dot(rate())).tolist()
-    sizes = _deviations(parts, bent, late, clock)
-    if max(sizes) < FAR:
-        return None
-    density = -sum(size * size for size in sizes) / 2
-    missed_by = -(values[0] + slopes[0] * late)
-    normalised, deviation = math.copysign(sizes[0], missed_by), abs(missed_by) / sizes[0]
-    return Likelihood(density, dict(zip(contacts, sizes, strict=True)), normalised, deviation)
-
-
-def _deviations(
-    parts: Sequence[tuple[float, float, float, float]],
-    bent: Sequence[float],
-    late: float,
-    clock: float,
-) -> list[float]:
-    """Absolute innovations of gaps at an event, in standard deviations.
-
-    ``parts`` are of each gap its value (m), its slope (m/s), its deviation and rounding (m);
-    ``bent`` is the change of those slopes, m/s2.
-    """
-    return [
-        abs(value + slope * late)
-        / (math.hypot(spread, (abs(slope) + bend * clock) * clock) + rounded)
-        for (value, slope, spread, rounded), bend in zip(parts, bent, strict=True)
-    ]

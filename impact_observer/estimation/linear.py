@@ -21,10 +21,9 @@ import numpy as np
 from impact_observer.dynamics import Motion
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
 from impact_observer.estimation.members import Members
-from impact_observer.estimation.moving_system import transition_of
-from impact_observer.estimation.parametric import Map, Sensitivity, leading
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.square_root import narrow, triangular
+from impact_observer.kernel._kernel import Sensitivity, leading
 from impact_observer.states import Matrix, Vector
 
 
@@ -58,7 +57,7 @@ class LinearPrediction:
             size, p = state.x.size, state.parameters
             self._root = leading(state.root, size, p)
             self._own = self._root[size : size + members.moving]
-            self._steps = members.steps(state.theta, self._own)
+            self._steps = members.parameters.steps(state.theta, self._own)
 
     @cached_property
     def motion(self) -> Motion:
@@ -68,68 +67,60 @@ class LinearPrediction:
     def state(self, s: float) -> Vector:
         """The estimate (q, u) after ``s`` seconds, shape (2n,)."""
         if self.moving.is_cheap(self._start.closed, s):
-            return self._moved(s)[0]
+            return self.moved(s)[0]
         return self.motion.state(s)
 
     def root(self, s: float) -> Matrix:
         """The rows of the covariance's root for (q, u) after ``s`` seconds, shape (2n, any)."""
-        if self._members.moving:
-            return self.full_root(s)[: self._start.x.size]
-        size = self._start.x.size
-        return self._with_noise(self._transition(s) @ self._root[:size], s)
+        return self.full_root(s)[: self._start.x.size]
 
     def full_root(self, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, all its rows."""
-        transition = self._transition(s)
-        if self._members.moving:
-            return self._with_noise(self._propagated(transition, self._sensitivity(s)), s)
-        return self._with_noise(propagate_errors(self._root, 0, transition), s)
+        return self.root_after(self._transition(s), self._sensitivity(s), s)
 
     def _transition(self, s: float) -> Matrix:
-        if self.moving.guided:
-            return transition_of(self.motion, s)
-        if self.moving.is_cheap(self._start.closed, s):
-            return self._moved(s)[1]
-        return self.moving.phase(self._start.closed).transition(s)
+        closed = self._start.closed
+        if self.moving.guided or self.moving.is_cheap(closed, s):
+            return self.moved(s)[1]
+        return self.moving.phase(closed).transition(s)
 
-    def _moved(self, s: float) -> tuple[Vector, Matrix]:
+    def moved(self, s: float) -> tuple[Vector, Matrix]:
+        """The estimate after ``s`` seconds, and its derivative by the one before."""
         return self.moving.moved(self._t, self._start.x, s, self._start.closed)
 
     def prior(self, s: float) -> GaussianState:
         """State and covariance after ``s`` seconds."""
-        x, transition = self._moved(s)
-        if not self._members.moving:
-            prior = self._start.propagated(x, transition)
-            return (
-                prior
-                if self._noise is None
-                else prior._replace(root=narrow(self._with_noise(prior.root, s)))
-            )
-        sensitivity = self._sensitivity(s)
-        first = np.zeros((x.size, self._start.parameters))
-        first[:, : self._members.moving] = sensitivity.first.T
-        root = self._with_noise(self._propagated(transition, sensitivity), s)
-        return self._start.propagated(x, transition, first)._replace(root=triangular(root))
+        x, transition = self.moved(s)
+        sensitivity, differences = self._sensitivity(s), self._start.differences
+        root = self.root_after(transition, sensitivity, s)
+        by_theta = None if sensitivity is None else sensitivity.first.T
+        return self._start._replace(
+            x=x,
+            root=narrow(root) if sensitivity is None else triangular(root),
+            differences=propagate_errors(differences, 0, transition, by_theta),
+        )
 
-    def _with_noise(self, root: Matrix, s: float) -> Matrix:
-        """``root`` with the process noise of ``s`` seconds."""
+    def root_after(self, transition: Matrix, sensitivity: Sensitivity | None, s: float) -> Matrix:
+        """``full_root``, where parameters of the motion have this ``sensitivity``, if any."""
+        size, root = self._start.x.size, self._root
+        if sensitivity is None:
+            root = propagate_errors(root, 0, transition)
+        else:
+            moved = transition @ root[:size] + sensitivity.first.T @ self._own
+            noise = sensitivity.noise(root[:size], self._own)
+            blank = np.zeros((len(root) - size, noise.shape[1]))
+            root = np.block([[moved, noise], [root[size:], blank]])
         if self._noise is None:
             return root
-        return self._noise.added_to(root, self._start.x.size, self._diffusion, s)
+        return self._noise.added_to(root, size, self._diffusion, s)
 
-    def _propagated(self, transition: Matrix, sensitivity: Sensitivity) -> Matrix:
-        """The root after some time, all rows, where parameters of the motion are estimated."""
-        size, root = self._start.x.size, self._root
-        moved = transition @ root[:size] + sensitivity.first.T @ self._own
-        noise = sensitivity.noise(root[:size], self._own)
-        blank = np.zeros((len(root) - size, noise.shape[1]))
-        return np.block([[moved, noise], [root[size:], blank]])
-
-    def _sensitivity(self, s: float) -> Sensitivity:
-        """Of the state after ``s`` seconds to the parameters of the motion."""
+    def _sensitivity(self, s: float) -> Sensitivity | None:
+        """Of the state after ``s`` seconds to the parameters of the motion, if there are any."""
         q, t, x, closed = self._members.moving, self._t, self._start.x, self._start.closed
+        if not q:
+            return None
 
-        def at(theta: Vector) -> Map:
-            return self._members.motion(theta).flow_map(t, x, s, closed)
+        def at(theta: Vector) -> tuple[Vector, Matrix]:
+            return self._members.motion(theta).moved(t, x, s, closed)
 
         return Sensitivity(at, self._start.theta[:q], self._steps)

@@ -31,7 +31,6 @@ from impact_observer.dynamics import (
 )
 from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.saltation import Jet, Measured, Mirror
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import Family, Gaps, Impact, Parameters
@@ -39,8 +38,6 @@ from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
-_MARGIN = 1e-3
-"""Distance of a parameter of the motion from its bound, relative to the parameter's size."""
 _LARGEST = 1e300
 """Instead of bounds that are infinite."""
 _LINEAR = {"C", "K", "gap", "eps", "exponent", "contact_time"}
@@ -197,8 +194,7 @@ class Members:
             motion between impacts.
         given: the member with the parameters of the model.
         moving: how many of the parameters change the motion between impacts.
-        low: least that each parameter may be, shape (p,).
-        high: most, shape (p,).
+        parameters: their bounds, and steps of finite differences by them, for the kernel.
     """
 
     def __init__(self, family: ParametricFamily) -> None:
@@ -213,11 +209,8 @@ class Members:
         effects = [each.effect for each in family.parameters]
         self._still = [bool(np.any(each.eps) or np.any(each.exponent)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
-        keeps = np.where([each.moves for each in family.parameters], _MARGIN * family.sizes, 0.0)
-        low, high = family.bounds
-        self.low, self.high = low + keeps, high - keeps
-        finite = [np.clip(each, -_LARGEST, _LARGEST) for each in (low, high)]
-        self._parameters = Parameters(finite[0], finite[1], family.sizes, self.moving)
+        low, high = (np.clip(each, -_LARGEST, _LARGEST) for each in family.bounds)
+        self.parameters = Parameters(low, high, family.sizes, self.moving)
         self.free_impact = lru_cache(KEPT)(self._free_impact)
         self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
         self._at = lru_cache(KEPT)(self._member)
@@ -262,7 +255,7 @@ class Members:
         lower = [-inverse @ np.hstack([each.K, each.C]) for each in effects]
         scale = np.concatenate([unit, np.ones(n)])
         rates = np.array([np.linalg.norm(each / scale, 1) for each in lower])
-        return Family(moving.free, moving.sizes, self._parameters, self._nominal, lower, rates)
+        return Family(moving.free, moving.sizes, self.parameters, self._nominal, lower, rates)
 
     def _free_impact(self, contact: int) -> Impact:
         """An impact of one contact while none is closed."""
@@ -302,8 +295,10 @@ class Members:
         loads = phase.loads[[phase.held.index(i) for i in contacts]]
         return np.asarray(-loads @ self._force_sensitivity(member, closed, x, t))
 
-    def impact(self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False) -> Map:
-        """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
+    def impact(
+        self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
+    ) -> tuple[Vector, Matrix]:
+        """The state after an impact of ``pressed``, and its derivative: a ``Mirror``."""
         key = tuple(values.tolist())
         if self.family.system.curved.isdisjoint(pressed):
             mirror = self._mirror(key, pressed)
@@ -311,7 +306,7 @@ class Members:
             moving, numbers = self._heavy(key)
             mirror = _mirror_about(moving.newton, numbers, x, pressed)
         mirror = mirror.soft if soft else mirror
-        return Map(mirror.J @ x + mirror.offset, mirror.J)
+        return mirror.J @ x + mirror.offset, mirror.J
 
     def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
         """The model's motion with the masses of a member, and its coefficients."""
@@ -332,44 +327,6 @@ class Members:
         heavy, numbers = self._heavy(values)
         J = heavy.newton.jump(pressed, numbers.eps)
         return Mirror.of(heavy.system, J, pressed, numbers)
-
-    def steps(self, theta: Vector, root: Matrix) -> Vector:
-        """Steps of finite differences by the first q parameters: about their standard deviations.
-
-        They are powers of two, so that hypotheses of similar covariance share the same members.
-        ``root`` is a square root of the covariance, shape (q, any).
-
-        Returns:
-            Shape (q,).
-        """
-        return self._parameters.steps(theta, root)
-
-    def bounded(self, constants: Vector) -> Vector:
-        """``constants``, shape (p or p + 1,), with parameters within their bounds."""
-        p = self.family.size
-        theta = np.clip(constants[:p], self.low, self.high)
-        return np.concatenate([theta, constants[p:]])
-
-    def within_bounds(self, z: Vector, root: Matrix, rows: slice) -> Vector:
-        """``z``, shape (d,), with its ``rows``, the parameters, within their bounds.
-
-        All else moves by ``bound_correction``, whose arguments these are.
-        """
-        theta = z[rows]
-        if np.all((self.low <= theta) & (theta <= self.high)):
-            return z
-        found = z + self.bound_correction(theta, root, rows)
-        found[rows] = self.bounded(found[rows])  # as the sum is rounded
-        return np.asarray(found)
-
-    def bound_correction(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
-        """The correction, shape (d,), that takes parameters beyond their bounds back to them.
-
-        All else moves to its conditional mean given those bounds (Simon and Chia, Kalman filtering
-        with state equality constraints, 2002). ``root`` is a square root of the whole covariance,
-        shape (d, any); its ``rows`` are those of ``theta``.
-        """
-        return self._parameters.correction(theta, root, rows.start)
 
     def _force_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
         """Of the forces that accelerate the masses to the parameters, shape (n, p)."""
@@ -397,5 +354,5 @@ class Members:
         theta[: self.moving] = values
         if np.array_equal(theta, self._nominal):
             return MovingSystem(self.family.system)
-        like = None if any(self._weighs) else self.motion(self._nominal)
-        return MovingSystem(self.family.near(theta), like)
+        given = None if any(self._weighs) else self.motion(self._nominal).phase(()).inverse
+        return MovingSystem(self.family.near(theta), given)

@@ -172,7 +172,7 @@ class Fit(NamedTuple):
         """
         is_refuted = False
         if change >= _NOTABLE and len(self.residuals) >= _RECENT:
-            by_filter, by_replica, _, by_account = self._recent
+            by_filter, by_replica, _, by_account = self._sizes(_RECENT)
             is_clear = change > _SIGNIFICANT and by_account < _CLEARLY * by_filter
             is_nearer = by_account < NEARER * min(by_filter, by_replica)
             is_refuted = is_clear or (self.is_in_error and is_nearer)
@@ -240,9 +240,8 @@ class Fit(NamedTuple):
         Their posterior probabilities, if the k residuals compared are independent and normal with
         a deviation that is unknown: ``(sum r^2)^(-k/2)`` (Jeffreys' prior).
         """
-        sizes = self._recent if with_account else self._sizes
         compared = min(_RECENT if with_account else _COMPARED, len(self.residuals))
-        by = np.array(sizes)[[0, 1, 3][: 2 + with_account]]
+        by = np.array(self._sizes(compared))[[0, 1, 3][: 2 + with_account]]
         shares = (by / by.min()) ** -float(compared)
         return np.asarray(shares / shares.sum())
 
@@ -251,13 +250,13 @@ class Fit(NamedTuple):
         """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
         if not self.is_compared:
             return False
-        by_filter, by_replica, *_ = self._sizes
+        by_filter, by_replica, *_ = self._sizes()
         return by_replica < NEARER * by_filter
 
     @property
     def replica_level(self) -> float:
         """White accelerations that explain the residuals of the replica, m/s^1.5."""
-        _, by_replica, unit, _ = self._sizes
+        _, by_replica, unit, _ = self._sizes()
         return by_replica / unit
 
     @property
@@ -265,18 +264,13 @@ class Fit(NamedTuple):
         """Whether the model does not fit, and an account with other parameters is the nearest."""
         if not (self.is_misfit and len(self.residuals) >= _RECENT):
             return False
-        by_filter, by_replica, _, by_account = self._recent
+        by_filter, by_replica, _, by_account = self._sizes(_RECENT)
         return by_account < NEARER * min(by_filter, by_replica)
 
-    @property
-    def _recent(self) -> tuple[float, ...]:
-        """The same of the latest few."""
-        return tuple(math.hypot(_LEAST, *p) for p in zip(*self.residuals[-_RECENT:], strict=True))
-
-    @property
-    def _sizes(self) -> tuple[float, ...]:
-        """The residuals as root sums of squares, each positive."""
-        return tuple(math.hypot(_LEAST, *each) for each in zip(*self.residuals, strict=True))
+    def _sizes(self, latest: int = _COMPARED) -> tuple[float, ...]:
+        """The ``latest`` residuals as root sums of squares, each positive."""
+        each = zip(*self.residuals[-latest:], strict=True)
+        return tuple(math.hypot(_LEAST, *some) for some in each)
 
 
 def _judged(fit: Fit) -> Fit:

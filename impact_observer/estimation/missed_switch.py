@@ -15,7 +15,6 @@
 """A missed switch: an impact, a rest or a release that was predicted and not reported."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,35 +53,18 @@ def insert_switch(filter_: ImpactFilter, t: float, state: GaussianState, dip: Di
     The dip begins at ``t``, s since the epoch, with ``state``. A contact that would leave its stop
     by less than the deviation of its gap rests on it.
     """
-    return insert_switches(filter_, [t], [state], [dip])[0]
-
-
-def insert_switches(
-    filter_: ImpactFilter,
-    t: Sequence[float],
-    states: Sequence[GaussianState],
-    dips: Sequence[Dip],
-) -> list[Inserted]:
-    """``insert_switch`` of each of ``dips``."""
-    changes = [
-        _missed(at, state.closed, dip) for at, state, dip in zip(t, states, dips, strict=True)
-    ]
-    after = _posteriors_of_missed(filter_, changes, states)
-    found = []
-    for change, state, dip, one in zip(changes, states, dips, after, strict=True):
-        if dip.kind is Kind.OPEN:
-            found.append(Inserted(one, Kind.OPEN))
-            continue
-        speed = filter_.speed(dip.contact, one)
-        fall = filter_.fall(change.t, dip.contact, one)
-        flight = 2 * speed / fall if fall > 0 else math.inf
-        if not _comes_to_rest(filter_, dip.contact, one, speed, flight):
-            found.append(Inserted(one, Kind.IMPACT))
-            continue
-        resting = change._replace(closed=tuple(sorted({*state.closed, dip.contact})))
-        rested = posterior_of_missed(filter_, resting, state, max(speed, 0.0))
-        found.append(Inserted(rested, Kind.CLOSE, max(flight, 0.0)))
-    return found
+    change = _missed(t, state.closed, dip)
+    after = posterior_of_missed(filter_, change, state)
+    if dip.kind is Kind.OPEN:
+        return Inserted(after, Kind.OPEN)
+    speed = filter_.speed(dip.contact, after)
+    fall = filter_.fall(t, dip.contact, after)
+    flight = 2 * speed / fall if fall > 0 else math.inf
+    if not _comes_to_rest(filter_, dip.contact, after, speed, flight):
+        return Inserted(after, Kind.IMPACT)
+    resting = change._replace(closed=tuple(sorted({*state.closed, dip.contact})))
+    rested = posterior_of_missed(filter_, resting, state, max(speed, 0.0))
+    return Inserted(rested, Kind.CLOSE, max(flight, 0.0))
 
 
 def _missed(t: float, closed: Contacts, dip: Dip) -> ContactChange:
@@ -90,24 +72,6 @@ def _missed(t: float, closed: Contacts, dip: Dip) -> ContactChange:
     if dip.kind is Kind.OPEN:
         return ContactChange(t, closed, (), tuple(i for i in closed if i != dip.contact))
     return ContactChange(t, closed, (dip.contact,), closed)
-
-
-def _posteriors_of_missed(
-    filter_: ImpactFilter, changes: Sequence[ContactChange], states: Sequence[GaussianState]
-) -> list[GaussianState]:
-    """``posterior_of_missed`` of each of ``changes``; impacts alone by the kernel, all at once."""
-    found: dict[int, GaussianState] = {}
-    alone: dict[int, list[int]] = {}
-    for i, (change, state) in enumerate(zip(changes, states, strict=True)):
-        if filter_.is_alone(change):
-            alone.setdefault(change.hit[0], []).append(i)
-        else:
-            found[i] = posterior_of_missed(filter_, change, state)
-    for contact, which in alone.items():
-        t = np.array([changes[i].t for i in which])
-        made = filter_.members.free_impact(contact).missed(t, [states[i] for i in which])
-        found.update(zip(which, map(filter_.free_state, made), strict=True))
-    return [found[i] for i in range(len(changes))]
 
 
 def posterior_of_missed(
@@ -119,7 +83,8 @@ def posterior_of_missed(
     from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
     """
     if filter_.is_alone(change) and not leftover:
-        return _posteriors_of_missed(filter_, [change], [state])[0]
+        impact = filter_.members.free_impact(change.hit[0])
+        return filter_.free_state(impact.missed(np.array([change.t]), [state])[0])
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
     hit = bool(change.hit)

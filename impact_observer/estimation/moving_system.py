@@ -31,7 +31,6 @@ from impact_observer.dynamics import (
 from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.dynamics.watched import Watched
-from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import FreePhase, StateRates
 from impact_observer.events import Contacts
@@ -58,24 +57,21 @@ class MovingSystem:
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
 
-    def __init__(self, system: System, like: "MovingSystem | None" = None) -> None:
+    def __init__(self, system: System, inverse: Matrix | None = None) -> None:
         """Each phase is prepared when it is first needed.
 
-        Where a system ``like`` it is given, which has the same masses, short motions without
-        contact are the kernel's: that is cheaper for a system of which few are asked.
+        Where the ``inverse`` of its mass matrix is given, short motions without contact are the
+        kernel's: that is cheaper for a system of which few are asked.
         """
         self.system = system
         self.guided = bool(system.guides)
         self.is_plain = not self.guided and system.forcing.sampled is None
-        like = like if self.is_plain and system.n <= _SMALL else None
+        self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
-        self._inverse = None if like is None else like.phase(()).inverse
         self.rates = lru_cache(KEPT)(self._rates_of)
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
-        if like is not None and like.system.forcing is system.forcing:
-            self.forces = like.forces
         self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._transition = lru_cache(KEPT)(lambda closed, s: self.phase(closed).transition(s))
@@ -175,7 +171,8 @@ class MovingSystem:
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
 
-        Before it, guides do what they do at ``x``.
+        Before it, guides do what they do at ``x``. The caller must not ask for instants at which
+        the forcing is not defined.
         """
         if self.is_cheap(closed, s):
             return self.free.moved(t, x, s)
@@ -210,13 +207,6 @@ class MovingSystem:
     def _rates_rubbed(self, phase: Phase) -> StateRates:
         assert phase.rubbing is not None, "guides rub"
         return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
-
-    def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
-        """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
-
-        The caller must not ask for instants at which the forcing is not defined.
-        """
-        return Map(*self.moved(t, x, s, closed))
 
     def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""

@@ -16,7 +16,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +53,16 @@ class Row(NamedTuple):
     def value(self, x: Vector) -> float:
         """At a state, shape (2n,)."""
         return float(self.h.dot(x)) + self.rest
+
+    @property
+    def whole(self) -> Vector:
+        """By the state, and then by the parameters, shape (2n,) or (2n + p,)."""
+        return np.concatenate([self.h, self.of_theta]) if self.of_theta.size else self.h
+
+    def variance(self, root: Matrix) -> float:
+        """That of the function, by a ``root`` of the covariance of state and constants."""
+        seen = self.whole.dot(root[: self.h.size + self.of_theta.size])
+        return float(seen.dot(seen))
 
     def rounding(self, sizes: Vector) -> float:
         """Standard deviation of its rounding, positive; states have these ``sizes``, (2n,)."""
@@ -257,11 +266,7 @@ def sensors_of(measurements: Sequence[Measurement], system: System) -> tuple[Dec
     Raises:
         UsageError: the system does not have a coordinate or contact, by file and key.
     """
-    return tuple(map(partial(_sensor, system), range(len(measurements)), measurements))
-
-
-def _sensor(system: System, index: int, measurement: Measurement) -> DeclaredSensor:
-    return DeclaredSensor(measurement, system, index)
+    return tuple(DeclaredSensor(each, system, i) for i, each in enumerate(measurements))
 
 
 def _coefficients(given: Coefficients, system: System) -> Vector:

@@ -70,7 +70,7 @@ def rested(
     update = correction(state.root, H, np.empty((len(H), 0)), floor)
     z = np.concatenate([state.x, state.constants]) - update.change(value)
     if p:
-        z = members.within_bounds(z, update.root, slice(size, size + p))
+        z = members.parameters.bounded(z, update.root, size)
     corrected = state._replace(
         x=z[:size],
         constants=z[size:],

@@ -24,7 +24,7 @@ Johnson, Saltation matrices, 2023), but regular where ``gamma`` is zero.
 """
 
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,20 +46,8 @@ LEAST = 1e-150
 _ONE = np.ones(1)
 
 
-class LinearPhase(Protocol):
-    """What a ``Phase`` is without its flow."""
-
-    @property
-    def equations(self) -> Equations:
-        """Without the loads of held contacts."""
-
-    @property
-    def inverse(self) -> Matrix:
-        """What is left of ``M^-1`` when these take their loads, shape (n, n)."""
-
-
 class FreePhase(NamedTuple):
-    """A system while no contact is closed."""
+    """What a ``Phase`` is without its flow, of a system while no contact is closed."""
 
     equations: Equations
     inverse: Matrix
@@ -74,7 +62,7 @@ class StateRates:
         b: by the constant loads of guides, shape (2n,).
     """
 
-    def __init__(self, phase: LinearPhase, rubbed: Vector | None = None) -> None:
+    def __init__(self, phase: Phase | FreePhase, rubbed: Vector | None = None) -> None:
         """Write the phase, with forces of guides if any, (n,), as a system of first order."""
         n, equations = phase.equations.n, phase.equations
         inverse = phase.inverse

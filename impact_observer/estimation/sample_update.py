@@ -15,8 +15,7 @@
 """The hypotheses of a bank, corrected and weighed by samples that are measured beside impacts."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -36,19 +35,16 @@ from impact_observer.estimation.hypotheses import (
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
-from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
-from impact_observer.estimation.scalar_update import Seen, updated
 from impact_observer.estimation.settling import rest_after
 from impact_observer.events import Kind
-from impact_observer.kernel._kernel import Gaps
+from impact_observer.kernel._kernel import measured
 from impact_observer.states import Matrix, Vector
 
 DOUBTFUL = 3
 """Samples of one sensor that are rejected in a row, before the covariance is doubted."""
 WIDENING = 3.0
 """Factor of the normalised innovation by which it is widened then."""
-_NO_LEVEL = np.zeros(1)
 _LEAST_RESTITUTION = 1e-3
 """By which a speed after an impact is divided to find the one before."""
 
@@ -87,15 +83,20 @@ class _Weighed(NamedTuple):
         """Whether no number of it has overflowed."""
         return math.isfinite(self.hypothesis.weight)  # with the logarithm of a variance in it
 
-    def known_after(self, reading: Reading, known: SensorState) -> SensorState:
-        """What is known of the sensor after it."""
-        learns = reading.sensor.measurement.deviation is None
-        return known.after(
-            accepted=self.outcome.accepted, residual=self.residual if learns else -1.0
-        )
-
 
 _TOO_UNCERTAIN = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
+
+
+def _is_finite(state: GaussianState) -> bool:
+    """Whether no number of a state has overflowed."""
+    return math.isfinite(sum(float(each.sum()) for each in state[:4]))
+
+
+def _judged(innovation: float, normalized: float, gate: float) -> SampleOutcome:
+    """Accepted, unless a ``gate`` rejects it."""
+    if normalized > gate:
+        return _gated(innovation, normalized, gate)
+    return SampleOutcome(innovation, normalized)
 
 
 def _gated(innovation: float, normalized: float, gate: float) -> SampleOutcome:
@@ -138,9 +139,9 @@ class SampleFilter:
         if declared is not None:
             return known._replace(variance=declared * declared)
         row = self.row(reading, state)
-        seen = Seen.of(row, state)
-        innovation = reading.value - seen.value
-        return known._replace(variance=max(seen.spread, innovation * innovation))
+        innovation = reading.value - row.value(state.x)
+        variance = max(row.variance(state.root), innovation * innovation)
+        return known._replace(variance=variance)
 
     def after(
         self, reading: Reading, state: GaussianState, known: SensorState, jump: float = 0.0
@@ -151,81 +152,35 @@ class SampleFilter:
         ``jump``.
         """
         row, gate = self.row(reading, state), reading.sensor.measurement.gate
-        seen = Seen.of(row, state)
         noise = self.noise(row, state, known.variance)
-        innovation, variance = reading.value - seen.value, seen.spread + noise
+        if not jump:
+            found = measured(*state[:4], row.whole, row.rest, reading.value, noise, gate)
+            outcome = _judged(found[4], found[5], gate)
+            if outcome.accepted:
+                state = self._corrected(state, *found[:4])
+            return SampleResult(state, outcome, *found[6:])
+        innovation, variance = reading.value - row.value(state.x), row.variance(state.root) + noise
         size = min(abs(innovation), abs(innovation - jump))
         square = min(size * size / variance, gate * gate)
-        density = -(square + math.log(variance)) / 2 - (math.log(2.0) if jump else 0.0)
+        density = -(square + math.log(variance)) / 2 - math.log(2.0)
         normalized = abs(innovation) / math.sqrt(variance)
         if size > gate * math.sqrt(variance):
-            outcome = _gated(innovation, normalized, gate)
-            share = noise / variance
-            residual = gate * gate * variance * share * share + seen.spread * share
-            return SampleResult(state, outcome, density, -1.0 if jump else residual)
-        if jump:
-            noise += jump * jump
-            after = updated(state, row, seen, innovation, noise)
-            reason = "in part: an impact is about to happen, or has just happened"
-            return SampleResult(
-                after, SampleOutcome(innovation, normalized, True, reason), density
-            )
-        after = updated(state, row, seen, innovation, noise)
-        if after.parameters:
-            after = self._within_bounds(after)
-        share = noise / variance
-        residual = (innovation * share) ** 2 + seen.spread * share
-        return SampleResult(after, SampleOutcome(innovation, normalized), density, residual)
+            return SampleResult(state, _gated(innovation, normalized, gate), density)
+        noise += jump * jump
+        found = measured(*state[:4], row.whole, row.rest, reading.value, noise, math.inf)
+        reason = "in part: an impact is about to happen, or has just happened"
+        outcome = SampleOutcome(innovation, normalized, True, reason)
+        return SampleResult(self._corrected(state, *found[:4]), outcome, density)
 
-    def each_after(
-        self, reading: Reading, states: Sequence[GaussianState], x: Matrix, known: SensorState
-    ) -> list[SampleResult]:
-        """``after`` of several states without parameters, which have roots of one shape.
-
-        Their estimates are ``x``, shape (states, 2n); equal contacts are closed in all of them.
-        """
-        gate, size = reading.sensor.measurement.gate, x.shape[1]
-        row = self.row(reading, states[0])
-        roots = np.array([each.root for each in states])
-        columns = row.h @ roots[:, :size]
-        spread = np.einsum("bc,bc->b", columns, columns)
-        noise = max(self.noise(row, each, known.variance) for each in states)
-        innovation, variance = reading.value - (x @ row.h + row.rest), spread + noise
-        normalized = np.abs(innovation) / np.sqrt(variance)
-        density = -(np.minimum(normalized, gate) ** 2 + np.log(variance)) / 2
-        share = noise / variance
-        clipped = np.minimum(innovation**2, gate * gate * variance)
-        residual = clipped * share**2 + spread * share
-        towards = (roots @ columns[..., None])[..., 0]
-        gain = towards / variance[:, None]
-        shrunk = towards / (variance + np.sqrt(variance * noise))[:, None]
-        roots -= shrunk[:, :, None] * columns[:, None]
-        others = np.array([each.differences for each in states])
-        if others.size:
-            others -= gain[:, :, None] * (row.h @ others[:, :size])[:, None]
-        change = gain * innovation[:, None]
-        after, found = x + change[:, :size], list[SampleResult]()
-        values = (each.tolist() for each in (innovation, normalized, density, residual))
-        for k, (e, deviations, dense, left) in enumerate(zip(*values, strict=True)):
-            state, outcome = states[k], SampleOutcome(e, deviations)
-            if deviations > gate:
-                outcome = _gated(e, deviations, gate)
-            else:
-                constants = state.constants
-                if constants.size:
-                    constants = constants + change[k, size:]
-                state = GaussianState(
-                    after[k], constants, roots[k], others[k], state.closed, state.parameters
-                )
-            found.append(SampleResult(state, outcome, dense, left))
-        return found
-
-    def _within_bounds(self, state: GaussianState) -> GaussianState:
-        """``state`` with its parameters within their bounds."""
-        size, p, members = state.x.size, state.parameters, self.filter.members
-        z = np.concatenate([state.x, state.constants])
-        z = members.within_bounds(z, state.root, slice(size, size + p))
-        return state._replace(x=z[:size], constants=z[size:])
+    def _corrected(
+        self, state: GaussianState, x: Vector, constants: Vector, root: Matrix, others: Matrix
+    ) -> GaussianState:
+        """``state`` with other numbers, and parameters within their bounds."""
+        if p := state.parameters:
+            z = np.concatenate([x, constants])
+            z = self.filter.members.parameters.bounded(z, root, x.size)
+            x, constants = z[: x.size], z[x.size :]
+        return GaussianState(x, constants, root, others, state.closed, p)
 
 
 class SampleUpdate:
@@ -250,8 +205,6 @@ class SampleUpdate:
         """
         known = self.one.first(reading, hypotheses[0].state, reading.known)
         doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
-        if before == 1 and not (doubt or hypotheses[0].penetrating):
-            return self._after_alone(reading, hypotheses[0], known)
         if doubt or any(h.penetrating for h in hypotheses):
             hypotheses = [
                 branch
@@ -270,13 +223,12 @@ class SampleUpdate:
                 )
                 hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
-            weighed = self._each_weighed(reading, hypotheses, known)
+            finite = [h for h in hypotheses if _is_finite(h.state)]
+            weighed = [self._weighed(reading, h, known) for h in finite]
         weighed = [each for each in weighed if each.is_finite]
         if not weighed:
             return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
-        first = max(weighed, key=lambda each: each.hypothesis.weight)
-        found = self._kept([each.hypothesis for each in weighed], new=len(weighed) > before)
-        return found, first.outcome, first.known_after(reading, known)
+        return self._kept(reading, weighed, known, new=len(weighed) > before)
 
     def followed(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
@@ -289,15 +241,14 @@ class SampleUpdate:
         known = self._sure(reading, hypotheses, s)
         if known is None:
             return None
-        sensor, (moving, gaps, declared) = reading.sensor, self._free
-        at = Place(reading.t, reading.instant, hypotheses[0].state.x, ())
-        row, gate = sensor.row(moving, at), sensor.measurement.gate
-        made = gaps.followed(
+        row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
+        noise = self.bank.filter.noise
+        made = self.bank.filter.members.free_gaps.followed(
             since,
             s,
             [h.state for h in hypotheses],
-            _levels(hypotheses),
-            declared,
+            np.array([h.acceleration_error for h in hypotheses]),
+            0.0 if noise is None else noise.model_error,
             row.h,
             row.rest,
             reading.value,
@@ -305,36 +256,18 @@ class SampleUpdate:
             gate,
             not self.bank.trusts_events,
         )
-        if made is None or not math.isfinite(sum([each[6] for each in made])):  # noqa: C419 (slow)
+        if made is None:
             return None
-        alone, first = len(made) == 1, 0
-        found = [
-            h._replace(
-                state=GaussianState(*m[:4]),
-                weight=0.0 if alone else h.weight + m[6],
-                since=h.since + s,
-            )
-            for h, m in zip(hypotheses, made, strict=True)
-        ]
-        if not alone:
-            first = max(range(len(found)), key=lambda i: found[i].weight)
-        _, _, _, _, innovation, normalized, _, residual = made[first]
-        if normalized <= gate:
-            outcome = SampleOutcome(innovation, normalized)
-        elif alone:
-            return None  # the state before it goes on
-        else:
-            outcome = _gated(innovation, normalized, gate)
-        learns = sensor.measurement.deviation is None
-        known = known.after(accepted=outcome.accepted, residual=residual if learns else -1.0)
-        return (tuple(found) if alone else self._kept(found, new=False)), outcome, known
-
-    @cached_property
-    def _free(self) -> tuple[MovingSystem, Gaps, float]:
-        """The motion between impacts, its gaps, and the declared white accelerations, m/s^1.5."""
-        filter_, given = self.bank.filter, self.bank.filter.members.given
-        declared = 0.0 if filter_.noise is None else filter_.noise.model_error
-        return given.moving, filter_.members.free_gaps, declared
+        weighed = []
+        for h, found in zip(hypotheses, made, strict=True):
+            _, _, _, _, innovation, normalized, density, residual = found
+            after, weight = GaussianState(*found[:4]), h.weight + density
+            followed = h._replace(state=after, weight=weight, since=h.since + s)
+            weighed.append(_Weighed(followed, _judged(innovation, normalized, gate), residual))
+        goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
+        if goes_on or not all(each.is_finite for each in weighed):
+            return None
+        return self._kept(reading, weighed, known, new=False)
 
     def _sure(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float
@@ -355,55 +288,21 @@ class SampleUpdate:
                 return None
         return known
 
-    def _after_alone(
-        self, reading: Reading, h: Hypothesis, known: SensorState
+    def _kept(
+        self, reading: Reading, weighed: Sequence[_Weighed], known: SensorState, *, new: bool
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
-        """``after`` where a single hypothesis is left that nothing contradicts."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            result = self._weighed(reading, h, known)
-        if not result.is_finite:
-            return (h,), _TOO_UNCERTAIN, reading.known
-        known = result.known_after(reading, known)
-        return (result.hypothesis._replace(weight=0.0),), result.outcome, known
-
-    def _kept(self, found: list[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
         """The likely ones; where some are ``new`` they may have become alike."""
-        if len(found) == 1:
-            return (found[0]._replace(weight=0.0),)
-        found.sort(key=lambda h: -h.weight)
+        first = max(weighed, key=lambda each: each.hypothesis.weight)
+        learns = reading.sensor.measurement.deviation is None
+        known = known.after(
+            accepted=first.outcome.accepted, residual=first.residual if learns else -1.0
+        )
+        if len(weighed) == 1:
+            return (first.hypothesis._replace(weight=0.0),), first.outcome, known
+        found = sorted([each.hypothesis for each in weighed], key=lambda h: -h.weight)
         found = self.bank.likely(found)
-        return normalised(self.bank.distinct(found) if new else found)
-
-    def _each_weighed(
-        self, reading: Reading, hypotheses: Sequence[Hypothesis], known: SensorState
-    ) -> list[_Weighed]:
-        """Each hypothesis after a sample; all at once where they differ in numbers only."""
-        if len(hypotheses) == 1:
-            return [self._weighed(reading, hypotheses[0], known)]
-        found: dict[int, _Weighed] = {}
-        for group in self._alike(hypotheses):
-            some = [hypotheses[i] for i in group]
-            states = [h.state for h in some]
-            x = np.array([state.x for state in states])
-            gaps = x[:, : self._system.n] @ self._system.W + self._system.q_r
-            if len(group) == 1 or (gaps.size and float(gaps.min()) < 0):
-                found |= {i: self._weighed(reading, hypotheses[i], known) for i in group}
-                continue
-            results = self.one.each_after(reading, states, x, known)
-            for i, h, r in zip(group, some, results, strict=True):
-                after = h._replace(state=r.state, weight=h.weight + r.density)
-                found[i] = _Weighed(after, r.outcome, r.residual)
-        return [found[i] for i in range(len(hypotheses))]
-
-    def _alike(self, hypotheses: Sequence[Hypothesis]) -> Iterable[list[int]]:
-        """Places of hypotheses whose states differ in numbers only; alone those that do not."""
-        guided = self.bank.filter.members.given.moving.guided
-        found: dict[object, list[int]] = {}
-        for i, h in enumerate(hypotheses):
-            alone = guided or h.missed or h.state.parameters
-            key = i if alone else (h.state.root.shape, h.state.closed)
-            found.setdefault(key, []).append(i)
-        return found.values()
+        found = self.bank.distinct(found) if new else found
+        return normalised(found), first.outcome, known
 
     def _branches(
         self, reading: Reading, h: Hypothesis, known: SensorState, *, doubt: bool
@@ -412,9 +311,9 @@ class SampleUpdate:
         yield from self._settled(reading, h)
         if doubt and not self.bank.trusts_estimate:
             row = self.one.row(reading, h.state)
-            seen = Seen.of(row, h.state)
-            variance = seen.spread + self.one.noise(row, h.state, known.variance)
-            depth = abs(reading.value - seen.value) / math.sqrt(variance)
+            noise = self.one.noise(row, h.state, known.variance)
+            variance = row.variance(h.state.root) + noise
+            depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
             if depth > reading.sensor.measurement.gate:
                 wider = self.bank.filter.widened(h.state, WIDENING * depth)
                 yield h._replace(state=wider, weight=h.weight + RESTART)
@@ -489,10 +388,3 @@ class SampleUpdate:
         change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
         eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
         return change / eps if speed > 0 else change  # it has jumped: the state before was faster
-
-
-def _levels(hypotheses: Sequence[Hypothesis]) -> Vector:
-    """Of white accelerations, m/s^1.5, shape (hypotheses,)."""
-    if len(hypotheses) == 1 and not hypotheses[0].error.level:
-        return _NO_LEVEL
-    return np.array([h.acceleration_error for h in hypotheses])

@@ -20,10 +20,9 @@ chapter 12).
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from operator import mul
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -43,7 +42,7 @@ class Correction(NamedTuple):
     """The correction of a state of ``d`` numbers by a measurement.
 
     Attributes:
-        gain: change of the state per ``whitened`` innovation, shape (d, k).
+        gain: change of the state per innovation in standard deviations, shape (d, k).
         innovation: a square root of the innovation's covariance, lower triangular, shape (k, k).
         root: a square root of the posterior covariance, lower triangular, shape (d, d).
     """
@@ -52,22 +51,9 @@ class Correction(NamedTuple):
     innovation: Matrix
     root: Matrix
 
-    def whitened(self, seen: Iterable[Any]) -> list[Any]:
-        """``innovation^-1 seen``: innovations, or rows of several ones, in standard deviations."""
-        return whitened(self.innovation, seen)
-
     def change(self, seen: Matrix) -> Matrix:
         """The change of the state, shape (d, ...), by innovations ``seen``, shape (k, ...)."""
-        return np.asarray(self.gain.dot(np.reshape(self.whitened(seen), seen.shape)))
-
-
-def whitened(root: Matrix, seen: Iterable[Any]) -> list[Any]:
-    """``root^-1 seen``, numbers or rows; ``root`` is lower triangular, shape (k, k)."""
-    found: list[Any] = []
-    for row, value in zip(root.tolist(), seen, strict=True):
-        explained = sum(map(mul, row, found))  # row by row: there are hardly ever many
-        found.append((value - explained) / row[len(found)])
-    return found
+        return np.asarray(self.gain.dot(np.linalg.solve(self.innovation, seen)))
 
 
 def lengths(rows: Matrix) -> list[float]:

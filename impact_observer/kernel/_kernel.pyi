@@ -9,6 +9,8 @@ from impact_observer.states import Matrix, Vector
 SOURCES: str
 
 State: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
+Dip: TypeAlias = tuple[int, float, float, float, float, float, bool, float]
+Followed: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]
 
 def product(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]: ...
 def dots(X: Matrix, Y: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]: ...
@@ -19,6 +21,25 @@ def difference(
 ) -> Matrix: ...
 def triangular(root: Matrix) -> Matrix: ...
 def leading(root: Matrix, first: int, count: int) -> Matrix: ...
+def dips_along(
+    s: Vector,
+    values: Matrix,
+    value: Callable[[int, float], float],
+    rounding: Callable[[int, float], float],
+    deviation: Callable[[int, float], float],
+) -> list[Dip]: ...
+def falls_at(function: Callable[[float], float], above: float, below: float) -> float: ...
+def measured(
+    x: Vector,
+    constants: Vector,
+    root: Matrix,
+    differences: Matrix,
+    row: Vector,
+    rest: float,
+    value: float,
+    noise: float,
+    gate: float,
+) -> Followed: ...
 def largest_distance(columns: Matrix, metric: Matrix) -> float: ...
 
 class FreeMotion:
@@ -55,7 +76,7 @@ class Sizes:
 class Parameters:
     def __init__(self, low: Vector, high: Vector, size: Vector, moving: int) -> None: ...
     def steps(self, theta: Vector, root: Matrix) -> Vector: ...
-    def correction(self, theta: Vector, root: Matrix, first: int) -> Vector: ...
+    def bounded(self, z: Vector, root: Matrix, first: int) -> Vector: ...
 
 class Family:
     def __init__(
@@ -176,7 +197,7 @@ class Gaps:
         duration: Vector,
         states: Sequence[tuple[object, ...]],
         levels: Vector,
-    ) -> list[list[tuple[int, float, float, float, float, float, bool, float]]]: ...
+    ) -> list[list[Dip]]: ...
     def flown(
         self,
         t: Vector,
@@ -198,7 +219,7 @@ class Gaps:
         noise: float,
         gate: float,
         searches: bool,
-    ) -> list[tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]] | None: ...
+    ) -> list[Followed] | None: ...
     def root(
         self,
         t: float,

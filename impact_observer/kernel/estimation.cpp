@@ -78,14 +78,13 @@ Array steps_of(const Parameters& parameters, const Array& theta, const Array& ro
     return to_python(parameters.steps(at.data, rows));
 }
 
-Array correction_of(const Parameters& parameters, const Array& theta, const Array& root,
-                    std::size_t first) {
-    const auto p = parameters.count();
-    const View at = checked(theta, "theta", py::ssize_t(p));
-    const View whole = checked(root, "root", ANY, ANY);
-    if (first > whole.rows || whole.rows - first < p)
-        throw py::value_error("first: expected that of the parameters' rows");
-    return to_python(parameters.correction(at.data, whole, first));
+Array bounded(const Parameters& parameters, const Array& z, const Array& root, std::size_t first) {
+    Vector found = vector(z, "z", ANY);
+    const View whole = checked(root, "root", py::ssize_t(found.size()), ANY);
+    if (first > whole.rows || whole.rows - first < parameters.count())
+        throw py::value_error("first: expected that of the parameters");
+    parameters.bound(found, whole, first);
+    return to_python(found);
 }
 
 Family family_of(const std::shared_ptr<FreeMotion>& motion, const Sizes& sizes,
@@ -339,6 +338,14 @@ struct Flights {
     }
 };
 
+py::list list_of(const std::vector<Dip>& dips) {
+    py::list found;
+    for (const Dip& d : dips)
+        found.append(py::make_tuple(d.contact, d.above, d.below, d.deepest, d.depth, d.unlikely,
+                                    d.over, d.began));
+    return found;
+}
+
 py::list dips(const Gaps& gaps, const Array& starts, const Array& durations,
               const py::sequence& states, const Array& levels) {
     const Flights flights(gaps, starts, durations, states, levels);
@@ -356,14 +363,26 @@ py::list dips(const Gaps& gaps, const Array& starts, const Array& durations,
         }
     }
     py::list each_state;
-    for (const auto& some : found) {
-        py::list each;
-        for (const Dip& d : some)
-            each.append(py::make_tuple(d.contact, d.above, d.below, d.deepest, d.depth, d.unlikely,
-                                       d.over, d.began));
-        each_state.append(each);
-    }
+    for (const auto& some : found) each_state.append(list_of(some));
     return each_state;
+}
+
+py::list dips_along(const Array& s, const Array& values, const py::function& value,
+                    const py::function& rounding, const py::function& deviation) {
+    const Vector at = vector(s, "s", ANY);
+    const View rows = checked(values, "values", py::ssize_t(at.size()), ANY);
+    std::vector<Dip> found;
+    for (std::size_t j = 0; j < rows.columns; ++j) {
+        Vector own(at.size());
+        for (std::size_t k = 0; k < own.size(); ++k) own[k] = rows(k, j);
+        const auto of = [&](const py::function& function) {
+            return [&, j](double t) { return function(j, t).template cast<double>(); };
+        };
+        const auto near = [&](std::size_t, double t) { return of(value)(t); };
+        add_dips(found, j, at, std::move(own), near, of(rounding), of(deviation));
+    }
+    in_order(found);
+    return list_of(found);
 }
 
 py::list flown(const Gaps& gaps, const Array& starts, const Array& durations,
@@ -383,6 +402,39 @@ py::list flown(const Gaps& gaps, const Array& starts, const Array& durations,
     });
 }
 
+double root_between(const py::function& function, double above, double below) {
+    const auto value = [&](double s) { return function(s).cast<double>(); };
+    return falls_at(value, above, below, 4 * EPS);
+}
+
+Sample sample_of(Vector row, double rest, double value, double noise, double gate) {
+    if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
+        throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
+    return {std::move(row), rest, value, noise, gate};
+}
+
+py::tuple tuple_of(const Followed& found) {
+    const Posterior& state = found.state;
+    return py::make_tuple(flat(state.x), flat(state.constants), to_python(state.root),
+                          to_python(state.differences), found.innovation, found.normalised,
+                          found.density, found.residual);
+}
+
+py::tuple measured(const Array& x, const Array& constants, const Array& root,
+                   const Array& differences, const Array& row, double rest, double value,
+                   double noise, double gate) {
+    const Vector about = vector(x, "x", ANY), beside = vector(constants, "constants", ANY);
+    const auto d = py::ssize_t(about.size() + beside.size());
+    Posterior prior{Matrix(1, about.size()), Matrix(1, beside.size()),
+                    Matrix(checked(root, "root", d, ANY)),
+                    Matrix(checked(differences, "differences", d, ANY))};
+    prior.x.data = about, prior.constants.data = beside;
+    const Vector by = vector(row, "row", ANY);
+    if (by.size() < about.size() || by.size() > prior.root.rows)
+        throw py::value_error("row: expected a number of each of the state, and of constants");
+    return tuple_of(Gaps::updated(sample_of(by, rest, value, noise, gate), std::move(prior)));
+}
+
 py::object followed(const Gaps& gaps, double t, double s, const py::sequence& states,
                     const Array& levels, double declared, const Array& row, double rest,
                     double value, double noise, double gate, bool searches) {
@@ -390,9 +442,8 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
     if (gaps.family->count()) throw py::value_error("states: not with parameters");
     const Priors given(states, Array(py::ssize_t(0)), *gaps.family, false);
     const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
-    Sample sample{vector(row, "row", py::ssize_t(gaps.motion->size())), rest, value, noise, gate};
-    if (!(noise > 0 && gate > 0 && std::isfinite(noise) && std::isfinite(rest + value)))
-        throw py::value_error("noise, gate: expected positive numbers; rest, value: finite ones");
+    const Sample sample =
+        sample_of(vector(row, "row", py::ssize_t(gaps.motion->size())), rest, value, noise, gate);
     positive(declared, "declared");
     std::vector<Followed> found;
     {
@@ -401,11 +452,7 @@ py::object followed(const Gaps& gaps, double t, double s, const py::sequence& st
     }
     if (found.size() < given.priors.size()) return py::none();
     py::list each_state;
-    for (const Followed& each : found)
-        each_state.append(py::make_tuple(flat(each.state.x), flat(each.state.constants),
-                                         to_python(each.state.root),
-                                         to_python(each.state.differences), each.innovation,
-                                         each.normalised, each.density, each.residual));
+    for (const Followed& each : found) each_state.append(tuple_of(each));
     return each_state;
 }
 
@@ -489,8 +536,9 @@ void bind_estimation(py::module_& module) {
              py::arg("moving"))
         .def("steps", &steps_of, py::arg("theta"), py::arg("root"),
              "Steps of finite differences by the first parameters, a row of root each.")
-        .def("correction", &correction_of, py::arg("theta"), py::arg("root"), py::arg("first"),
-             "What takes an estimate back to the parameters' bounds; first is their first row.");
+        .def("bounded", &bounded, py::arg("z"), py::arg("root"), py::arg("first"),
+             "An estimate z with its parameters, from z[first] on, within their bounds; all else\n"
+             "moves to its conditional mean. root is one of the covariance of z.");
     py::class_<Family, std::shared_ptr<Family>>(
         module, "Family", "Systems whose accelerations are linear in parameters.")
         .def(py::init(&family_of), py::arg("motion"), py::arg("sizes"), py::arg("parameters"),
@@ -521,6 +569,17 @@ void bind_estimation(py::module_& module) {
              "clocks has the state's own first; doubts: see Doubts in kalman.hpp.")
         .def("missed", &missed, py::arg("t"), py::arg("states"),
              "The same where it was not reported, each near its zero t of the gap.");
+    module.def("dips_along", &dips_along, py::arg("s"), py::arg("values"), py::arg("value"),
+               py::arg("rounding"), py::arg("deviation"),
+               "Where functions of time are negative, as Gaps.dips but for where that began: of\n"
+               "their values at the samples s, and of what the last arguments find for (j, s).");
+    module.def("falls_at", &root_between, py::arg("function"), py::arg("above"), py::arg("below"),
+               "Where a function of time falls through zero, between instants where it is above\n"
+               "and below; the latter where it does not.");
+    module.def("measured", &measured, py::arg("x"), py::arg("constants"), py::arg("root"),
+               py::arg("differences"), py::arg("row"), py::arg("rest"), py::arg("value"),
+               py::arg("noise"), py::arg("gate"),
+               "A state corrected by a sample; see Gaps.followed.");
     module.def("largest_distance", &largest_distance, py::arg("columns"), py::arg("metric"),
                "The largest d^T metric d between two columns, or one of them and zero.");
     py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")

@@ -13,7 +13,15 @@
 // limitations under the License.
 
 // Systems that differ by a few parameters theta, and how these add to the error of a state, to
-// second order: see estimation/parametric.py.
+// second order.
+//
+// A map F(x, theta) is affine in the state x for every theta. Its derivatives with theta are
+// differences over steps about as large as theta may be wrong: where the map is curved they
+// average over that distance, and as the deviations fall they become derivatives (Norgaard,
+// Poulsen and Ravn, New developments in state estimation for nonlinear systems, 2000). Terms of
+// second order are noise whose variance follows from that of state and parameters. So a filter
+// never claims more than its linearisation allows, and the noise vanishes with the deviations of
+// the parameters.
 #pragma once
 
 #include <functional>
@@ -56,23 +64,22 @@ struct Parameters {
         return std::clamp(theta, low[j] + margin, high[j] - margin);
     }
 
-    // What takes an estimate back whose parameters, the rows of `root` from `first` on, are beyond
-    // their bounds: all else moves to its conditional mean given these (Simon and Chia, Kalman
-    // filtering with state equality constraints, 2002).
-    Vector correction(const double* theta, const View& root, std::size_t first) const {
+    // Takes an estimate z back whose parameters, from z[first] on, are beyond their bounds: all
+    // else moves to its conditional mean given these (Simon and Chia, Kalman filtering with state
+    // equality constraints, 2002). `root` is one of the covariance of z.
+    void bound(Vector& z, const View& root, std::size_t first) const {
         Vector change(root.rows);
         for (std::size_t j = 0; j < count(); ++j) {
             const double* row = root.row(first + j);
-            const double value = theta[j] + change[first + j];
+            const double value = z[first + j] + change[first + j];
             const double beyond = clamped(j, value) - value;
             const double variance = dot(row, row, root.columns);
             if (beyond == 0.0 || variance == 0.0) continue;
             for (std::size_t i = 0; i < root.rows; ++i)
                 change[i] += dot(root.row(i), row, root.columns) * (beyond / variance);
         }
-        for (std::size_t j = 0; j < count(); ++j)
-            change[first + j] = clamped(j, theta[j] + change[first + j]) - theta[j];
-        return change;
+        add(1.0, change.data(), z.data(), z.size());
+        for (std::size_t j = 0; j < count(); ++j) z[first + j] = clamped(j, z[first + j]);
     }
 };
 

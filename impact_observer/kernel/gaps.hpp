@@ -28,9 +28,9 @@ constexpr int FINER = 8;               // additional samples in the first interv
 constexpr int MOST_DIPS = 32;          // of a gap in a flight, which may last for years
 constexpr double SHALLOW = 8.0;        // depth of a dip that is rounding, in its deviations
 
-// An interval in which a gap is negative. Times are seconds after the start.
+// An interval in which a gap, or another function, is negative. Times are seconds after the start.
 struct Dip {
-    std::size_t contact;
+    std::size_t contact;  // or which function
     double above, below;  // the last sample at which it is positive, the first where it is not
     double deepest;       // where it is deepest
     double depth;         // there, in standard deviations
@@ -41,7 +41,7 @@ struct Dip {
 
 // A linear function of the state that is measured with noise.
 struct Sample {
-    Vector row;  // by the state
+    Vector row;  // by the state, and then by as many constants as it has more numbers
     double rest, value;
     double noise;  // its variance
     double gate;   // innovation from which on it is rejected, in standard deviations
@@ -54,6 +54,82 @@ struct Followed {
     double density;   // logarithm of that of the sample, but for a constant
     double residual;  // the expected square of its noise
 };
+
+// Where a function of time that is positive at `above` falls through zero on the way to `below`,
+// forwards or back; `below` where it does not change its sign. Regula falsi in which the end that
+// stays counts half (Illinois), and halves where that is slow.
+template <class Function>
+double falls_at(const Function& value, double above, double below, double enough) {
+    double low = above, high = below, at_low = value(low), at_high = value(high);
+    if (!(at_low > 0 && 0 > at_high)) return below;
+    for (int turn = 0; std::abs(high - low) > enough * std::abs(high) + 1e-15; ++turn) {
+        const auto is_between = [&](double s) {
+            return (low < s && s < high) || (high < s && s < low);
+        };
+        double s = low + (high - low) * (turn < 40 ? at_low / (at_low - at_high) : 0.5);
+        if (!is_between(s)) s = low + (high - low) / 2;
+        if (!is_between(s)) break;
+        const double now = value(s);
+        if (now > 0)
+            low = s, at_low = now, at_high /= 2;
+        else
+            high = s, at_high = now, at_low /= 2;
+        if (now == 0) break;
+    }
+    return high;
+}
+
+// Adds the minima between samples of a function that are, or may be, below zero. `near` evaluates
+// it, after a sample of which it is told the number.
+template <class Near>
+void add_minima(Vector& s, Vector& values, const Near& near) {
+    Vector more_s, more;
+    std::vector<std::size_t> where;
+    for (std::size_t k = 1; k + 1 < s.size(); ++k) {
+        const double falls = values[k] - values[k - 1], rises = values[k + 1] - values[k];
+        if (!(falls <= 0 && rises >= 0)) continue;
+        const double h = s[k] - s[k - 1], next = s[k + 1] - s[k];
+        const double bend = std::max((rises / next - falls / h) / (h + next), 1e-15);
+        const double slope = falls / h + bend * h;  // of the parabola, in the middle
+        if (!(values[k] - slope * slope / (4 * bend) <= values[k] / 2)) continue;
+        const double at = std::clamp(s[k] - slope / (2 * bend), s[k - 1], s[k + 1]);
+        const std::size_t from = at < s[k] ? k - 1 : k;
+        where.push_back(from + 1), more_s.push_back(at), more.push_back(near(from, at));
+    }
+    for (std::size_t i = where.size(); i-- > 0;) {
+        s.insert(s.begin() + std::ptrdiff_t(where[i]), more_s[i]);
+        values.insert(values.begin() + std::ptrdiff_t(where[i]), more[i]);
+    }
+}
+
+// Adds the first dips of a function of which the values at the samples s are given; where they
+// begin is not known. `rounding` and `deviation` are of its value at an instant.
+template <class Near, class Rounding, class Deviation>
+void add_dips(std::vector<Dip>& found, std::size_t which, Vector s, Vector values,
+              const Near& near, const Rounding& rounding, const Deviation& deviation) {
+    add_minima(s, values, near);
+    int dips = 0;
+    for (std::size_t k = 0; k < s.size() && dips < MOST_DIPS; ++k) {
+        if (!(values[k] < 0)) continue;
+        const std::size_t first = k;
+        std::size_t lowest = k;
+        for (; k < s.size() && values[k] < 0; ++k)
+            if (values[k] < values[lowest]) lowest = k;
+        // A function that rises from the start: the jump there was a little early.
+        const double depth = -values[lowest] + (first ? 0.0 : std::min(values[0], 0.0));
+        const double rounded = rounding(s[lowest]);
+        if (depth <= SHALLOW * rounded) continue;
+        const double deep = -values[lowest] / std::hypot(deviation(s[lowest]), rounded);
+        found.push_back({which, s[first ? first - 1 : 0], s[first], s[lowest], deep,
+                         log_normal(-deep), k < s.size(), 0.0});
+        ++dips;
+    }
+}
+
+inline void in_order(std::vector<Dip>& dips) {
+    std::stable_sort(dips.begin(), dips.end(),
+                     [](const Dip& a, const Dip& b) { return a.below < b.below; });
+}
 
 class Gaps {
   public:
@@ -109,41 +185,26 @@ class Gaps {
         std::vector<Dip> found;
         if (!(grid.duration > 0)) return found;
         const Samples samples = sampled(grid, vector(prior.x));
-        Vector scale;
         for (std::size_t j = 0; j < W.rows; ++j) {
-            Vector s = samples.s, values(s.size());
-            bool is_low = false;
-            for (std::size_t k = 0; k < s.size(); ++k) values[k] = gap(j, samples.x.row(k));
-            add_minima(t, j, samples, s, values);
-            for (const double each : values) is_low = is_low || each < 0;
-            if (!is_low) continue;
-            if (scale.empty()) scale = family->sizes.of(prior.x.data, 0.0);
-            double size = std::abs(rest[j]);
-            for (std::size_t i = 0; i < motion->n(); ++i) size += std::abs(W(j, i)) * scale[i];
-            int dips = 0;
-            for (std::size_t k = 0; k < s.size() && dips < MOST_DIPS; ++k) {
-                if (values[k] >= 0) continue;
-                const std::size_t first = k;
-                std::size_t lowest = k;
-                for (; k < s.size() && values[k] < 0; ++k)
-                    if (values[k] < values[lowest]) lowest = k;
-                // A gap that rises from the start: the jump there was a little early.
-                const double depth = -values[lowest] + (first ? 0.0 : std::min(values[0], 0.0));
-                const double rounding =
-                    (64 * EPS + EPS * (t + s[lowest]) / family->sizes.timescale) * size;
-                if (depth <= SHALLOW * rounding) continue;
-                const double sigma =
-                    std::hypot(deviation(t, j, s[lowest], prior, level), rounding);
-                const double deep = -values[lowest] / sigma;
-                found.push_back({j, s[first ? first - 1 : 0], s[first], s[lowest], deep,
-                                 log_normal(-deep), k < s.size(), 0.0});
-                Dip& dip = found.back();
-                dip.began = root(t, prior, level, j, dip.above, dip.below, 0.0);
-                ++dips;
-            }
+            Vector values(samples.s.size());
+            for (std::size_t k = 0; k < values.size(); ++k) values[k] = gap(j, samples.x.row(k));
+            const auto near = [&](std::size_t from, double at) {
+                const double s = samples.s[from];
+                const double* x = samples.x.row(from);
+                return gap(j, motion->flown(t + s, Vector(x, x + motion->size()), at - s).data());
+            };
+            const auto rounding = [&](double s) {
+                const Vector scale = family->sizes.of(prior.x.data, 0.0);
+                double size = std::abs(rest[j]);
+                for (std::size_t i = 0; i < motion->n(); ++i) size += std::abs(W(j, i)) * scale[i];
+                return (64 * EPS + EPS * (t + s) / family->sizes.timescale) * size;
+            };
+            const auto spread_at = [&](double s) { return deviation(t, j, s, prior, level); };
+            add_dips(found, j, samples.s, std::move(values), near, rounding, spread_at);
         }
-        std::stable_sort(found.begin(), found.end(),
-                         [](const Dip& a, const Dip& b) { return a.below < b.below; });
+        for (Dip& dip : found)
+            dip.began = root(t, prior, level, dip.contact, dip.above, dip.below, 0.0);
+        in_order(found);
         return found;
     }
 
@@ -161,23 +222,7 @@ class Gaps {
             const Vector x = motion->flown(t + above, start, s - above);
             return gap(j, x.data()) + (depth > 0 ? depth * sigma(s) : 0.0);
         };
-        double low = above, high = below, at_low = value(low), at_high = value(high);
-        if (!(at_low > 0 && 0 > at_high)) return below;
-        // Regula falsi, where the end that stays counts half (Illinois).
-        const double enough = depth > 0 ? 1e-13 : 4 * EPS;
-        for (int turn = 0; turn < 100 && high - low > enough * high; ++turn) {
-            double s = low + (high - low) * (at_low / (at_low - at_high));
-            if (!(s > low && s < high)) s = low + (high - low) / 2;
-            if (!(s > low && s < high)) break;
-            const double now = value(s);
-            if (now > 0) {
-                low = s, at_low = now, at_high /= 2;
-            } else {
-                high = s, at_high = now, at_low /= 2;
-                if (now == 0) break;
-            }
-        }
-        return high;
+        return falls_at(value, above, below, depth > 0 ? 1e-13 : 4 * EPS);
     }
 
     // States s seconds later, corrected by a sample then. None where a gap is negative then, or,
@@ -233,6 +278,39 @@ class Gaps {
         return found;
     }
 
+    // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
+    // Factorization methods for discrete sequential estimation, 1977, chapter II).
+    static Followed updated(const Sample& sample, Posterior prior) {
+        Followed found{std::move(prior), 0, 0, 0, 0};
+        Matrix &x = found.state.x, &root = found.state.root;
+        Matrix& differences = found.state.differences;
+        const std::size_t size = x.columns, d = root.rows, c = root.columns;
+        Vector columns(c), others(differences.columns);
+        for (std::size_t i = 0; i < sample.row.size(); ++i) {
+            if (sample.row[i] == 0.0) continue;
+            add(sample.row[i], root.row(i), columns.data(), c);
+            add(sample.row[i], differences.row(i), others.data(), others.size());
+        }
+        const double spread = dot(columns.data(), columns.data(), c);
+        const double variance = spread + sample.noise, share = sample.noise / variance;
+        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
+        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
+        const double least = std::min(found.normalised, sample.gate);
+        found.density = -(least * least + std::log(variance)) / 2;
+        found.residual = least * least * variance * share * share + spread * share;
+        if (!(found.normalised > sample.gate)) {
+            const double shrink = variance + std::sqrt(variance * sample.noise);
+            for (std::size_t i = 0; i < d; ++i) {
+                const double towards = dot(root.row(i), columns.data(), c);
+                const double change = towards / variance * found.innovation;
+                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
+                add(-towards / shrink, columns.data(), root.row(i), c);
+                add(-towards / variance, others.data(), differences.row(i), others.size());
+            }
+        }
+        return found;
+    }
+
   private:
     // The state s seconds after x at t; whether no gap can have vanished on the way, as not even
     // all terms of Taylor's series together reach so far.
@@ -279,39 +357,6 @@ class Gaps {
         return found;
     }
 
-    // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
-    // Factorization methods for discrete sequential estimation, 1977, chapter II).
-    static Followed updated(const Sample& sample, Posterior prior) {
-        Followed found{std::move(prior), 0, 0, 0, 0};
-        Matrix &x = found.state.x, &root = found.state.root;
-        Matrix& differences = found.state.differences;
-        const std::size_t size = x.columns, d = root.rows, c = root.columns;
-        Vector columns(c), others(differences.columns);
-        for (std::size_t i = 0; i < size; ++i) {
-            if (sample.row[i] == 0.0) continue;
-            add(sample.row[i], root.row(i), columns.data(), c);
-            add(sample.row[i], differences.row(i), others.data(), others.size());
-        }
-        const double spread = dot(columns.data(), columns.data(), c);
-        const double variance = spread + sample.noise, share = sample.noise / variance;
-        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
-        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
-        const double least = std::min(found.normalised, sample.gate);
-        found.density = -(least * least + std::log(variance)) / 2;
-        found.residual = least * least * variance * share * share + spread * share;
-        if (!(found.normalised > sample.gate)) {
-            const double shrink = variance + std::sqrt(variance * sample.noise);
-            for (std::size_t i = 0; i < d; ++i) {
-                const double towards = dot(root.row(i), columns.data(), c);
-                const double change = towards / variance * found.innovation;
-                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
-                add(-towards / shrink, columns.data(), root.row(i), c);
-                add(-towards / variance, others.data(), differences.row(i), others.size());
-            }
-        }
-        return found;
-    }
-
     struct Samples {
         Vector s;
         Matrix x;  // a state each row
@@ -345,30 +390,6 @@ class Gaps {
                 found.x(k, i) = grid.pushed(k - FINER - 1, i) + dot(grid.step.row(i), from, size);
         }
         return found;
-    }
-
-    // Adds the minima between samples that are, or may be, below zero.
-    void add_minima(double t, std::size_t j, const Samples& samples, Vector& s,
-                    Vector& values) const {
-        Vector more_s, more;
-        std::vector<std::size_t> where;
-        for (std::size_t k = 1; k + 1 < s.size(); ++k) {
-            const double falls = values[k] - values[k - 1], rises = values[k + 1] - values[k];
-            if (!(falls <= 0 && rises >= 0)) continue;
-            const double h = s[k] - s[k - 1], next = s[k + 1] - s[k];
-            const double bend = std::max((rises / next - falls / h) / (h + next), 1e-15);
-            const double slope = falls / h + bend * h;  // of the parabola, in the middle
-            if (!(values[k] - slope * slope / (4 * bend) <= values[k] / 2)) continue;
-            const double at = s[k] - slope / (2 * bend);
-            const std::size_t from = at < s[k] ? k - 1 : k;
-            Vector x(samples.x.row(from), samples.x.row(from) + motion->size());
-            x = motion->flown(t + s[from], std::move(x), at - s[from]);
-            where.push_back(from + 1), more_s.push_back(at), more.push_back(gap(j, x.data()));
-        }
-        for (std::size_t i = where.size(); i-- > 0;) {
-            s.insert(s.begin() + std::ptrdiff_t(where[i]), more_s[i]);
-            values.insert(values.begin() + std::ptrdiff_t(where[i]), more[i]);
-        }
     }
 
     // The root of a covariance after a flight from t on; `differences` get what the parameters of

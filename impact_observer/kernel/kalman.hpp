@@ -308,7 +308,8 @@ class Impact {
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
             after = nonlinear(negative(seen_by(at.rho[1], found.root)), clear, at.a, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
-            if (family->count()) bound(found);
+            if (family->count())
+                family->parameters.bound(found.z, found.root.view(), 1 + given.x.size());
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
                 add(slope, prior.differences.row(0), others.data(), others.size());
@@ -322,16 +323,6 @@ class Impact {
             if (family->count()) law = law_of(about.data() + given.x.size());
         }
         return found;
-    }
-
-    // Takes parameters beyond their bounds back to them.
-    void bound(Joint& joint) const {
-        const std::size_t first = 1 + family->given->size();
-        const double* theta = joint.z.data() + first;
-        const Vector change = family->parameters.correction(theta, joint.root.view(), first);
-        add(1.0, change.data(), joint.z.data(), change.size());
-        for (std::size_t j = 0; j < family->count(); ++j)  // as the sum is rounded
-            joint.z[first + j] = family->parameters.clamped(j, joint.z[first + j]);
     }
 
     // How the state y+ changes with parameters of the jump. `at` is the place of (e, y). The

@@ -22,7 +22,7 @@ from impact_observer.errors import BagError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
-from impact_observer.observer.event_order import EventKey, deduplicated, interpretations
+from impact_observer.observer.event_order import EventKey, interpretations, keys_of
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import seconds_between
 
@@ -88,14 +88,10 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     epoch = max((e.epoch for e in last), default=0)
     first = min((e.sequence for e in last if e.sequence), default=0)
     start = epoch if epoch and first <= 1 else min((e.stamp for e in last), default=0)
-    usable = [
-        EventKey(event.stamp, event.sequence, tuple(sorted(kinds)))
-        for event in last
-        if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
-    ]
-    keys = [key for key in deduplicated(usable) if key.stamp >= start]
+    usable = sum(any(s.contact in index for s in e.switches) for e in last)
+    keys = [key for key in keys_of(last, index) if key.stamp >= start]
     episodes = len({(e.epoch, e.episode) for e in events})
-    found = Episode(start, epoch or start, keys, dict(foreign), len(usable) - len(keys), episodes)
+    found = Episode(start, epoch or start, keys, dict(foreign), usable - len(keys), episodes)
     if not any(change.hit for change in found.changes):
         wanted, others = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(

@@ -200,9 +200,13 @@ def superseding(i: int, events: Sequence[EventKey]) -> Superseding:
     return tuple(found)
 
 
-def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
-    """``events`` in order, each once."""
-    return sorted({*events})
+def keys_of(events: Iterable[ImpactEvent], index: Mapping[str, int]) -> list[EventKey]:
+    """The ``events`` in order, each once; without contacts that have no ``index``, by name."""
+    known = (
+        (e, {(index[s.contact], s.kind) for s in e.switches if s.contact in index}) for e in events
+    )
+    keys = {EventKey(e.stamp, e.sequence, tuple(sorted(kinds))) for e, kinds in known if kinds}
+    return sorted(keys)
 
 
 def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Interpretation]]:
@@ -230,15 +234,7 @@ def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]
     for _, members in groupby(sorted(events, key=run), key=run):
         of_run = list(members)
         names = sorted({switch.contact for event in of_run for switch in event.switches})
-        index = {name: i for i, name in enumerate(names)}
-        keys = deduplicated(
-            EventKey(
-                e.stamp,
-                e.sequence,
-                tuple(sorted({(index[s.contact], s.kind) for s in e.switches})),
-            )
-            for e in of_run
-        )
+        keys = keys_of(of_run, {name: i for i, name in enumerate(names)})
         for key, (_, meaning) in zip(keys, interpretations(keys), strict=True):
             for contact, kind in meaning.switches:
                 if kind is not Kind.OPEN:

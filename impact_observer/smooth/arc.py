@@ -190,7 +190,7 @@ class Arc(Linearised):
                 )
                 early.append(0.0)
                 moving = self.member(path).moving
-                states.append(moving.flow_map(t, self._after(path, k), at - t, closed).value)
+                states.append(moving.moved(t, self._after(path, k), at - t, closed)[0])
         arc = Arc(self.filter, self._t, self._state, moments, self.samples)
         doubt = np.zeros(len(moments))
         doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt

@@ -28,11 +28,11 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.forecast import falls_at
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.model_error import unit_kicks
 from impact_observer.events import Ruling, Verdict
+from impact_observer.kernel._kernel import falls_at
 from impact_observer.smooth.account import EventAccount, Moment
 from impact_observer.smooth.arc import Arc
 from impact_observer.smooth.chain import Normal
@@ -135,7 +135,7 @@ class Retracing:
     def _gaps(self, t: float, x: Vector, s: float) -> Vector:
         """All gaps, ``s`` seconds after ``t``, where the state is ``x``."""
         system = self._filter.system
-        moved = self._moving.flow_map(t, x, s, ()).value
+        moved = self._moving.moved(t, x, s, ())[0]
         found: Vector = system.gap(moved[: system.n])
         return found
 
@@ -144,7 +144,7 @@ class Retracing:
 
     def _hit(self, t: float, z: Normal, i: int, s: float) -> _Hit:
         n = self._filter.system.n
-        x, map_ = self._moving.flow_map(t, z.mean[: 2 * n], s, ())
+        x, map_ = self._moving.moved(t, z.mean[: 2 * n], s, ())
         w = self._filter.system.W[:, i]
         seen = w @ (map_ @ z.root[: 2 * n])[:n]
         speed = max(abs(float(w @ x[n:])), 1e-12)

@@ -36,7 +36,6 @@ from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.members import Member
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.moving_system import transition_of
-from impact_observer.estimation.parametric import Map, Sensitivity
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import (
     RestProjection,
@@ -45,6 +44,7 @@ from impact_observer.estimation.resting import (
 )
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import Sensitivity
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
 from impact_observer.states import Matrix, Vector
@@ -160,7 +160,7 @@ class Linearised:
     def moved_before(self, path: Path, k: int, x: Vector, s: float) -> Vector:
         """The state ``x`` before the ``k``-th moment, ``s`` seconds after the path's instant."""
         closed = self.moments[k].change.before
-        return self.member(path).moving.flow_map(self.instant(path, k), x, s, closed).value
+        return self.member(path).moving.moved(self.instant(path, k), x, s, closed)[0]
 
     def gap_deviation(self, k: int, root: Matrix) -> float:
         """Standard deviation of the gap of the contact that hits at the ``k``-th moment, m.
@@ -193,17 +193,17 @@ class Linearised:
         t = self.instant(path, k) if since is None else since
         s, theta, q, size = end - t, path.constants[: self._p], self._members.moving, self._size
 
-        def at(values: Vector) -> Map:
-            return self._members.motion(values).flow_map(t, x, s, closed)
+        def at(values: Vector) -> tuple[Vector, Matrix]:
+            return self._members.motion(values).moved(t, x, s, closed)
 
-        moved = at(theta) if q else self._flown(path, k, since, s)
+        moved, map_ = at(theta) if q else self._flown(path, k, since, s)
         A = np.eye(size + self._count)
-        A[:size, :size] = moved.linear
+        A[:size, :size] = map_
         if q:
-            steps = self._members.steps(theta, np.diag(path.spread)[:q])
+            steps = self._members.parameters.steps(theta, np.diag(path.spread)[:q])
             A[:size, size : size + q] = Sensitivity(at, theta[:q], steps).first.T
         b = np.zeros(len(A))
-        b[:size] = moved.value - A[:size] @ np.append(x, path.constants)
+        b[:size] = moved - A[:size] @ np.append(x, path.constants)
         noise = self.noise_after(k) if noisy else None
         root = np.zeros((len(A), 0))
         if noise is not None and s > 0:
@@ -273,7 +273,7 @@ class Linearised:
         A[:size, : 1 + size] = jump.H
         if self._p and jump.pressed:
             theta = path.constants[: self._p]
-            steps = self._members.steps(theta, np.diag(path.spread))
+            steps = self._members.parameters.steps(theta, np.diag(path.spread))
             soft = bool(change.delay(self.filter.system))
             sensitivity = Sensitivity(
                 lambda values: self._members.impact(values, jump.x, jump.pressed, soft=soft),
@@ -298,16 +298,17 @@ class Linearised:
             return known
         change, x, member = self.moments[k].change, path.x[k], self.member(path)
         t, late = self.instant(path, k), change.delay(self.filter.system)
-        onward = member.moving.flow_map(t, x, late, change.before) if late else None
-        if onward is not None:
-            x, t = onward.value, t + late
+        onward = np.eye(len(x))
+        if late:
+            x, onward = member.moving.moved(t, x, late, change.before)
+            t += late
         pressed = self.filter.pressed(member, change, x)
         jet = member.jump_about(t, x, pressed, change.before, change.closed, soft=bool(late))
         value, H, *_ = jet.expanded(x, member.moving.forces(t))
         back = np.eye(len(x))
-        if onward is not None:
-            value, back = member.moving.flow_map(t, value, -late, change.closed)
-            H = back @ np.column_stack([H[:, 0], H[:, 1:] @ onward.linear])
+        if late:
+            value, back = member.moving.moved(t, value, -late, change.closed)
+            H = back @ np.column_stack([H[:, 0], H[:, 1:] @ onward])
         found = _Jump(value, H, pressed, x, back)
         self._latest = path, k, found
         return found
@@ -327,9 +328,9 @@ class Linearised:
         """The path's state after the ``k``-th moment: just then, or at ``since``."""
         if since is None:
             return self._after(path, k)
-        return self._flown(path, k, None, since - self.instant(path, k)).value
+        return self._flown(path, k, None, since - self.instant(path, k))[0]
 
-    def _flown(self, path: Path, k: int, since: float | None, s: float) -> Map:
+    def _flown(self, path: Path, k: int, since: float | None, s: float) -> tuple[Vector, Matrix]:
         """The flow over ``s`` seconds from after the ``k``-th moment, or from ``since``.
 
         Guides that rub make a motion of many phases, which is kept for the next ``s``.
@@ -340,11 +341,11 @@ class Linearised:
             t = self.instant(path, k) if since is None else since
             x = self._state_at(path, k, since)
             if not moving.guided or s <= 0:
-                return moving.flow_map(t, x, s, closed)
+                return moving.moved(t, x, s, closed)
             motion = moving.motion(t, x, closed)
             self._moved = path, k, since, motion
         assert motion is not None, "it is of this path"
-        return Map(motion.state(s), transition_of(motion, s))
+        return motion.state(s), transition_of(motion, s)
 
     def _projection(self, path: Path, k: int) -> Step:
         """From (x, constants) after a rest was measured to closed contacts exactly at rest."""

@@ -336,6 +336,6 @@ def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[
         far = np.abs(moved) / np.maximum(deviations, STILL)
         largest = max(largest, float(np.max(far)) * is_measured)
     start = first.mean[: x.shape[1]]
-    return Path(
-        start, early, x, doubt, arc.filter.members.bounded(constants), path.spread
-    ), largest
+    nothing = np.zeros((constants.size, 0))
+    constants = arc.filter.members.parameters.bounded(constants, nothing, 0)
+    return Path(start, early, x, doubt, constants, path.spread), largest

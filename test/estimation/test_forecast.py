@@ -35,11 +35,12 @@ from systems import (
 )
 
 from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.forecast import Dip, Forecast, falls_at
+from impact_observer.estimation.forecast import Dip, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
+from impact_observer.kernel._kernel import falls_at
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

@@ -90,10 +90,11 @@ def test_an_impact_is_that_of_the_system_with_these_parameters(pressed: tuple[in
     all_ = members(PRESSED)
     theta = all_.family.nominal + 0.01 * np.arange(1, all_.family.size + 1)
     x = np.array([0.3, -0.2, 0.5, 0.4])
-    found, model = all_.impact(theta, x, pressed), all_.family.system_at(theta)
+    value, linear = all_.impact(theta, x, pressed)
+    model = all_.family.system_at(theta)
     mirror = Mirror.of(model, ImpactLaw(model).jump(pressed), pressed)
-    np.testing.assert_allclose(found.linear, mirror.J, atol=1e-13)
-    np.testing.assert_allclose(found.value, mirror.J @ x + mirror.offset, atol=1e-13)
+    np.testing.assert_allclose(linear, mirror.J, atol=1e-13)
+    np.testing.assert_allclose(value, mirror.J @ x + mirror.offset, atol=1e-13)
 
 
 def test_members_that_differ_in_impacts_only_share_their_motion() -> None:
@@ -114,13 +115,17 @@ def test_parameters_beyond_their_bounds_are_corrected_with_the_state() -> None:
     all_ = members(PRESSED, "restitution")
     rng = np.random.default_rng(3)
     root = rng.normal(size=(6, 6))
-    P, rows = root @ root.T, slice(4, 6)
-    assert not np.any(all_.bound_correction(np.array([0.2, 0.9]), root, rows))
-    change = all_.bound_correction(np.array([0.5, 1.3]), root, rows)
-    assert change[5] == pytest.approx(-0.3)
-    np.testing.assert_allclose(change, P[:, 5] / P[5, 5] * -0.3)
-    both = all_.bound_correction(np.array([-0.4, 1.3]), root, rows)
-    theta = np.array([-0.4, 1.3]) + both[rows]
+    P, x = root @ root.T, rng.normal(size=4)
+
+    def bounded(*theta: float) -> tuple[Array, Array]:
+        z = np.append(x, theta)
+        return z, all_.parameters.bounded(z, root, 4)
+
+    np.testing.assert_array_equal(*bounded(0.2, 0.9))
+    before, after = bounded(0.5, 1.3)
+    assert after[5] == 1.0
+    np.testing.assert_allclose(after, before + P[:, 5] / P[5, 5] * -0.3)
+    theta = bounded(-0.4, 1.3)[1][4:]
     assert np.all((theta >= 0.0) & (theta <= 1.0))
 
 
@@ -131,7 +136,7 @@ def test_steps_are_about_the_deviations_and_stay_within_bounds() -> None:
     all_ = Members(unknowns.family)
     for deviation in (1e-12, 1e-3, 1.0, 1e3):
         for theta in (0.1, 25.0, 500.0):
-            (step,) = all_.steps(np.array([theta]), np.array([[deviation]]))
+            (step,) = all_.parameters.steps(np.array([theta]), np.array([[deviation]]))
             assert np.log2(step) == np.round(np.log2(step))
             assert theta - 1.5 * step > 0.0
             wanted = max(deviation, 1e-6 * 25.0)

@@ -14,16 +14,23 @@
 
 """What sensors measure as functions of the state, against motions of the plant."""
 
+import math
+
 import numpy as np
 import pytest
 from systems import EPOCH, Harmonic, chain, forcing, sample, started, system
 
+from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import DeclaredSensor, Place, SensorState
-from impact_observer.estimation.scalar_update import Seen, updated
+from impact_observer.estimation.readings import DeclaredSensor, Place, Reading, SensorState
+from impact_observer.estimation.sample_update import SampleUpdate
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
+from impact_observer.kernel._kernel import measured
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.plant import Run, simulate
@@ -122,24 +129,46 @@ def test_parameters_that_are_estimated_change_what_is_measured() -> None:
 
 
 def test_a_square_root_is_updated_like_its_covariance() -> None:
-    """Joseph's form, for noise from large to none at all."""
+    """Joseph's form, for noise from large to none at all, of state and constants."""
     rng = np.random.default_rng(3)
-    model = chain(2)
+    declared = Measurement("a", "/a", field="a", position=(("x1", 2.0),), deviation=0)
+    x = rng.normal(size=4)
+    row = DeclaredSensor(declared, chain(2)).row(MovingSystem(chain(2)), Place(0.0, 0, x, ()))
+    row = row._replace(of_theta=rng.normal(size=1))
+    h = np.append(row.whole, 0.0)
     for noise in (1.0, 1e-6, 1e-24):
-        root, x = rng.normal(size=(4, 6)), rng.normal(size=4)
-        state = GaussianState(x, np.zeros(0), root, rng.normal(size=(4, 3)))
-        declared = Measurement("a", "/a", field="a", position=(("x1", 2.0),), deviation=0)
-        at = Place(0.0, 0, x, ())
-        row = DeclaredSensor(declared, model).row(MovingSystem(model), at)
-        seen = Seen.of(row, state)
-        after = updated(state, row, seen, 0.7, noise)
-        P, h = root @ root.T, row.h
-        gain = P @ h / (h @ P @ h + noise)
-        left = np.eye(4) - np.outer(gain, h)
+        root, constants, others = (rng.normal(size=each) for each in ((6, 8), 2, (6, 3)))
+        value = row.value(x) + 0.7
+        *state, innovation, normalised, _, residual = measured(
+            x, constants, root, others, row.whole, row.rest, value, noise, 1e300
+        )
+        P = root @ root.T
+        variance = h @ P @ h + noise
+        assert row.variance(root) + noise == pytest.approx(variance)
+        gain, share = P @ h / variance, noise / variance
+        left = np.eye(6) - np.outer(gain, h)
         expected = left @ P @ left.T + noise * np.outer(gain, gain)
-        np.testing.assert_allclose(after.root @ after.root.T, expected, atol=1e-12)
-        np.testing.assert_allclose(after.x, x + 0.7 * gain, atol=1e-12)
-        np.testing.assert_allclose(after.differences, left @ state.differences, atol=1e-12)
+        np.testing.assert_allclose(state[2] @ state[2].T, expected, atol=1e-11)
+        np.testing.assert_allclose(state[0], x + 0.7 * gain[:4], atol=1e-12)
+        np.testing.assert_allclose(state[1], constants + 0.7 * gain[4:], atol=1e-12)
+        np.testing.assert_allclose(state[3], left @ others, atol=1e-12)
+        assert (innovation, normalised) == pytest.approx((0.7, 0.7 / np.sqrt(variance)))
+        assert residual == pytest.approx((0.7 * share) ** 2 + (variance - noise) * share)
+
+
+def test_an_estimate_that_has_overflowed_is_too_uncertain_for_a_sample() -> None:
+    """It stays as it is; nothing is learned of the sensor."""
+    model = sample("two_mass").system
+    declared = Measurement("a", "/a", field="a", position=(("x1", 1.0),), deviation=0.1)
+    reading = Reading(DeclaredSensor(declared, model), 0.5, 1.0, NS_PER_S)
+    update = SampleUpdate(FilterBank(ImpactFilter(model), Uncertainty(), (1e-3,)))
+    for large in (math.inf, math.nan, 1e200):
+        state = GaussianState.of(np.zeros((1, 4)), np.diag([large, 1.0, 1.0, 1.0]))
+        before = Hypothesis(state, 1e-3)
+        (after,), outcome, known = update.after(reading, [before])
+        assert after is before
+        assert outcome.reason == "the estimate is too uncertain"
+        assert known == reading.known
 
 
 def test_a_learned_variance_forgets_what_was_assumed_first() -> None:

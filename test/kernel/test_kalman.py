@@ -96,7 +96,8 @@ def parametric_cases(draw: st.DrawFn) -> Case:
     spread = np.concatenate([np.ones(size), doubted(model).deviations])
     root = 10.0 ** -draw(st.integers(2, 9)) * spread[:, None] * random.normal(size=(d, d + 1))
     theta = family.nominal + 0.3 * spread[size:] * random.normal(size=p)
-    theta = filter_.members.bounded(np.where(np.arange(p) == p - 1, 0.0, theta))
+    theta = np.where(np.arange(p) == p - 1, 0.0, theta)
+    theta = filter_.members.parameters.bounded(theta, np.zeros((p, 0)), 0)
     x = case.state.x + root[:size] @ random.normal(size=d + 1)
     differences = root @ random.normal(size=(d + 1, 2))
     offset = case.state.constants

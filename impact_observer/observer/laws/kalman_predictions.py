@@ -17,7 +17,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,6 @@ from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction
@@ -47,40 +46,27 @@ class SinglePrediction(Prediction):
     """The prediction of one hypothesis: every event is trusted, no parameter is learned."""
 
     def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
-        self._noise = filter_.noise
-        self._belief = belief
-        moving = filter_.members.given.moving
-        self._phase, self._diffusion = moving.phase(closed), partial(moving.diffusion, closed)
-        self._motion, self._guided = moving.motion(t, belief.x, closed), moving.guided
+        assert belief.root is not None, "a belief of another law"
+        self._belief, nothing = belief, np.zeros((len(belief.root), 0))
+        state = GaussianState(belief.x, np.zeros(0), belief.root, nothing, closed)
+        self._linear = filter_.predict(t, state)
 
     def state(self, s: float) -> Vector:
-        return self._motion.state(s)
+        return self._linear.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._root_after(self._moved(s)[1], s)
+        return self._linear.root(s)
 
     def belief(self, s: float) -> Belief:
-        x, map_ = self._moved(s)
+        x, map_ = self._linear.moved(s)
         before = self._belief.ensemble
         after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
-        return Belief(after, self._root_after(map_, s), fit=self._belief.fit)
-
-    def _moved(self, s: float) -> tuple[Vector, Matrix]:
-        if self._guided:
-            return self._motion.state(s), transition_of(self._motion, s)
-        return self._motion.state(s), self._phase.transition(s)
-
-    def _root_after(self, map_: Matrix, s: float) -> Matrix:
-        """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""
-        assert self._belief.root is not None, "a belief of another law"
-        root = map_.dot(self._belief.root)
-        if self._noise is not None:
-            root = self._noise.added_to(root, len(root), self._diffusion, s)
-        return np.asarray(root)
+        root = self._linear.root_after(map_, None, s)
+        return Belief(after, root, fit=self._belief.fit)
 
 
 class MixturePrediction(Prediction):
-    """The prediction of several hypotheses, where every event is trusted."""
+    """The prediction of several hypotheses, found when they are first needed."""
 
     def __init__(
         self,
@@ -131,7 +117,7 @@ class _Stretch(NamedTuple):
     spread: LinearPrediction
 
 
-class MissedSwitchPrediction(Prediction):
+class MissedSwitchPrediction(MixturePrediction):
     """The prediction of several hypotheses, with missed switches inserted.
 
     The estimate is a function of time alone: a missed switch counts from when on its dip is
@@ -145,16 +131,10 @@ class MissedSwitchPrediction(Prediction):
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
     ) -> None:
+        super().__init__(between.filter, t, hypotheses, prior)
         self._between = between
-        self._t = t
-        self._shown = hypotheses
-        self._prior = prior
         self._first = _WINDOW * between.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first
-
-    @cached_property
-    def _hypotheses(self) -> Sequence[Hypothesis]:
-        return self._shown()
 
     def state(self, s: float) -> Vector:
         stretch = self._stretch(s)
@@ -166,9 +146,6 @@ class MissedSwitchPrediction(Prediction):
 
     def closed(self, s: float) -> Contacts:
         return self._stretch(s).closed
-
-    def belief(self, s: float) -> Belief:
-        return self._prior(s)
 
     def _stretch(self, s: float) -> _Stretch:
         while self._searched < s:
@@ -186,7 +163,7 @@ class MissedSwitchPrediction(Prediction):
         spread = forecast.prediction
         if root is not state.root:
             level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
-            spread = self._between.filter.predict(t, state._replace(root=root), level)
+            spread = self._filter.predict(t, state._replace(root=root), level)
         return _Stretch(since, start, forecast, state.closed, spread)
 
     def _search(self) -> None:
@@ -201,14 +178,13 @@ class MissedSwitchPrediction(Prediction):
             self._searched, self._window = start + self._window, 2 * self._window
             return
         at, since = forecast.root(dip), start + forecast.confident_from(dip, CONFIDENT)
-        filter_ = self._between.filter
         t, before = self._t + start + at, forecast.prediction.prior(at)
-        state, kind, _ = insert_switch(filter_, t, before, dip)
+        state, kind, _ = insert_switch(self._filter, t, before, dip)
         # The other hypotheses jump with it, so their differences are reversed in the same way.
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:
             pressed = tuple(sorted({*state.closed, dip.contact}))
-            mirror = filter_.member(state).mirror_about(before.x, pressed)
+            mirror = self._filter.member(state).mirror_about(before.x, pressed)
             differences[:size] = mirror.J @ differences[:size]
         parts = [state.root, differences]
         level = mean_level(self._hypotheses, ErrorKind.RESTITUTION)

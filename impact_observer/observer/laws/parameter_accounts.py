@@ -226,10 +226,6 @@ class ParameterAccounts:
 
         ``prior`` finds the whole belief some seconds later.
         """
-
-        def shown() -> Sequence[Hypothesis]:
-            return account.published
-
         if self._trusts_events:
-            return MixturePrediction(self._bank.filter, t, shown, prior)
-        return MissedSwitchPrediction(self._bank.between, t, shown, prior)
+            return MixturePrediction(self._bank.filter, t, lambda: account.published, prior)
+        return MissedSwitchPrediction(self._bank.between, t, lambda: account.published, prior)

@@ -14,7 +14,6 @@
 
 """Geometric constraints, and those that hold for every plant: no gap is ever negative."""
 
-from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -27,6 +26,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import falls_at
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
@@ -154,7 +154,8 @@ class _Reopening:
         steps = (k * lasts / _STEPS for k in range(1, _MOST_STEPS))
         self._over = next((s for s in steps if deepest(s) >= 0), np.inf)
         if self._over < np.inf:
-            self._over = _from_zero(deepest, self._over - lasts / _STEPS, self._over)
+            since = self._over - lasts / _STEPS
+            self._over = falls_at(lambda s: -deepest(s), since, self._over)
             self._then = process.motion(t + self._over, self._first.state(self._over), ())
 
     def state(self, s: float, /) -> Vector:
@@ -164,10 +165,3 @@ class _Reopening:
     def states(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
         """``state`` at each of ``s`` seconds, shape (samples, 2n)."""
         return np.array([self.state(at) for at in s.tolist()]).reshape(s.size, -1)
-
-
-def _from_zero(gap: Callable[[float], float], low: float, high: float) -> float:
-    """Where a gap that is negative at ``low`` and not at ``high`` is not any more, s."""
-    while low < (middle := (low + high) / 2) < high:
-        low, high = (middle, high) if gap(middle) < 0 else (low, middle)
-    return high
