@@ -76,8 +76,7 @@ class PositionProjection:
         return float(stretch.dot(stretch)) / 2
 
     def _gaps(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        A = list(active)
-        return np.asarray(q @ self._system.W[:, A] + self._system.q_r[A])
+        return np.asarray((q @ self._system.W + self._system.q_r)[..., list(active)])
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
