@@ -51,7 +51,7 @@ class ZenoCutoff:
         self._phases = phases
         self._length = phases.length
         self.shortest = SHORT * phases.scales.timescale
-        self._mode_sizes = phases.scales.seen(phases.system.W.T)
+        self._mode_sizes = np.abs(phases.system.W.T @ phases.scales.shapes)
 
     def resting(
         self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector

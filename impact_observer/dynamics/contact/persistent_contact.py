@@ -68,20 +68,21 @@ def persistent_contacts(
     Raises:
         DynamicsError: the loads cannot be found.
     """
-    (slow, loads), n = phases.guides(x), phases.system.n
+    slow, loads = phases.guides(x)
+    if not (contacts or slow):
+        return Grip((), (), tuple(loads.tolist()))
     found = _Found([], [], [(i, 1.0) for i in contacts], loads)
-    if contacts or slow:
-        unloaded = phases.unloaded(fixed, tuple(loads.tolist()))
-        motion = [x[:n], x[n:]]
-        for _ in range(_ORDERS):
-            free, size = phases.free(unloaded, t, motion)
-            if slow and len(motion) == 2:
-                acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
-            else:
-                acceleration = found.decide(phases, free, _ZERO * size)
-            motion.append(phases.unwhite(acceleration))
-            if not found.undecided:
-                break
+    unloaded = phases.unloaded(fixed, tuple(loads.tolist()))
+    motion = list(x.reshape(2, -1))
+    for _ in range(_ORDERS):
+        free, size = phases.free(unloaded, t, motion)
+        if slow and len(motion) == 2:
+            acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
+        else:
+            acceleration = found.decide(phases, free, _ZERO * size)
+        if not found.undecided:
+            break
+        motion.append(phases.unwhite(acceleration))
     return found.grip(phases)
 
 
@@ -136,7 +137,7 @@ class _Found(NamedTuple):
         """The same by accelerations, or a derivative of them, of those that are undecided."""
         waiting = list(self.undecided)
         index = [i for i, _ in waiting]
-        D = phases.B[:, index] * ([sign for _, sign in waiting] / phases.lengths[index])
+        D = phases.B[:, index] / (phases.lengths[index] * [sign for _, sign in waiting])
         if self.pressing or self.sticking:
             basis = orthonormal(phases.B[:, [*self.pressing, *self.sticking]])
             D, free = without(basis, D), without(basis, free)

@@ -294,7 +294,7 @@ class Phases:
         k, at = len(motion) - 2, np.array([t])
         force = law.equations.forcing.derivatives(at, k)[k, 0]
         terms = self.white(np.array([force, law.damped(motion[-1]), law.sprung(motion[-2])]).T)
-        size = np.sqrt(np.max(np.einsum("ij,ij->j", terms, terms)))
+        size = np.sqrt(np.einsum("ij,ij->j", terms, terms).max())
         return terms[:, 0] - terms[:, 1] - terms[:, 2], max(float(size), float(law.load(k, at)[0]))
 
     def _unloaded(self, fixed: tuple[int, ...], loads: tuple[float, ...]) -> "Unloaded":
