@@ -20,7 +20,7 @@ The kernel finds the first root of any of them, and misses none: ``RootSearch``.
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum, auto
+from enum import IntEnum, auto
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ DEPTH = 1e-13
 """Depth below zero that may be passed over, relative to what a function is rounded against."""
 
 
-class End(Enum):
+class End(IntEnum):
     """How a phase ends, by what a function is of."""
 
     GAP = auto()
@@ -134,17 +134,16 @@ class Watched:
 
         The load of one that sticks is at most its force in size, one that slips does not turn.
         """
-        found = cls._of_velocity((), np.zeros((0, system.n)))
+        found = []
         for k, (j, side) in enumerate(phase.rubbing.ends):
             ends = _each(End.GUIDE, [k])
             if side:
                 row = -side * phase.loads[[phase.held.index(system.m + j)]]
-                one = cls._of_loads(ends, phase, row, system.friction[[j]])
+                found.append(cls._of_loads(ends, phase, row, system.friction[[j]]))
             else:
                 slip = -np.sign(phase.rubbing.loads[j]) * system.W_T[:, [j]].T
-                one = cls._of_velocity(ends, slip)
-            found = found.and_also(one)
-        return found
+                found.append(cls._of_velocity(ends, slip))
+        return cls._of_velocity((), np.zeros((0, system.n))).and_also(*found)
 
     @classmethod
     def _of_velocity(cls, ends: tuple[tuple[End, int], ...], b: Matrix) -> "Watched":
@@ -158,14 +157,15 @@ class Watched:
         equations = phase.equations
         return cls(ends, H @ equations.K, H @ equations.C, -H, constant)
 
-    def and_also(self, other: "Watched") -> "Watched":
-        """The functions of both, these first."""
+    def and_also(self, *others: "Watched") -> "Watched":
+        """The functions of all of them, in this order."""
+        every = [each for each in (self, *others) if each.ends] or [self]
         return Watched(
-            self.ends + other.ends,
-            np.vstack([self.position, other.position]),
-            np.vstack([self.velocity, other.velocity]),
-            np.vstack([self.force, other.force]),
-            np.concatenate([self.constant, other.constant]),
+            sum((each.ends for each in every), ()),
+            np.vstack([each.position for each in every]),
+            np.vstack([each.velocity for each in every]),
+            np.vstack([each.force for each in every]),
+            np.concatenate([each.constant for each in every]),
         )
 
     def along(self, phase: Phase) -> Watch:

@@ -200,12 +200,10 @@ class MovingSystem:
     def rubbed_by(self, t: float, x: Vector, closed: Contacts, change: Vector) -> Vector:
         """What a ``change`` of friction, shape (k,), N, adds to the forces of guides, (n,)."""
         rubbing = self._phase_at(t, x, closed).rubbing
-        assert rubbing is not None, "guides rub"
         share = np.array(rubbing.loads) / self.system.friction
         return np.asarray(self.system.W_T @ (share * change))
 
     def _rates_rubbed(self, phase: Phase) -> StateRates:
-        assert phase.rubbing is not None, "guides rub"
         return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
 
     def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:

@@ -222,9 +222,10 @@ class Plant:
         Of contacts ``inside`` their stops also the gaps, which open again, and the speeds.
         """
         system = self.system
-        watched = Watched.gaps(system, opened).and_also(Watched.within(system, inside))
-        watched = watched.and_also(Watched.speeds(system, inside)).and_also(Watched.loads(phase))
-        return watched.and_also(Watched.guides(system, phase)).along(phase)
+        watched = [Watched.loads(phase), Watched.guides(system, phase)]
+        if inside:
+            watched += [Watched.within(system, inside), Watched.speeds(system, inside)]
+        return Watched.gaps(system, opened).and_also(*watched).along(phase)
 
     def _end(self, limit: int) -> Switching | None:
         """The end of the phase, if it is found and its stamp is not after ``limit`` (ns)."""

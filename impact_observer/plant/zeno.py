@@ -51,7 +51,7 @@ class ZenoCutoff:
         self._phases = phases
         self._length = phases.length
         self.shortest = SHORT * phases.scales.timescale
-        self._mode_sizes = phases.scales.seen(phases.system.W.T)
+        self._mode_sizes = np.abs(phases.system.W.T @ phases.scales.shapes)
 
     def resting(
         self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
@@ -72,8 +72,8 @@ class ZenoCutoff:
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
         law = self._phases.unloaded()
-        slow = self._phases.slow_guides(x)
-        rubbed = system.W_T @ self._phases.slip_loads(u, slow)
+        slow, loads = self._phases.guides(x)
+        rubbed = system.W_T @ loads
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
         size = math.sqrt(free.dot(free))
 

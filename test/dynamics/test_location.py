@@ -416,7 +416,7 @@ def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
 
 
 @pytest.mark.slow
-@examples(16)
+@examples(400)
 @given(st.data())
 def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject) -> None:
     """Of gaps, speeds and loads, with a contact held or none."""
@@ -431,7 +431,7 @@ def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hold", [None, "previous", "linear"])
-@examples(16)
+@examples(160)
 @given(st.data())
 def test_derivatives_and_bounds_hold_in_strides(hold: str | None, data: st.DataObject) -> None:
     """Where no modes can be split, and under sampled forces with a contact held or none."""
@@ -472,8 +472,9 @@ def test_derivatives_and_bounds_hold_where_the_response_grows_from_the_start(
     assert_known(phase, phase.start(0.7, np.array([0.1, speed])), watched)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["previous", "linear"])
-@examples(15)
+@examples(150)
 @given(st.data())
 def test_search_across_knots_of_a_sampled_force_finds_the_first_closing(
     hold: str, data: st.DataObject

@@ -282,7 +282,7 @@ def assert_loads(model: System, found: Run) -> None:
 
 
 @pytest.mark.slow
-@examples(60)
+@examples(600)
 @given(st.data())
 def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
     """No penetration, complementary loads, no gain of energy, consistent switchings."""

@@ -74,7 +74,7 @@ def test_impacts_are_those_of_a_plant_alone(name: str, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-@examples(40)
+@examples(400)
 @given(st.data())
 def test_impacts_of_any_system_are_those_of_a_plant_alone(data: st.DataObject) -> None:
     """Some come to rest, some close several contacts at once."""

@@ -83,12 +83,12 @@ class Clutches:
         Also the speeds of ``slipping`` contacts, reactions of those ``stopped``, and gaps of those
         ``opened``.
         """
-        watched = Watched.loads(phase).and_also(Watched.speeds(self.system, slipping))
+        watched = [Watched.speeds(self.system, slipping), Watched.guides(self.system, phase)]
         if stopped:
             R = self.phases.projection.reactions(phase.fixed)
-            watched = watched.and_also(Watched.reactions(self.system, phase, R, len(stopped)))
-        watched = watched.and_also(Watched.gaps(self.system, opened, phase))
-        return watched.and_also(Watched.guides(self.system, phase)).along(phase)
+            watched.append(Watched.reactions(self.system, phase, R, len(stopped)))
+        watched.append(Watched.gaps(self.system, opened, phase))
+        return Watched.loads(phase).and_also(*watched).along(phase)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ like a contact: its load may only go back, its speed only on. A contact on which
 decides is closed without load, and such a guide sticks.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -67,22 +68,21 @@ def persistent_contacts(
     Raises:
         DynamicsError: the loads cannot be found.
     """
-    slow, n = phases.slow_guides(x), phases.system.n
-    if not (contacts or phases.system.guides):
-        return Grip((), ())
-    found = _Found([], [], [(i, 1.0) for i in contacts], phases.slip_loads(x[n:], slow))
-    if contacts or slow:
-        unloaded = phases.unloaded(fixed, tuple(found.loads.tolist()))
-        motion = [x[:n], x[n:]]
-        for _ in range(_ORDERS):
-            free, size = phases.free(unloaded, t, motion)
-            if slow and len(motion) == 2:
-                acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
-            else:
-                acceleration = found.decide(phases, free, _ZERO * size)
-            motion.append(phases.unwhite(acceleration))
-            if not found.undecided:
-                break
+    slow, loads = phases.guides(x)
+    if not (contacts or slow):
+        return Grip((), (), tuple(loads.tolist()))
+    found = _Found([], [], [(i, 1.0) for i in contacts], loads)
+    unloaded = phases.unloaded(fixed, tuple(loads.tolist()))
+    motion = list(x.reshape(2, -1))
+    for _ in range(_ORDERS):
+        free, size = phases.free(unloaded, t, motion)
+        if slow and len(motion) == 2:
+            acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
+        else:
+            acceleration = found.decide(phases, free, _ZERO * size)
+        if not found.undecided:
+            break
+        motion.append(phases.unwhite(acceleration))
     return found.grip(phases)
 
 
@@ -135,25 +135,25 @@ class _Found(NamedTuple):
 
     def decide(self, phases: Phases, free: Vector, zero: float) -> Vector:
         """The same by accelerations, or a derivative of them, of those that are undecided."""
-        m, waiting = phases.system.m, list(self.undecided)
-        basis = orthonormal(phases.B[:, [*self.pressing, *self.sticking]])
+        waiting = list(self.undecided)
         index = [i for i, _ in waiting]
-        length = phases.lengths[index]
-        D = without(basis, phases.B[:, index] * [sign for _, sign in waiting]) / length
-        rest = without(basis, free)
+        D = phases.B[:, index] / (phases.lengths[index] * [sign for _, sign in waiting])
+        if self.pressing or self.sticking:
+            basis = orthonormal(phases.B[:, [*self.pressing, *self.sticking]])
+            D, free = without(basis, D), without(basis, free)
         pushed = np.zeros(len(index))
-        independent, size = np.linalg.norm(D, axis=0) > RANK, float(np.linalg.norm(rest))
+        independent, size = np.linalg.norm(D, axis=0) > RANK, math.sqrt(free.dot(free))
         if size > 0 and independent.any():
-            found = nonnegative(D[:, independent], -rest / size)
+            found = nonnegative(D[:, independent], -free / size)
             if found is None:
                 raise _unsolved(phases, index)
             pushed[independent] = size * found
-        acceleration = rest + D @ pushed
-        away = D.T @ acceleration
+        acceleration = free + D @ pushed
+        away = acceleration.dot(D)
         self.undecided.clear()
         for (i, sign), push, rate in zip(waiting, pushed.tolist(), away.tolist(), strict=True):
             if push > zero:
-                (self.pressing if i < m else self.sticking).append(i)
+                (self.pressing if i < phases.system.m else self.sticking).append(i)
             elif rate <= zero:
                 self.undecided.append((i, sign))
         return np.asarray(acceleration)

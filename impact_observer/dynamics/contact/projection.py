@@ -53,6 +53,7 @@ class PositionProjection:
         """
         self._system = system
         self._directions = system.directions
+        self._q_r = np.append(system.q_r, np.zeros(len(system.guides)))  # guides have no gap
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]
@@ -68,16 +69,14 @@ class PositionProjection:
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (..., n): the closest positions with ``g = 0`` on the active contacts."""
-        return np.asarray(q - self._gaps(q, active) @ self.jump(active).T)
+        Z, _, W, q_r = self._jumps(active)
+        return np.asarray(q - (q.dot(W) + q_r).dot(Z.T))
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
-        stretch = self._jumps(active)[1] @ self._gaps(q, active)
+        _, elastic, W, q_r = self._jumps(active)
+        stretch = elastic.dot(q.dot(W) + q_r)
         return float(stretch.dot(stretch)) / 2
-
-    def _gaps(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        A = list(active)
-        return np.asarray(q @ self._system.W[:, A] + self._system.q_r[A])
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
@@ -85,10 +84,14 @@ class PositionProjection:
         W = self._system.W
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
-    def _solve(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix]:
-        """``Z``, and the amplitudes of elastic modes that it has, in roots of J/m^2."""
+    def _solve(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix, Matrix, Vector]:
+        """``Z`` and the amplitudes of elastic modes that it has, in roots of J/m^2.
+
+        With the contacts' directions, and their gaps in the rest position.
+        """
         elastic, rigid, _, _ = self._split(active)
-        return frozen(self._elastic @ elastic + self._rigid @ rigid), frozen(elastic)
+        Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
+        return Z, frozen(elastic), self._directions[:, list(active)], self._q_r[list(active)]
 
     def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
         """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).

@@ -88,9 +88,9 @@ def _band_of(A: Matrix) -> Matrix | None:
 
     None where ``A`` is small, or more than ``_FEW`` diagonals are not zero.
     """
+    n = len(A)
     # A copy, as scipy 1.11 refuses read-only arrays.
-    n, below = len(A), int(linalg.bandwidth(A.copy())[0])
-    if n < MANY or below > _FEW:
+    if n < MANY or (below := int(linalg.bandwidth(A.copy())[0])) > _FEW:
         return None
     band = np.zeros((below + 1, n), order="F")
     for k, row in enumerate(band):

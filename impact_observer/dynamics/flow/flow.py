@@ -93,12 +93,12 @@ class Flow:
         harmonics = forcing.frequency, Angles(forcing.frequency).turns
         given = modes.coordinates(frame), harmonics
         load = self._load(np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T)
-        self._forces = forces_of(forcing)
         self._modal = closed_form(modes, *given, load, self._rate) if modes.are_pairs else None
         self._kernel: ModalFlow | SeriesFlow
         if self._modal is not None and not strides and forcing.sampled is None:
             self._kernel = self._modal
             return
+        self._forces = forces_of(forcing)
         J = modes.J.reshape(len(load), modes.J.shape[-1])
         push = self._load(self._forces.columns(np.eye(len(forcing.constant))))
         sampled = self._forces.samples, self._rate, self._forces.orders

@@ -128,7 +128,7 @@ class Modes:
         one, two = (part.reshape(w, 2, n).swapaxes(1, 2).reshape(w, 2 * n) for part in parts)
         return one, two
 
-    @property
+    @cached_property
     def eigenvalues(self) -> tuple[Complex, Complex]:
         """Both of each pair, the one with positive imaginary part or the slow one first."""
         rates, oscillates = self.rates

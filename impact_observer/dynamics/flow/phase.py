@@ -251,25 +251,21 @@ class Phases:
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
-    def slow_guides(self, x: Vector) -> tuple[int, ...]:
-        """Guides whose speed counts as zero at the state ``x``, shape (2n,).
+    def guides(self, x: Vector) -> tuple[tuple[int, ...], Vector]:
+        """Guides whose speed counts as zero at the state ``x``, shape (2n,), and loads.
 
         Relative to all motion, to its springs and to what friction makes of it in the time scale.
+        The loads are those of guides that slip, 0 of the others, shape (k,), N.
         """
         system, q, u = self.system, x[: self.system.n], x[self.system.n :]
         if not system.guides:
-            return ()
-        lengths = self.lengths[system.m :]
+            return (), np.zeros(0)
+        lengths, speeds = self.lengths[system.m :], system.W_T.T @ u
         energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
         rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale
-        slow = np.abs(system.W_T.T @ u) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
-        return tuple(np.flatnonzero(slow).tolist())
-
-    def slip_loads(self, u: Vector, slow: tuple[int, ...]) -> Vector:
-        """Loads of guides that slip with velocities ``u``, shape (k,), N; 0 of ``slow`` ones."""
-        loads = -self.system.friction * np.sign(self.system.W_T.T @ u)
-        loads[list(slow)] = 0.0
-        return np.asarray(loads)
+        slow = np.abs(speeds) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
+        loads = np.where(slow, 0.0, -system.friction * np.sign(speeds))
+        return tuple(np.flatnonzero(slow).tolist()), loads
 
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
@@ -298,7 +294,7 @@ class Phases:
         k, at = len(motion) - 2, np.array([t])
         force = law.equations.forcing.derivatives(at, k)[k, 0]
         terms = self.white(np.array([force, law.damped(motion[-1]), law.sprung(motion[-2])]).T)
-        size = np.sqrt(np.max(np.einsum("ij,ij->j", terms, terms)))
+        size = np.sqrt(np.einsum("ij,ij->j", terms, terms).max())
         return terms[:, 0] - terms[:, 1] - terms[:, 2], max(float(size), float(law.load(k, at)[0]))
 
     def _unloaded(self, fixed: tuple[int, ...], loads: tuple[float, ...]) -> "Unloaded":

@@ -65,10 +65,6 @@ class Scales:
         """
         return _PERIODS * 2 * np.pi / self.fastest if self.fastest > 0 else _STILL
 
-    def seen(self, rows: Matrix) -> Matrix:
-        """Absolute values of the functions ``rows q`` for unit amplitudes of modes, (rows, n)."""
-        return np.abs(rows @ self.shapes)
-
     def sizes(self, x: Vector, s: float = 0.0) -> Vector:
         """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
 
