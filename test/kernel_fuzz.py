@@ -147,7 +147,7 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
 def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:
     """Instants of the first sampled forces that were made, and the jets of one of them."""
     time, jets = calls["SampledForces.__init__"][0].given[:2]
-    return time, jets[: len(jets) // time.size]
+    return time, jets[:1]
 
 
 def estimate_parameters() -> None:

@@ -36,15 +36,19 @@ struct Instant {
 
 // The impact of one contact: g = W^T q + q_r, u+ = u- - kick gamma, q+ = q- - Z g.
 struct Contact {
-    std::vector<double> W, kick, Z;  // kick and Z are empty until they are known
-    double q_r, length;              // of the column of L^-1 W, M = L L^T
+    Vector W, kick, Z;   // kick and Z are empty until they are known
+    double q_r, length;  // of the column of L^-1 W, M = L L^T
 };
 
 struct Hit {
     Instant instant;
     std::size_t contact;
     double energy;  // kinetic, before
-    std::vector<double> before, after;
+    Vector before, after;
+
+    auto fields() const {
+        return std::tie(instant.stamp, instant.remainder, contact, energy, before, after);
+    }
 };
 
 // What all flights of one plant share. Times that are short against `shortest` are left to others,
@@ -87,7 +91,7 @@ class Flights {
   private:
     struct Flight {
         Instant start;
-        std::shared_ptr<const Motion> motion;
+        std::shared_ptr<Motion> motion;
         Hunt hunt;
     };
 
@@ -108,17 +112,16 @@ class Flights {
         const std::size_t i = crossing->which.front(), n = arena->M.rows;
         const Contact& contact = arena->contacts[i];
         if (contact.kick.empty()) return {};
-        Hit hit{instant, i, 0.0, std::vector<double>(2 * n), {}};
+        Hit hit{instant, i, 0.0, Vector(2 * n), {}};
         flight.motion->states(&crossing->s, 1, hit.before.data());
         hit.after = hit.before;
-        const double gamma = dot(contact.W.data(), &hit.before[n], n);
+        const Row q = Row(hit.before).part(0, n), u = Row(hit.before).part(n, n);
+        const double gamma = dot(contact.W, u);
         if (!(gamma < 0)) return {};
-        add(-gamma, contact.kick.data(), &hit.after[n], n);
-        add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(),
-            &hit.after[0], n);
-        for (std::size_t k = 0; k < n; ++k)
-            hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
-        const double away = dot(contact.W.data(), &hit.after[n], n);
+        add(-gamma, contact.kick, &hit.after[n]);
+        add(-(dot(contact.W, q) + contact.q_r), contact.Z, &hit.after[0]);
+        for (std::size_t k = 0; k < n; ++k) hit.energy += u[k] * dot(arena->M.row(k), u) / 2;
+        const double away = dot(contact.W, &hit.after[n]);
         if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return {};
         Flight next = begun(instant, hit.after.data());
         if (may_rest(i, away, next)) return {};

@@ -25,38 +25,32 @@ namespace kernel {
 // With r T = (r_1, .., r_n), a part for each pair, the k-th derivative of what a pair does freely
 // is r_p J_p^k e^{J_p s} z_p. A harmonic has a factor i omega for each derivative. An answer to a
 // load has r_p J_p^k in place of r_p and, besides, more and more of the load itself.
-class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuards> {
+class ModalGuards : public Guards {
   public:
     // What differs between a young motion and one with a steady response.
-    struct View {
+    struct Form {
         const std::vector<Drive>* drives;
-        std::vector<double> constant;                // w
+        Vector constant;                             // w
         std::vector<Complex> harmonics;              // ORDERS x w x h
-        std::vector<double> driven;                  // ORDERS x w, sums of their sizes
+        Vector driven;                               // ORDERS x w, sums of their sizes
         std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
     };
 
     std::shared_ptr<const ModalFlow> modal;
-    std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
-    Matrix reach;                     // what entries of r T are rounded against, w x 2n
-    Matrix growth;                    // |lambda|^k, ORDERS x n
-    View early, late;
+    std::array<Matrix, ORDERS> of_pairs;  // r T J^k, w x 2n
+    Matrix growth;                        // |lambda|^k, ORDERS x n
+    Form early, late;
 
-    // `seen` is r T; `waves` w x (1 + 2h).
-    ModalGuards(std::shared_ptr<const ModalFlow> of, Matrix position, Matrix seen, Matrix rounded,
-                Matrix waves)
-        : Guards(of, std::move(position)),
-          modal(std::move(of)),
-          reach(std::move(rounded)),
-          growth(ORDERS, modal->pairs.size()) {
-        rows[0] = std::move(seen);
+    ModalGuards(std::shared_ptr<const ModalFlow> of, Rows given)
+        : Guards(of, std::move(given)), modal(std::move(of)), growth(ORDERS, modal->pairs.size()) {
+        of_pairs[0] = rows.seen;
         for (std::size_t k = 1; k < ORDERS; ++k) {
-            rows[k] = Matrix(w, rows[0].columns);
-            for (std::size_t i = 0; i < w; ++i)
+            of_pairs[k] = of_pairs[0];
+            for (std::size_t i = 0; i < size(); ++i)
                 for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
-                    const double *J = modal->pairs[p].J, *r = rows[k - 1].row(i) + 2 * p;
-                    rows[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
-                    rows[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
+                    const double *J = modal->pairs[p].J, *r = &of_pairs[k - 1](i, 2 * p);
+                    of_pairs[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
+                    of_pairs[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
                 }
         }
         for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
@@ -64,20 +58,19 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
             for (std::size_t k = 0; k < ORDERS; ++k)
                 growth(k, p) = std::pow(std::hypot(pair.a, pair.d), double(k));
         }
-        early = view(modal->all, waves);
-        const Matrix& response = modal->response;
-        for (std::size_t i = 0; i < w; ++i)
-            for (std::size_t k = 0; k < response.rows; ++k)
-                add(rows[0](i, k), response.row(k), waves.row(i), response.columns);
-        late = view(modal->near, waves);
+        early = form(modal->all, rows.waves);
+        Matrix waves = rows.waves;
+        add_product(rows.seen, modal->response, waves.data.data());
+        late = form(modal->near, waves);
     }
 
-    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const override;
-
   private:
-    View view(const std::vector<Drive>& drives, const Matrix& waves) const {
-        const std::size_t h = flow->harmonics.size(), r = drives.size();
-        View found{&drives, {}, {}, std::vector<double>(ORDERS * w), {}, {}, {}};
+    std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+                                         Vector shift) const override;
+
+    Form form(const std::vector<Drive>& drives, const Matrix& waves) const {
+        const std::size_t h = flow->harmonics.size(), r = drives.size(), w = size();
+        Form found{&drives, {}, {}, Vector(ORDERS * w), {}, {}, {}};
         for (std::size_t i = 0; i < w; ++i) {
             found.constant.push_back(waves(i, 0));
             for (std::size_t j = 0; j < h; ++j)
@@ -95,7 +88,7 @@ class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuar
             for (std::size_t i = 0; i < w; ++i)
                 for (std::size_t j = 0; j < r; ++j) {
                     const Drive& drive = drives[j];
-                    const double* row = rows[k].row(i) + 2 * drive.pair;
+                    const double* row = &of_pairs[k].row(i)[2 * drive.pair];
                     const std::size_t at = (k * w + i) * r + j;
                     found.loads[at] = row[0] * drive.beta[0] + row[1] * drive.beta[1];
                     found.turned[at] = row[0] * drive.turned[0] + row[1] * drive.turned[1];
@@ -111,7 +104,7 @@ class ModalFunctions : public Functions {
   public:
     // `shift` is added to the constants.
     ModalFunctions(std::shared_ptr<const ModalGuards> of, std::shared_ptr<const ModalMotion> along,
-                   std::vector<double> shift)
+                   Vector shift)
         : guards(std::move(of)),
           motion(std::move(along)),
           added(std::move(shift)),
@@ -123,14 +116,14 @@ class ModalFunctions : public Functions {
         enter();
     }
 
-    std::size_t size() const override { return guards->w; }
+    std::size_t size() const override { return guards->size(); }
 
-    double smooth_until() const override { return early ? motion->flow->young : INFINITY; }
+    double smooth_until() const override { return early ? motion->modal->young : INFINITY; }
 
     void look(double to) override {
         s = to;
         if (early != motion->is_young(s)) enter();
-        const std::vector<double>& z = motion->free(early);
+        const Vector& z = motion->free(early);
         for (std::size_t p = 0; p < n; ++p) {
             const Pair& pair = guards->modal->pairs[p];
             const Propagated by = pair.dead(s) ? Propagated{0, 0, 0} : pair.propagated(s);
@@ -139,94 +132,93 @@ class ModalFunctions : public Functions {
             decay[p] = by.decay;
         }
         motion->flow->harmonics.waves(motion->angles, s, waves.data());
-        for (std::size_t j = 0; j < view->drives->size(); ++j)
-            (*view->drives)[j].answers(s, &phi[2 * j]);
+        for (std::size_t j = 0; j < form->drives->size(); ++j)
+            (*form->drives)[j].answers(s, &phi[2 * j]);
     }
 
     double derivative(std::size_t order, std::size_t i) const override {
-        const double* row = guards->rows[order].row(i);
         const std::size_t k = order * size() + i, r = phase.size();
-        double found = (order == 0 ? constant(i) : 0.0) + dot(row, y.data(), 2 * n);
+        double found = (order == 0 ? constant(i) : 0.0) + dot(guards->of_pairs[order].row(i), y);
         for (std::size_t j = 0; j < h; ++j) {
-            const Complex& amplitude = view->harmonics[k * h + j];
+            const Complex& amplitude = form->harmonics[k * h + j];
             found += amplitude.real() * waves[1 + j] - amplitude.imag() * waves[1 + h + j];
         }
         for (std::size_t j = 0; j < r; ++j) {
-            const std::size_t of = (*view->drives)[j].harmonic;
+            const std::size_t of = (*form->drives)[j].harmonic;
             const Complex turn = of ? Complex(waves[of], waves[h + of]) : Complex(1.0);
             const Complex answer =
-                view->loads[k * r + j] * phi[2 * j] + view->turned[k * r + j] * phi[2 * j + 1];
-            found += (answer * phase[j] + view->direct[k * r + j] * turn).real();
+                form->loads[k * r + j] * phi[2 * j] + form->turned[k * r + j] * phi[2 * j + 1];
+            found += (answer * phase[j] + form->direct[k * r + j] * turn).real();
         }
         return found;
     }
 
-    double constant(std::size_t i) const override { return view->constant[i] + added[i]; }
+    double constant(std::size_t i) const override { return form->constant[i] + added[i]; }
 
     double largest(std::size_t order, std::size_t i, double stop) override {
         const std::size_t k = order * size() + i, r = phase.size();
         if (sizes[0].rows == 0) prepare(0);
         if (sizes[order].rows == 0) prepare(order);
-        const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
+        const double *flat = sizes[order].row(i).data, *value = flat + n, *rate = value + n;
         Two sum = {0, 0};
         std::size_t p = 0;
         for (; p + 2 <= n; p += 2) {
             const Two early = two(value + p) + two(rate + p) * stop, late = two(flat + p);
             sum += two(&decay[p]) * (early < late ? early : late);
         }
-        double found = sum[0] + sum[1] + view->driven[k];
+        double found = sum[0] + sum[1] + form->driven[k];
         if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
         for (std::size_t j = 0; j < r; ++j) {
-            const Drive& drive = (*view->drives)[j];
-            found += std::abs(view->direct[k * r + j]);
-            found += std::abs(view->loads[k * r + j]) * kernel::largest(drive.one, drive.mu, stop);
-            found += std::abs(view->turned[k * r + j]) *
+            const Drive& drive = (*form->drives)[j];
+            found += std::abs(form->direct[k * r + j]);
+            found += std::abs(form->loads[k * r + j]) * kernel::largest(drive.one, drive.mu, stop);
+            found += std::abs(form->turned[k * r + j]) *
                      kernel::largest(drive.one, drive.two, drive.mu, stop);
         }
         return found;
     }
 
     double scale(std::size_t i) override {
-        return std::abs(constant(i)) + largest(0, i, s) + dot(decay.data(), rounded.row(i), n);
+        return std::abs(constant(i)) + largest(0, i, s) + dot(decay, rounded.row(i));
     }
 
   private:
     std::shared_ptr<const ModalGuards> guards;
     std::shared_ptr<const ModalMotion> motion;
-    std::vector<double> added;
+    Vector added;
     std::size_t n, h;
-    std::vector<double> y, decay, waves;
+    Vector y, decay, waves;
     std::vector<Complex> phi, phase;
     std::array<Matrix, ORDERS> sizes;  // of each pair: amplitude, c's and S's, w x 3n
     Matrix rounded;                    // w x n
     double s = 0.0;
     bool early = false;
-    const ModalGuards::View* view = nullptr;
+    const ModalGuards::Form* form = nullptr;
 
     // Take the form that the motion has at s.
     void enter() {
         early = motion->is_young(s);
-        view = early ? &guards->early : &guards->late;
-        phi.resize(2 * view->drives->size());
+        form = early ? &guards->early : &guards->late;
+        phi.resize(2 * form->drives->size());
         phase.clear();
-        for (const Drive& drive : *view->drives) phase.push_back(motion->phase(drive.harmonic));
+        for (const Drive& drive : *form->drives) phase.push_back(motion->phase(drive.harmonic));
         sizes = {};
-        const std::vector<double>& z = motion->free(early);
+        const Vector& z = motion->free(early);
         rounded = Matrix(size(), n);
         for (std::size_t i = 0; i < size(); ++i)
             for (std::size_t p = 0; p < n; ++p)
-                rounded(i, p) = guards->reach(i, 2 * p) * std::abs(z[4 * p]) +
-                                guards->reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
+                rounded(i, p) = guards->rows.reach(i, 2 * p) * std::abs(z[4 * p]) +
+                                guards->rows.reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
     }
 
     // The k-th derivative of a pair that oscillates is |lambda|^k as large as its value.
     void prepare(std::size_t order) {
-        const std::vector<double>& z = motion->free(early);
+        const Vector& z = motion->free(early);
         sizes[order] = Matrix(size(), 3 * n);
         for (std::size_t i = 0; i < size(); ++i)
             for (std::size_t p = 0; p < n; ++p) {
                 const Pair& pair = guards->modal->pairs[p];
-                const double *row = guards->rows[order].row(i) + 2 * p, *of = &z[4 * p];
+                const double *row = &guards->of_pairs[order].row(i)[2 * p], *of = &z[4 * p];
                 const double A = row[0] * of[0] + row[1] * of[1];
                 const double B = row[0] * of[2] + row[1] * of[3];
                 sizes[order](i, p) = order > 0 && pair.oscillates
@@ -238,11 +230,15 @@ class ModalFunctions : public Functions {
     }
 };
 
-inline std::unique_ptr<Functions> ModalGuards::along(
-    const std::shared_ptr<const Motion>& motion) const {
-    auto mine = std::dynamic_pointer_cast<const ModalMotion>(motion);
-    if (!mine || mine->flow != modal) throw std::invalid_argument("motion: of another flow");
-    return std::make_unique<ModalFunctions>(shared_from_this(), mine, shift(mine->rest));
+inline std::unique_ptr<Functions> ModalGuards::functions(std::shared_ptr<const Motion> motion,
+                                                         Vector shift) const {
+    return std::make_unique<ModalFunctions>(
+        std::static_pointer_cast<const ModalGuards>(shared_from_this()),
+        std::static_pointer_cast<const ModalMotion>(motion), std::move(shift));
+}
+
+inline std::shared_ptr<Guards> ModalFlow::guards(Rows rows) const {
+    return std::make_shared<ModalGuards>(self<ModalFlow>(), std::move(rows));
 }
 
 }  // namespace kernel

@@ -16,16 +16,67 @@
 #pragma once
 
 #include "divided.hpp"
-#include "modes.hpp"
 #include "phase.hpp"
 
 namespace kernel {
+
+// A real pair dy/dt = J y with eigenvalues a +- d: what e^{Js} = c + S (J - a) is made of, and
+// e^{as} or, where J does not oscillate, what the slow eigenvalue makes: a bound on c, and on S d.
+struct Propagated {
+    double c, S, decay;
+};
+
+// `slow` is a + d where it does not oscillate (a + d itself would cancel), else a.
+struct Pair {
+    double a, d, slow;
+    bool oscillates;
+    double J[4], D[4];  // D = J - a
+
+    Pair(double a, double d, double slow, bool oscillates, const double* block)
+        : a(a), d(d), slow(slow), oscillates(oscillates) {
+        for (std::size_t k = 0; k < 4; ++k) J[k] = block[k], D[k] = J[k] - (k % 3 ? 0.0 : a);
+    }
+
+    // Its exponential is nothing beside any number that a model can bring about.
+    bool dead(double s) const { return slow * s < -100.0; }
+
+    // c = e^{as} cosh(ds), S = e^{as} sinh(ds) / d, without cancellation for any d.
+    Propagated propagated(double s) const {
+        if (oscillates) {
+            const double decay = std::exp(a * s);
+            return {decay * std::cos(d * s), decay * std::sin(d * s) / d, decay};
+        }
+        const double decay = std::exp(slow * s), width = 2 * d * s;
+        const double ratio = width == 0 ? 1.0 : -std::expm1(-width) / width;
+        return {decay * (1 + std::exp(-width)) / 2, decay * s * ratio, decay};
+    }
+
+    // A bound on c A + S B at any time, over its decay.
+    double amplitude(double A, double B) const {
+        if (B == 0) return std::abs(A);
+        return oscillates ? std::sqrt(A * A + (B / d) * (B / d))
+                          : std::abs(A) + std::abs(B) / (2 * d);
+    }
+};
 
 // A pair and a load Re(beta e^{mu t}) that drives it, answered from the motion's start on by
 // (exp[l1, mu] + exp[l1, l2, mu] (J - l1)) beta.
 struct Drive {
     std::size_t pair, harmonic;                // 0 is the constant
     Complex one, two, mu, beta[2], turned[2];  // turned = (J - l1) beta
+
+    Drive(std::size_t p, const Pair& pair, std::size_t k, Complex mu, Complex first,
+          Complex second)
+        : pair(p),
+          harmonic(k),
+          one(pair.oscillates ? Complex(pair.a, pair.d) : Complex(pair.slow)),
+          two(pair.oscillates ? std::conj(one) : Complex(2 * pair.a - pair.slow)),
+          mu(mu),
+          beta{first, second} {
+        for (std::size_t i = 0; i < 2; ++i)
+            turned[i] =
+                pair.D[2 * i] * first + pair.D[2 * i + 1] * second + (pair.a - one) * beta[i];
+    }
 
     // exp[l1, mu] and exp[l1, l2, mu] at s.
     void answers(double s, Complex* phi) const {
@@ -35,14 +86,13 @@ struct Drive {
 };
 
 // A phase that falls into pairs.
-class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
-  public:
+struct ModalFlow : Flow {
     std::vector<Pair> pairs;
-    Matrix response;               // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
-    std::vector<Drive> near, all;  // loads near resonance; and all loads
-    Matrix energy;                 // weights of a pair's squares in twice the energy, r x 2
-    double small;  // root of twice the energy below which a motion is young at its start
-    double young;  // how long, s
+    Matrix response;  // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
+    Matrix energy;    // weights of a pair's squares in twice the energy, r x 2
+    double small;     // root of twice the energy below which a motion is young at its start
+    double young;     // how long, s
+    std::vector<Drive> near{}, all{};  // loads near resonance; and all loads
 
     ModalFlow(Coordinates coordinates, Harmonics harmonics, std::vector<Pair> pairs,
               Matrix response, Matrix energy, double small, double young)
@@ -53,11 +103,28 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
           small(small),
           young(young) {}
 
-    std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
+    std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
+    std::shared_ptr<Guards> guards(Rows rows) const override;
+
+    // The loads, 2r x (1 + 2h), of those pairs and harmonics that are marked, r x (1 + h).
+    std::vector<Drive> drives(const View& load, const ViewOf<bool>& marked) const {
+        std::vector<Drive> found;
+        const std::size_t h = harmonics.size();
+        for (std::size_t p = 0; p < pairs.size(); ++p)
+            for (std::size_t k = 0; k <= h; ++k) {
+                const auto beta = [&](std::size_t i) {
+                    return Complex(load(i, k), k ? -load(i, k + h) : 0.0);
+                };
+                const Complex mu(0.0, k ? harmonics.frequency[k - 1] : 0.0);
+                if (marked(p, k))
+                    found.emplace_back(p, pairs[p], k, mu, beta(2 * p), beta(2 * p + 1));
+            }
+        return found;
+    }
 
     // T e^{Js}, transposed, for s of any sign.
     Matrix propagated(double s) const {
-        std::vector<double> carried(4 * pairs.size());  // of each pair e^{Js}
+        Vector carried(4 * pairs.size());  // of each pair e^{Js}
         for (std::size_t p = 0; p < pairs.size(); ++p) {
             if (pairs[p].dead(s)) continue;
             const Propagated by = pairs[p].propagated(s);
@@ -72,29 +139,26 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
 // not had time to reach, is answered from its start on for a while.
 class ModalMotion : public Motion {
   public:
-    std::shared_ptr<const ModalFlow> flow;
-    std::vector<double> angles;  // of the harmonics at the start
-    std::vector<double> rest;
+    std::shared_ptr<const ModalFlow> modal;
+    Vector angles;  // of the harmonics at the start
     bool young;
 
     ModalMotion(std::shared_ptr<const ModalFlow> of, const Time& t, const double* x)
-        : flow(std::move(of)), angles(flow->harmonics.at(t)), rest(flow->coordinates.rest(x)) {
-        std::vector<double> y(flow->coordinates.size), now(flow->response.columns);
+        : Motion(of, t, x), modal(std::move(of)), angles(flow->harmonics.at(t)) {
+        Vector y(flow->coordinates.size), now(modal->response.columns);
         flow->coordinates.split(x, rest, y.data());
         double squares = 0.0;
-        for (std::size_t k = 0; k < y.size(); ++k) squares += flow->energy.data[k] * y[k] * y[k];
-        young = std::sqrt(squares) < flow->small;
+        for (std::size_t k = 0; k < y.size(); ++k) squares += modal->energy.data[k] * y[k] * y[k];
+        young = std::sqrt(squares) < modal->small;
         if (young) from_start = with_deviator(y);
         add_steady(0.0, -1.0, y.data(), now.data());
         beside_steady = with_deviator(y);
     }
 
-    bool is_young(double s) const { return young && s < flow->young; }
+    bool is_young(double s) const { return young && s < modal->young; }
 
     // The pairs that go on freely, without what is answered or steady: z and D z.
-    const std::vector<double>& free(bool early) const {
-        return early ? from_start : beside_steady;
-    }
+    const Vector& free(bool early) const { return early ? from_start : beside_steady; }
 
     // e^{i angle} of what drives, at the start.
     Complex phase(std::size_t harmonic) const {
@@ -103,7 +167,7 @@ class ModalMotion : public Motion {
 
     void states(const double* s, std::size_t count, double* rows) const override {
         const std::size_t size = flow->coordinates.size, at_once = 64;  // shapes are read once
-        std::vector<double> y(std::min(count, at_once) * size), now(flow->response.columns);
+        Vector y(std::min(count, at_once) * size), now(modal->response.columns);
         for (std::size_t first = 0; first < count; first += at_once) {
             const std::size_t some = std::min(at_once, count - first);
             for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now.data());
@@ -112,20 +176,20 @@ class ModalMotion : public Motion {
     }
 
   private:
-    std::vector<double> from_start, beside_steady;  // four numbers a pair: z, D z
+    Vector from_start, beside_steady;  // four numbers a pair: z, D z
 
     // All pairs at s; `now` is room for 1 + 2h numbers.
     void pairs(double s, double* y, double* now) const {
         const bool early = is_young(s);
-        const std::vector<double>& z = free(early);
-        for (std::size_t p = 0; p < flow->pairs.size(); ++p) {
+        const Vector& z = free(early);
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
             y[2 * p] = y[2 * p + 1] = 0.0;
-            if (flow->pairs[p].dead(s)) continue;
-            const Propagated by = flow->pairs[p].propagated(s);
+            if (modal->pairs[p].dead(s)) continue;
+            const Propagated by = modal->pairs[p].propagated(s);
             for (std::size_t k = 0; k < 2; ++k)
                 y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
         }
-        for (const Drive& drive : early ? flow->all : flow->near) {
+        for (const Drive& drive : early ? modal->all : modal->near) {
             Complex phi[2];
             drive.answers(s, phi);
             const Complex now = phase(drive.harmonic);
@@ -136,10 +200,10 @@ class ModalMotion : public Motion {
         if (!early) add_steady(s, 1.0, y, now);
     }
 
-    std::vector<double> with_deviator(const std::vector<double>& y) const {
-        std::vector<double> found(2 * y.size());
+    Vector with_deviator(const Vector& y) const {
+        Vector found(2 * y.size());
         for (std::size_t p = 0; 2 * p < y.size(); ++p) {
-            const double *D = flow->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
+            const double *D = modal->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
             const double four[4] = {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two};
             std::copy(four, four + 4, &found[4 * p]);
         }
@@ -148,7 +212,7 @@ class ModalMotion : public Motion {
 
     // y += factor times the steady response at s.
     void add_steady(double s, double factor, double* y, double* now) const {
-        const Matrix& response = flow->response;
+        const Matrix& response = modal->response;
         flow->harmonics.waves(angles, s, now);
         for (std::size_t k = 0; k < response.rows; ++k) {
             double sum = 0.0;
@@ -158,8 +222,8 @@ class ModalMotion : public Motion {
     }
 };
 
-inline std::shared_ptr<const Motion> ModalFlow::start(const Time& t, const double* x) const {
-    return std::make_shared<const ModalMotion>(shared_from_this(), t, x);
+inline std::shared_ptr<Motion> ModalFlow::start(const Time& t, const double* x) const {
+    return std::make_shared<ModalMotion>(self<ModalFlow>(), t, x);
 }
 
 }  // namespace kernel

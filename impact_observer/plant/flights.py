@@ -74,9 +74,17 @@ class PlainImpacts:
             lowest: height of a flight that counts as none, relative to what gaps are rounded
                 against.
         """
-        system, times = phases.system, (search.window, phases.scales.timescale, shortest)
+        system = phases.system
         self.arena = Arena(
-            search.guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
+            search.guards,
+            system.M,
+            system.W.T,
+            system.q_r,
+            phases.length,
+            search.window,
+            phases.scales.timescale,
+            shortest,
+            lowest,
         )
         self._phases, self._law = phases, law
         self._flights: Flights | None = None

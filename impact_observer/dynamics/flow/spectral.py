@@ -99,7 +99,8 @@ class SpectralFlow(Flow):
     def guards(self, functions: Functions) -> Guards:
         """``functions`` of all motions."""
         position, *rows = self._seen(functions, self._time)
-        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves)
+        none = functions.force[:, :0]
+        return self._kernel.guards(position, *self.modes.seen(*rows), functions.waves, none)
 
     def moving(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``."""
