@@ -117,11 +117,9 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     from systems import PRESSED
 
     from impact_observer.dynamics import Phases, Search, Watched
-    from impact_observer.kernel import triangular
     from impact_observer.model import Forcing
     from impact_observer.model.force_samples import Samples
 
-    triangular(np.arange(12.0).reshape(3, 4))
     w = calls["Impact.__init__"][0].given[1]
     calls["Family.__init__"][0].given[0].moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, _, states, _ = calls["Impact.posteriors"][0].given

@@ -83,7 +83,9 @@ template <>
 struct type_caster<kernel::Matrix> {
     static constexpr auto name = const_name("numpy.ndarray");
     static handle cast(const kernel::Matrix& m, return_value_policy, handle) {
-        return kernel::Array({m.rows, m.columns}, m.data.data()).release();
+        kernel::Array found({m.rows, m.columns});
+        std::copy(m.data.begin(), m.data.end(), found.mutable_data());
+        return found.release();
     }
 };
 
@@ -91,7 +93,9 @@ template <>
 struct type_caster<kernel::Vector> {
     static constexpr auto name = const_name("numpy.ndarray");
     static handle cast(const kernel::Vector& v, return_value_policy, handle) {
-        return kernel::Array(ssize_t(v.size()), v.data()).release();
+        kernel::Array found(ssize_t(v.size()));
+        std::copy(v.begin(), v.end(), found.mutable_data());
+        return found.release();
     }
 };
 

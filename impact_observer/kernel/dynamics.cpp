@@ -94,16 +94,16 @@ std::shared_ptr<ModalFlow> make_modal(const Frame& frame, const Blocks& blocks, 
     const std::size_t r = J.rows;
     const View rates = checked(std::get<1>(blocks), "rates", r, 3);
     const auto oscillates = checked(std::get<2>(blocks), "oscillates", r);
-    std::vector<Pair> pairs;
-    for (std::size_t p = 0; p < r; ++p)
-        pairs.emplace_back(rates(p, 0), rates(p, 1), rates(p, 2), oscillates[p], J.row(p).data);
-    Coordinates coordinates = coordinates_of(frame);
-    expect(coordinates.size == 2 * r, "T: expected twice as many coordinates as pairs");
     const Harmonics harmonics = harmonics_of(waves);
     const std::size_t h = harmonics.size();
-    auto flow = std::make_shared<ModalFlow>(
-        std::move(coordinates), harmonics, pairs, checked(response, "response", 2 * r, 1 + 2 * h),
-        checked(energy, "energy", r, 2), finite(small, "small"), finite(young, "young"));
+    auto flow = std::make_shared<ModalFlow>(coordinates_of(frame), harmonics);
+    expect(flow->coordinates.size == 2 * r, "T: expected twice as many coordinates as pairs");
+    for (std::size_t p = 0; p < r; ++p)
+        flow->pairs.emplace_back(rates(p, 0), rates(p, 1), rates(p, 2), oscillates[p],
+                                 J.row(p).data);
+    flow->response = checked(response, "response", 2 * r, 1 + 2 * h);
+    flow->energy = checked(energy, "energy", r, 2);
+    flow->small = finite(small, "small"), flow->young = finite(young, "young");
     const View loads = checked(load, "load", 2 * r, 1 + 2 * h);
     flow->near = flow->drives(loads, checked(near, "near", r, 1 + h));
     flow->all = flow->drives(loads, checked(driven, "driven", r, 1 + h));
@@ -139,21 +139,22 @@ std::shared_ptr<SeriesFlow> make_series(const Frame& frame, const Array& J, cons
                                         const Array& load, const Array& push,
                                         const std::shared_ptr<Samples>& samples, double rate,
                                         const Array& orders) {
-    Coordinates coordinates = coordinates_of(frame);
-    const std::size_t size = coordinates.size, forces = samples ? samples->forces() : 0;
-    const View blocks = checked(J, "J", size, ANY);
-    expect(size == 0 || (blocks.columns > 0 && size % blocks.columns == 0),
+    const Harmonics harmonics = harmonics_of(waves);
+    auto flow = std::make_shared<SeriesFlow>(coordinates_of(frame), harmonics);
+    const std::size_t size = flow->coordinates.size, h = harmonics.size();
+    flow->J = checked(J, "J", size, ANY);
+    expect(size == 0 || (flow->J.columns > 0 && size % flow->J.columns == 0),
            "J: expected whole blocks");
     expect(finite(rate, "rate") >= 0, "rate: negative");
-    const Harmonics harmonics = harmonics_of(waves);
-    Vector turning = checked(orders, "orders", harmonics.size());
-    if (std::count(turning.begin(), turning.end(), 0.0) == std::ptrdiff_t(turning.size()))
-        turning.clear();
-    expect(turning.empty() || forces > 0, "orders: there are no samples of a phase");
-    return std::make_shared<SeriesFlow>(std::move(coordinates), harmonics, blocks,
-                                        checked(load, "load", size, 1 + 2 * harmonics.size()),
-                                        checked(push, "push", size, forces), samples, rate,
-                                        std::move(turning));
+    flow->load = checked(load, "load", size, 1 + 2 * h);
+    flow->push = checked(push, "push", size, samples ? samples->forces() : 0);
+    flow->samples = samples, flow->rate = rate;
+    const Vector turning = checked(orders, "orders", h);
+    if (std::count(turning.begin(), turning.end(), 0.0) < std::ptrdiff_t(h)) {
+        expect(flow->forces() > 0, "orders: there are no samples of a phase");
+        flow->orders = turning;
+    }
+    return flow;
 }
 
 std::shared_ptr<Motion> start(const Flow& flow, const Time& t, const Array& x) {

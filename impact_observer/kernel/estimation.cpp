@@ -175,16 +175,18 @@ Matrix leading_of(const Array& root, std::size_t first, std::size_t count) {
     return leading(whole, first, count);
 }
 
+Prior prior_of(const State& state, const Family& family) {
+    const std::size_t size = family.given->size();
+    const View constants = checked(state.constants, "constants", ANY);
+    const std::size_t d = size + constants.size();
+    expect(constants.size() >= family.count(), "constants: expected the parameters first");
+    return {checked(state.x, "x", size), constants, checked(state.root, "root", d, ANY),
+            checked(state.differences, "differences", d, ANY), INFINITY};
+}
+
 std::vector<Prior> priors_of(const States& states, const Family& family) {
     std::vector<Prior> found;
-    const std::size_t size = family.given->size();
-    for (const State& each : states) {
-        const View constants = checked(each.constants, "constants", ANY);
-        const std::size_t d = size + constants.size();
-        expect(constants.size() >= family.count(), "constants: expected the parameters first");
-        found.push_back({checked(each.x, "x", size), constants, checked(each.root, "root", d, ANY),
-                         checked(each.differences, "differences", d, ANY), INFINITY});
-    }
+    for (const State& each : states) found.push_back(prior_of(each, family));
     return found;
 }
 
@@ -261,13 +263,12 @@ double duration_of(const Gaps& gaps, double t, double duration) {
 // States, each with its own flight: from when on, how long, and the level of its accelerations.
 std::vector<Flown> flights_of(const Gaps& gaps, const Array& t, const Array& s,
                               const States& states, const Array& levels) {
-    const View starts = checked(t, "t", states.size()), long_ = checked(s, "s", states.size());
+    const View starts = checked(t, "t", states.size()), lasting = checked(s, "s", states.size());
     const View level = checked(levels, "levels", states.size());
     std::vector<Flown> found;
-    for (const Prior& prior : priors_of(states, *gaps.family)) {
-        const std::size_t b = found.size();
-        found.push_back({prior, starts[b], duration_of(gaps, starts[b], long_[b]), level[b]});
-    }
+    for (std::size_t b = 0; b < states.size(); ++b)
+        found.push_back({prior_of(states[b], *gaps.family), starts[b],
+                         duration_of(gaps, starts[b], lasting[b]), level[b]});
     return found;
 }
 
@@ -304,7 +305,7 @@ double root(const Gaps& gaps, double t, const State& state, double level, std::s
     expect(contact < gaps.W.rows, "contact: there is none of this number");
     expect(above <= below, "above, below: expected in order");
     duration_of(gaps, t, above), duration_of(gaps, t, below);
-    const Prior prior = priors_of({state}, *gaps.family).front();
+    const Prior prior = prior_of(state, *gaps.family);
     return gaps.of(prior).root(t, prior, positive(level, "level"), contact, above, below,
                                finite(depth, "depth"));
 }

@@ -277,7 +277,7 @@ class Gaps {
     bool flown_far(double t, double s, Vector& x) const {
         Vector left(W.rows);
         for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x);
-        x = motion->flown(t, x, s, [&](const Row& term) {
+        x = motion->flown(t, std::move(x), s, [&](const Row& term) {
             for (std::size_t j = 0; j < W.rows; ++j)
                 left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term.data));
         });
@@ -454,8 +454,8 @@ class Gaps {
 
     // Gap j as a function of states
     Vector direction(std::size_t j) const {
-        Vector row = W.row(j);
-        row.resize(motion->size());
+        Vector row(motion->size());
+        std::copy(W.row(j).begin(), W.row(j).end(), row.begin());
         return row;
     }
 };

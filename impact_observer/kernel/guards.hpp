@@ -15,9 +15,6 @@
 // Functions of a motion in closed form, with all derivatives and a bound on each.
 #pragma once
 
-#include <array>
-#include <stdexcept>
-
 #include "motion.hpp"
 
 namespace kernel {
@@ -27,13 +24,17 @@ namespace kernel {
 // load has r_p J_p^k in place of r_p and, besides, more and more of the load itself.
 class ModalGuards : public Guards {
   public:
+    // Of a function to a load: to its answers, and to the load itself.
+    struct Response {
+        Complex one, two, direct;
+    };
+
     // What differs between a young motion and one with a steady response.
     struct Form {
         const std::vector<Drive>* drives;
-        Vector constant;                             // w
-        std::vector<Complex> harmonics;              // ORDERS x w x h
-        Vector driven;                               // ORDERS x w, sums of their sizes
-        std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
+        Matrix waves[ORDERS];         // derivatives of what (1, cos, sin) make, w x (1 + 2h)
+        Matrix driven;                // sums of their sizes, but for the constant, ORDERS x w
+        std::vector<Response> loads;  // ORDERS x w x drives
     };
 
     std::shared_ptr<const ModalFlow> modal;
@@ -53,11 +54,10 @@ class ModalGuards : public Guards {
                     of_pairs[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
                 }
         }
-        for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
-            const Pair& pair = modal->pairs[p];
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p)
             for (std::size_t k = 0; k < ORDERS; ++k)
-                growth(k, p) = std::pow(std::hypot(pair.a, pair.d), double(k));
-        }
+                growth(k, p) =
+                    std::pow(std::hypot(modal->pairs[p].a, modal->pairs[p].d), double(k));
         early = form(modal->all, rows.waves);
         Matrix waves = rows.waves;
         add_product(rows.seen, modal->response, waves.data.data());
@@ -70,32 +70,32 @@ class ModalGuards : public Guards {
 
     Form form(const std::vector<Drive>& drives, const Matrix& waves) const {
         const std::size_t h = flow->harmonics.size(), r = drives.size(), w = size();
-        Form found{&drives, {}, {}, Vector(ORDERS * w), {}, {}, {}};
-        for (std::size_t i = 0; i < w; ++i) {
-            found.constant.push_back(waves(i, 0));
-            for (std::size_t j = 0; j < h; ++j)
-                found.harmonics.emplace_back(waves(i, 1 + j), -waves(i, 1 + h + j));
-        }
-        found.harmonics.resize(ORDERS * w * h);
-        for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
-            found.harmonics[k] =
-                found.harmonics[k - w * h] * Complex(0.0, flow->harmonics.frequency[k % h]);
-        for (std::size_t k = 0; k < ORDERS * w * h; ++k)
-            found.driven[k / h] += std::abs(found.harmonics[k]);
-        for (auto* part : {&found.loads, &found.turned, &found.direct})
-            part->resize(ORDERS * w * r);
-        for (std::size_t k = 0; k < ORDERS; ++k)
-            for (std::size_t i = 0; i < w; ++i)
-                for (std::size_t j = 0; j < r; ++j) {
-                    const Drive& drive = drives[j];
-                    const double* row = &of_pairs[k].row(i)[2 * drive.pair];
-                    const std::size_t at = (k * w + i) * r + j;
-                    found.loads[at] = row[0] * drive.beta[0] + row[1] * drive.beta[1];
-                    found.turned[at] = row[0] * drive.turned[0] + row[1] * drive.turned[1];
-                    if (k > 0)
-                        found.direct[at] =
-                            drive.mu * found.direct[at - w * r] + found.loads[at - w * r];
+        Form found{&drives, {waves}, Matrix(ORDERS, w), {}};
+        for (std::size_t k = 0; k < ORDERS; ++k) {
+            Matrix& now = found.waves[k];
+            if (k > 0) now = Matrix(w, 1 + 2 * h);
+            for (std::size_t i = 0; i < w; ++i) {
+                for (std::size_t j = 0; j < h; ++j) {
+                    double &even = now(i, 1 + j), &odd = now(i, 1 + h + j);
+                    if (k > 0) {
+                        const double omega = flow->harmonics.frequency[j];
+                        even = omega * found.waves[k - 1](i, 1 + h + j);
+                        odd = -omega * found.waves[k - 1](i, 1 + j);
+                    }
+                    found.driven(k, i) += std::hypot(even, odd);
                 }
+                for (const Drive& drive : drives) {
+                    const double* row = &of_pairs[k].row(i)[2 * drive.pair];
+                    Response by{row[0] * drive.beta[0] + row[1] * drive.beta[1],
+                                row[0] * drive.turned[0] + row[1] * drive.turned[1], 0.0};
+                    if (k > 0) {
+                        const Response& before = found.loads[found.loads.size() - w * r];
+                        by.direct = drive.mu * before.direct + before.one;
+                    }
+                    found.loads.push_back(by);
+                }
+            }
+        }
         return found;
     }
 };
@@ -124,39 +124,28 @@ class ModalFunctions : public Functions {
         s = to;
         if (early != motion->is_young(s)) enter();
         const Vector& z = motion->free(early);
-        for (std::size_t p = 0; p < n; ++p) {
-            const Pair& pair = guards->modal->pairs[p];
-            const Propagated by = pair.dead(s) ? Propagated{0, 0, 0} : pair.propagated(s);
-            for (std::size_t k = 0; k < 2; ++k)
-                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
-            decay[p] = by.decay;
-        }
+        for (std::size_t p = 0; p < n; ++p)
+            decay[p] = guards->modal->pairs[p].carry(s, &z[4 * p], &y[2 * p]).decay;
         motion->flow->harmonics.waves(motion->angles, s, waves.data());
-        for (std::size_t j = 0; j < form->drives->size(); ++j)
-            (*form->drives)[j].answers(s, &phi[2 * j]);
+        for (std::size_t j = 0; j < phi.size(); ++j) phi[j] = (*form->drives)[j].answers(s);
     }
 
     double derivative(std::size_t order, std::size_t i) const override {
-        const std::size_t k = order * size() + i, r = phase.size();
-        double found = (order == 0 ? constant(i) : 0.0) + dot(guards->of_pairs[order].row(i), y);
-        for (std::size_t j = 0; j < h; ++j) {
-            const Complex& amplitude = form->harmonics[k * h + j];
-            found += amplitude.real() * waves[1 + j] - amplitude.imag() * waves[1 + h + j];
-        }
-        for (std::size_t j = 0; j < r; ++j) {
+        double found = (order == 0 ? added[i] : 0.0) + dot(guards->of_pairs[order].row(i), y) +
+                       dot(form->waves[order].row(i), waves);
+        for (std::size_t j = 0; j < phi.size(); ++j) {
+            const ModalGuards::Response& by = response(order, i, j);
             const std::size_t of = (*form->drives)[j].harmonic;
             const Complex turn = of ? Complex(waves[of], waves[h + of]) : Complex(1.0);
-            const Complex answer =
-                form->loads[k * r + j] * phi[2 * j] + form->turned[k * r + j] * phi[2 * j + 1];
-            found += (answer * phase[j] + form->direct[k * r + j] * turn).real();
+            const Complex answer = by.one * phi[j][0] + by.two * phi[j][1];
+            found += (answer * phase[j] + by.direct * turn).real();
         }
         return found;
     }
 
-    double constant(std::size_t i) const override { return form->constant[i] + added[i]; }
+    double constant(std::size_t i) const override { return form->waves[0](i, 0) + added[i]; }
 
     double largest(std::size_t order, std::size_t i, double stop) override {
-        const std::size_t k = order * size() + i, r = phase.size();
         if (sizes[0].rows == 0) prepare(0);
         if (sizes[order].rows == 0) prepare(order);
         const double *flat = sizes[order].row(i).data, *value = flat + n, *rate = value + n;
@@ -166,14 +155,14 @@ class ModalFunctions : public Functions {
             const Two early = two(value + p) + two(rate + p) * stop, late = two(flat + p);
             sum += two(&decay[p]) * (early < late ? early : late);
         }
-        double found = sum[0] + sum[1] + form->driven[k];
+        double found = sum[0] + sum[1] + form->driven(order, i);
         if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
-        for (std::size_t j = 0; j < r; ++j) {
+        for (std::size_t j = 0; j < phi.size(); ++j) {
             const Drive& drive = (*form->drives)[j];
-            found += std::abs(form->direct[k * r + j]);
-            found += std::abs(form->loads[k * r + j]) * kernel::largest(drive.one, drive.mu, stop);
-            found += std::abs(form->turned[k * r + j]) *
-                     kernel::largest(drive.one, drive.two, drive.mu, stop);
+            const ModalGuards::Response& by = response(order, i, j);
+            found += std::abs(by.direct) +
+                     std::abs(by.one) * kernel::largest(drive.one, drive.mu, stop) +
+                     std::abs(by.two) * kernel::largest(drive.one, drive.two, drive.mu, stop);
         }
         return found;
     }
@@ -188,18 +177,23 @@ class ModalFunctions : public Functions {
     Vector added;
     std::size_t n, h;
     Vector y, decay, waves;
-    std::vector<Complex> phi, phase;
+    std::vector<std::array<Complex, 2>> phi;
+    std::vector<Complex> phase;
     std::array<Matrix, ORDERS> sizes;  // of each pair: amplitude, c's and S's, w x 3n
     Matrix rounded;                    // w x n
     double s = 0.0;
     bool early = false;
     const ModalGuards::Form* form = nullptr;
 
+    const ModalGuards::Response& response(std::size_t order, std::size_t i, std::size_t j) const {
+        return form->loads[(order * size() + i) * phi.size() + j];
+    }
+
     // Take the form that the motion has at s.
     void enter() {
         early = motion->is_young(s);
         form = early ? &guards->early : &guards->late;
-        phi.resize(2 * form->drives->size());
+        phi.resize(form->drives->size());
         phase.clear();
         for (const Drive& drive : *form->drives) phase.push_back(motion->phase(drive.harmonic));
         sizes = {};

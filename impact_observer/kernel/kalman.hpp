@@ -151,9 +151,10 @@ class Impact {
     // Without a stamp e is left to be zero.
     Joint joint_of(const Prior& p, bool has_stamp = true) const {
         const std::size_t d = p.root.rows;
-        Joint found{{0.0}, {1 + d, 1 + p.root.columns}, {1 + d, p.differences.columns}};
+        Joint found{Vector(1 + d), {1 + d, 1 + p.root.columns}, {1 + d, p.differences.columns}};
+        auto to = found.z.begin() + 1;
         for (const Row& part : {Row(p.x), Row(p.constants)})
-            found.z.insert(found.z.end(), part.begin(), part.end());
+            to = std::copy(part.begin(), part.end(), to);
         put(p.root, found.root, 1, 1);
         put(p.differences, found.differences, 1, 0);
         if (has_stamp) found.root(0, 0) = p.clock;
@@ -179,14 +180,16 @@ class Impact {
         motion.force(t - e, 0, 1.0, first);
         Vector second = motion.rates(first);
         motion.force(t - e, 1, 1.0, second);
-        Vector of_gap(w), of_speed(n);
-        of_gap.resize(2 * n), of_speed.insert(of_speed.end(), w.begin(), w.end());
-        const Vector speed = motion.seen(of_speed, -e);
-        Place found{dot(w, x.data()) + law.rest,
-                    dot(w, &x[n]),
-                    dot(w, &first[n]),
-                    dot(w, &second[n]),
-                    {motion.seen(of_gap, -e), speed, motion.row_rates(speed)}};
+        Vector of_gap(2 * n), of_speed(2 * n);
+        std::copy(w.begin(), w.end(), of_gap.begin());
+        std::copy(w.begin(), w.end(), of_speed.begin() + n);
+        Place found{
+            dot(w, x.data()) + law.rest,
+            dot(w, &x[n]),
+            dot(w, &first[n]),
+            dot(w, &second[n]),
+            {motion.seen(std::move(of_gap), -e), motion.seen(std::move(of_speed), -e), {}}};
+        found.rho[2] = motion.row_rates(found.rho[1]);
         for (Vector& row : found.rho) row.resize(2 * n + family->count());
         std::copy(rests.begin(), rests.end(), found.rho[0].begin() + 2 * n);
         for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
@@ -322,10 +325,11 @@ class Impact {
     // kappa of a law, of which a lag is multiplied by the damping of one of the members.
     std::array<Vector, 2> kicked(const Law& law, const FreeMotion& damped, double e) const {
         const std::size_t n = w.size();
-        std::array<Vector, 2> kappa = {law.kick, Vector(n)};
-        kappa[0].resize(2 * n), kappa[1].insert(kappa[1].end(), law.kick.begin(), law.kick.end());
+        std::array<Vector, 2> kappa = {Vector(2 * n), Vector(2 * n)};
+        std::copy(law.kick.begin(), law.kick.end(), kappa[0].begin());
+        std::copy(law.kick.begin(), law.kick.end(), kappa[1].begin() + n);
         add(-law.lag, damped.rates(kappa[1]), kappa[1]);
-        for (Vector& each : kappa) each = law.motion->carried(each, e);
+        for (Vector& each : kappa) each = law.motion->carried(std::move(each), e);
         return kappa;
     }
 

@@ -15,7 +15,6 @@
 // The module impact_observer.kernel._kernel.
 #include "arrays.hpp"
 #include "doubled.hpp"
-#include "triangular.hpp"
 
 using namespace kernel;
 
@@ -25,9 +24,6 @@ void bind_estimation(py::module_& module);
 namespace {
 
 using Two = std::pair<Array, Array>;  // both parts of numbers
-
-// A lower triangular square root, (d, d), of the same covariance; (d, any) is given.
-Matrix triangular(const Array& root) { return squared(checked(root, "root", ANY, ANY)); }
 
 DoubledMatrix checked_product(const Array& A, const Array& B) {
     const View left = checked(A, "A", ANY, ANY);
@@ -53,7 +49,6 @@ Matrix checked_difference(const Two& Y, const Two& Z, const Array& factors) {
 
 PYBIND11_MODULE(_kernel, module) {
     module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
-    module.def("triangular", &triangular, "root"_a, Released());
     module.def("product", &checked_product, "A"_a, "B"_a, Released());
     module.def("dots", &checked_dots, "X"_a, "Y"_a, Released());
     module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a, Released());

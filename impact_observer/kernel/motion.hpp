@@ -15,6 +15,8 @@
 // Motions of a linear phase under harmonics and a constant force, in closed form.
 #pragma once
 
+#include <array>
+
 #include "divided.hpp"
 #include "phase.hpp"
 
@@ -37,18 +39,21 @@ struct Pair {
         for (std::size_t k = 0; k < 4; ++k) J[k] = block[k], D[k] = J[k] - (k % 3 ? 0.0 : a);
     }
 
-    // Its exponential is nothing beside any number that a model can bring about.
-    bool dead(double s) const { return slow * s < -100.0; }
-
-    // c = e^{as} cosh(ds), S = e^{as} sinh(ds) / d, without cancellation for any d.
+    // c = e^{as} cosh(ds), S = e^{as} sinh(ds) / d, without cancellation for any d; zero where
+    // they are nothing beside any number that a model can bring about.
     Propagated propagated(double s) const {
-        if (oscillates) {
-            const double decay = std::exp(a * s);
-            return {decay * std::cos(d * s), decay * std::sin(d * s) / d, decay};
-        }
         const double decay = std::exp(slow * s), width = 2 * d * s;
+        if (slow * s < -100.0) return {0.0, 0.0, 0.0};
+        if (oscillates) return {decay * std::cos(d * s), decay * std::sin(d * s) / d, decay};
         const double ratio = width == 0 ? 1.0 : -std::expm1(-width) / width;
         return {decay * (1 + std::exp(-width)) / 2, decay * s * ratio, decay};
+    }
+
+    // y = e^{Js} z of z and D z, beside each other.
+    Propagated carry(double s, const double* z, double* y) const {
+        const Propagated by = propagated(s);
+        for (std::size_t k = 0; k < 2; ++k) y[k] = by.c * z[k] + by.S * z[2 + k];
+        return by;
     }
 
     // A bound on c A + S B at any time, over its decay.
@@ -79,9 +84,8 @@ struct Drive {
     }
 
     // exp[l1, mu] and exp[l1, l2, mu] at s.
-    void answers(double s, Complex* phi) const {
-        phi[0] = divided(one, mu, s);
-        phi[1] = divided(one, two, mu, s);
+    std::array<Complex, 2> answers(double s) const {
+        return {divided(one, mu, s), divided(one, two, mu, s)};
     }
 };
 
@@ -94,15 +98,7 @@ struct ModalFlow : Flow {
     double young;     // how long, s
     std::vector<Drive> near{}, all{};  // loads near resonance; and all loads
 
-    ModalFlow(Coordinates coordinates, Harmonics harmonics, std::vector<Pair> pairs,
-              Matrix response, Matrix energy, double small, double young)
-        : Flow(std::move(coordinates), std::move(harmonics)),
-          pairs(std::move(pairs)),
-          response(std::move(response)),
-          energy(std::move(energy)),
-          small(small),
-          young(young) {}
-
+    using Flow::Flow;
     std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
     std::shared_ptr<Guards> guards(Rows rows) const override;
 
@@ -126,7 +122,6 @@ struct ModalFlow : Flow {
     Matrix propagated(double s) const {
         Vector carried(4 * pairs.size());  // of each pair e^{Js}
         for (std::size_t p = 0; p < pairs.size(); ++p) {
-            if (pairs[p].dead(s)) continue;
             const Propagated by = pairs[p].propagated(s);
             for (std::size_t k = 0; k < 4; ++k)
                 carried[4 * p + k] = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
@@ -151,7 +146,7 @@ class ModalMotion : public Motion {
         for (std::size_t k = 0; k < y.size(); ++k) squares += modal->energy.data[k] * y[k] * y[k];
         young = std::sqrt(squares) < modal->small;
         if (young) from_start = with_deviator(y);
-        add_steady(0.0, -1.0, y.data(), now.data());
+        add_steady(0.0, -1.0, y.data(), now);
         beside_steady = with_deviator(y);
     }
 
@@ -170,7 +165,7 @@ class ModalMotion : public Motion {
         Vector y(std::min(count, at_once) * size), now(modal->response.columns);
         for (std::size_t first = 0; first < count; first += at_once) {
             const std::size_t some = std::min(at_once, count - first);
-            for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now.data());
+            for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now);
             flow->coordinates.states(y.data(), some, rest, rows + first * 2 * flow->coordinates.n);
         }
     }
@@ -179,46 +174,36 @@ class ModalMotion : public Motion {
     Vector from_start, beside_steady;  // four numbers a pair: z, D z
 
     // All pairs at s; `now` is room for 1 + 2h numbers.
-    void pairs(double s, double* y, double* now) const {
+    void pairs(double s, double* y, Vector& now) const {
         const bool early = is_young(s);
         const Vector& z = free(early);
-        for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
-            y[2 * p] = y[2 * p + 1] = 0.0;
-            if (modal->pairs[p].dead(s)) continue;
-            const Propagated by = modal->pairs[p].propagated(s);
-            for (std::size_t k = 0; k < 2; ++k)
-                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
-        }
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p)
+            modal->pairs[p].carry(s, &z[4 * p], y + 2 * p);
         for (const Drive& drive : early ? modal->all : modal->near) {
-            Complex phi[2];
-            drive.answers(s, phi);
-            const Complex now = phase(drive.harmonic);
+            const auto [one, two] = drive.answers(s);
+            const Complex turn = phase(drive.harmonic);
             for (std::size_t k = 0; k < 2; ++k)
                 y[2 * drive.pair + k] +=
-                    ((phi[0] * drive.beta[k] + phi[1] * drive.turned[k]) * now).real();
+                    ((one * drive.beta[k] + two * drive.turned[k]) * turn).real();
         }
         if (!early) add_steady(s, 1.0, y, now);
     }
 
     Vector with_deviator(const Vector& y) const {
-        Vector found(2 * y.size());
+        Vector found;
         for (std::size_t p = 0; 2 * p < y.size(); ++p) {
             const double *D = modal->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
-            const double four[4] = {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two};
-            std::copy(four, four + 4, &found[4 * p]);
+            for (const double each : {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two})
+                found.push_back(each);
         }
         return found;
     }
 
     // y += factor times the steady response at s.
-    void add_steady(double s, double factor, double* y, double* now) const {
-        const Matrix& response = modal->response;
-        flow->harmonics.waves(angles, s, now);
-        for (std::size_t k = 0; k < response.rows; ++k) {
-            double sum = 0.0;
-            for (std::size_t j = 0; j < response.columns; ++j) sum += response(k, j) * now[j];
-            y[k] += factor * sum;
-        }
+    void add_steady(double s, double factor, double* y, Vector& now) const {
+        flow->harmonics.waves(angles, s, now.data());
+        for (std::size_t k = 0; k < modal->response.rows; ++k)
+            y[k] += factor * dot(modal->response.row(k), now);
     }
 };
 

@@ -85,16 +85,7 @@ struct SeriesFlow : Flow {
     Vector orders;  // of harmonics that turn with a drive, whose phase is the last of the samples;
                     // 0 for others, none where nothing turns
 
-    SeriesFlow(Coordinates coordinates, Harmonics harmonics, Matrix J, Matrix load, Matrix push,
-               std::shared_ptr<const Samples> samples, double rate, Vector orders)
-        : Flow(std::move(coordinates), std::move(harmonics)),
-          J(std::move(J)),
-          load(std::move(load)),
-          push(std::move(push)),
-          samples(std::move(samples)),
-          rate(rate),
-          orders(std::move(orders)) {}
-
+    using Flow::Flow;
     std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
     std::shared_ptr<Guards> guards(Rows rows) const override;
     std::size_t forces() const override { return push.columns; }
