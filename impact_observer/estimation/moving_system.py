@@ -128,14 +128,16 @@ class MovingSystem:
         known = self.is_plain and system.n <= _SMALL and phase.flow.is_in_closed_form
         if not known or system.m == 0:
             return None
-        times = self.scales.window, self.scales.timescale, _SHORTEST * self.scales.timescale
+        window, timescale = self.scales.window, self.scales.timescale
         arena = Arena(
             Watched.gaps(system, range(system.m)).along(phase).guards,
             system.M,
             system.W.T,
             system.q_r,
             self.phases.length,
-            times,
+            window,
+            timescale,
+            _SHORTEST * timescale,
             0.0,
         )
         for i in range(system.m):

@@ -43,7 +43,6 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     dots,
     largest_distance,
     product,
-    triangular,
 )
 
 __all__ = [
@@ -63,5 +62,4 @@ __all__ = [
     "dots",
     "largest_distance",
     "product",
-    "triangular",
 ]

@@ -19,7 +19,6 @@ def difference(
     Z: tuple[Matrix, Matrix],
     factors: Vector,
 ) -> Matrix: ...
-def triangular(root: Matrix) -> Matrix: ...
 def leading(root: Matrix, first: int, count: int) -> Matrix: ...
 def dips_along(
     s: Vector,
@@ -129,6 +128,9 @@ class PhaseMotion:
 
 class PhaseFlow:
     def start(self, t: float, x: Vector) -> PhaseMotion: ...
+    def guards(
+        self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix, force: Matrix
+    ) -> Guards: ...
 
 class ModalFlow(PhaseFlow):
     def __init__(
@@ -145,7 +147,6 @@ class ModalFlow(PhaseFlow):
         young: float,
     ) -> None: ...
     def propagated(self, s: float) -> Matrix: ...
-    def guards(self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix) -> Guards: ...
 
 class SampledForces:
     def __init__(
@@ -153,7 +154,7 @@ class SampledForces:
         time: Vector,
         jets: Matrix,
         rounding: float,
-        check: Callable[[Vector], None],
+        check: Callable[[float], None],
         dropped: int = 0,
         newest: float = ...,
     ) -> None: ...
@@ -172,9 +173,6 @@ class SeriesFlow(PhaseFlow):
         rate: float,
         orders: Vector,
     ) -> None: ...
-    def guards(
-        self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix, force: Matrix
-    ) -> Guards: ...
 
 class Guards:
     def known(
@@ -239,7 +237,9 @@ class Arena:
         W: Matrix,
         q_r: Vector,
         length: Vector,
-        times: tuple[float, float, float],
+        window: float,
+        timescale: float,
+        shortest: float,
         lowest: float,
     ) -> None: ...
     def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...

@@ -47,10 +47,10 @@ struct Parameters {
     // Steps of finite differences by the first ones, about as large as their standard deviations:
     // powers of two, so that hypotheses of similar covariance share the same members. A row of
     // `root` each.
-    Vector steps(const double* theta, const View& root) const {
+    Vector steps(const Row& theta, const View& root) const {
         Vector found(root.rows);
         for (std::size_t j = 0; j < found.size(); ++j) {
-            const double deviation = std::sqrt(dot(root.row(j), root.row(j), root.columns));
+            const double deviation = length(root.row(j));
             double step = std::max(deviation, STEP * size[j]);
             if (j < moving)  // impacts need no bounds of their parameters
                 step = std::min(step, FAR * std::min(theta[j] - low[j], high[j] - theta[j]));
@@ -70,15 +70,14 @@ struct Parameters {
     void bound(Vector& z, const View& root, std::size_t first) const {
         Vector change(root.rows);
         for (std::size_t j = 0; j < count(); ++j) {
-            const double* row = root.row(first + j);
+            const Row row = root.row(first + j);
             const double value = z[first + j] + change[first + j];
-            const double beyond = clamped(j, value) - value;
-            const double variance = dot(row, row, root.columns);
+            const double beyond = clamped(j, value) - value, variance = dot(row, row);
             if (beyond == 0.0 || variance == 0.0) continue;
             for (std::size_t i = 0; i < root.rows; ++i)
-                change[i] += dot(root.row(i), row, root.columns) * (beyond / variance);
+                change[i] += dot(root.row(i), row) * (beyond / variance);
         }
-        add(1.0, change.data(), z.data(), z.size());
+        add(1.0, change, z);
         for (std::size_t j = 0; j < count(); ++j) z[first + j] = clamped(j, z[first + j]);
     }
 };
@@ -95,12 +94,12 @@ struct Family {
     std::size_t count() const { return nominal.size(); }
     std::size_t moving() const { return lower.size(); }
 
-    std::shared_ptr<const FreeMotion> at(const double* theta) const {
-        if (std::equal(theta, theta + moving(), nominal.begin())) return given;
+    std::shared_ptr<const FreeMotion> at(const Row& theta) const {
+        if (std::equal(theta.begin(), theta.begin() + moving(), nominal.begin())) return given;
         const auto found = std::make_shared<FreeMotion>(*given);
         for (std::size_t j = 0; j < moving(); ++j) {
             const double by = theta[j] - nominal[j];
-            add(by, lower[j].data.data(), found->lower.data.data(), lower[j].data.size());
+            add(by, lower[j].data, found->lower.data);
             found->rate += std::abs(by) * rate[j];
         }
         found->prepare();
@@ -116,16 +115,12 @@ struct Map {
 
 // Turns the columns of `root` until its rows from `first` on are lower triangular in front.
 inline Matrix leading(const View& root, std::size_t first, std::size_t count) {
-    const std::size_t d = root.rows, c = std::max(root.columns, count);
-    Matrix ordered(d, c), found(d, c);
-    const auto place = [&](std::size_t i) {  // where row i is while the leading ones are on top
-        return i < first ? i + count : i < first + count ? i - first : i;
-    };
-    for (std::size_t i = 0; i < d; ++i)
-        std::copy(root.row(i), root.row(i) + root.columns, ordered.row(place(i)));
-    for (std::size_t k = 0; k < count; ++k) reflect(ordered, k);
-    for (std::size_t i = 0; i < d; ++i)
-        std::copy(ordered.row(place(i)), ordered.row(place(i)) + c, found.row(i));
+    Matrix found = resized(root, std::max(root.columns, count));
+    const auto begin = found.data.begin(), end = begin + (first + count) * found.columns;
+    const auto middle = begin + first * found.columns;
+    std::rotate(begin, middle, end);  // they are on top meanwhile
+    for (std::size_t k = 0; k < count; ++k) reflect(found, k);
+    std::rotate(begin, begin + count * found.columns, end);
     return found;
 }
 
@@ -160,14 +155,14 @@ struct Sensitivity {
         for (const std::size_t j : active) plus[j] = aside(j, 1.0, j, 0.0);
         for (const std::size_t j : active) {
             const Map minus = aside(j, -1.0, j, 0.0);
+            const double h = steps[j];
             mixed[j] = plus[j].linear;
             for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
-                mixed[j].data[i] =
-                    (plus[j].linear.data[i] - minus.linear.data[i]) / (2 * steps[j]);
+                mixed[j].data[i] = (mixed[j].data[i] - minus.linear.data[i]) / (2 * h);
             for (std::size_t i = 0; i < k; ++i) {
                 const double on = plus[j].value[i], back = minus.value[i], here = centre.value[i];
-                first(j, i) = (on - back) / (2 * steps[j]);
-                second[j * p + j][i] = ((on - here) + (back - here)) / (steps[j] * steps[j]);
+                first(j, i) = (on - back) / (2 * h);
+                second[j * p + j][i] = ((on - here) + (back - here)) / (h * h);
             }
             for (const std::size_t l : active) {
                 if (l == j) break;
@@ -175,13 +170,13 @@ struct Sensitivity {
                 for (std::size_t i = 0; i < k; ++i) {
                     const double crossed =
                         (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);
-                    second[j * p + l][i] = second[l * p + j][i] = crossed / (steps[j] * steps[l]);
+                    second[j * p + l][i] = second[l * p + j][i] = crossed / (h * steps[l]);
                 }
             }
         }
         for (std::size_t j = 0; j < p; ++j)
             for (std::size_t l = 0; l < p; ++l)
-                add(theta[l] - near[l], second[l * p + j].data(), first.row(j), k);
+                add(theta[l] - near[l], second[l * p + j], first.row(j));
     }
 
     // Noise of second order that the parameters add to `linear root`, where `root`, d x c, and
@@ -191,8 +186,7 @@ struct Sensitivity {
         // Columns in which the parameters are zero: turned, d of them hold as much as all.
         const std::size_t rest = root.columns - p, left = std::min(rest, d), c = p + left;
         Matrix turned(d, rest);
-        for (std::size_t m = 0; m < d; ++m)
-            std::copy(root.row(m) + p, root.row(m) + root.columns, turned.row(m));
+        for (std::size_t m = 0; m < d; ++m) add(1.0, root.row(m).part(p, rest), turned.row(m));
         if (rest > d) make_triangular(turned);
         std::vector<Matrix> across(p);  // mixed derivatives, by columns of `own`
         for (std::size_t a = 0; a < p; ++a)
@@ -202,8 +196,8 @@ struct Sensitivity {
                 for (std::size_t i = 0; i < k; ++i)
                     for (std::size_t m = 0; m < d; ++m) {
                         const double by = own(j, a) * mixed[j](i, m);
-                        add(by, root.row(m), across[a].row(i), p);
-                        add(by, turned.row(m), across[a].row(i) + p, left);
+                        add(by, root.row(m).part(0, p), across[a].row(i));
+                        add(by, turned.row(m).part(0, left), &across[a](i, p));
                     }
             }
         const auto moves = [&](std::size_t a) { return across[a].rows > 0; };
@@ -224,7 +218,7 @@ struct Sensitivity {
         }
         Matrix found(k, columns);
         for (std::size_t i = 0; i < k; ++i) {
-            double* to = found.row(i);
+            double* to = found.row(i).data;
             for (std::size_t a = 0; a < p; ++a) {
                 if (moves(a)) {
                     for (std::size_t j = p; j < c; ++j) *to++ = TAILS * across[a](i, j);

@@ -36,32 +36,30 @@ struct Instant {
 
 // The impact of one contact: g = W^T q + q_r, u+ = u- - kick gamma, q+ = q- - Z g.
 struct Contact {
-    std::vector<double> W, kick, Z;  // kick and Z are empty until they are known
-    double q_r, length;              // of the column of L^-1 W, M = L L^T
+    Vector W, kick, Z;   // kick and Z are empty until they are known
+    double q_r, length;  // of the column of L^-1 W, M = L L^T
 
-    std::size_t n() const { return W.size(); }
-    double gap(const double* x) const { return dot(W.data(), x, n()) + q_r; }
-    double speed(const double* x) const { return dot(W.data(), x + n(), n()); }
+    double gap(const Vector& x) const { return dot(W, x.data()) + q_r; }
+    double speed(const Vector& x) const { return dot(W, &x[W.size()]); }
 
     // A replica through an impact by switched geometric constraints (Baumann and Leine, ENOC 2014,
     // equations (2) to (5)), and others, which differ from it by columns times `scale`. Those that
     // separate keep their velocities.
-    void strike(double* x, Matrix& columns, double scale) const {
+    void strike(Vector& x, Matrix& columns, double scale) const {
+        const std::size_t n = W.size();
         const double gamma = speed(x), g = gap(x);
-        std::vector<double> gaps(columns.columns), speeds(columns.columns);
-        for (std::size_t i = 0; i < n(); ++i) {
-            add(W[i], columns.row(i), gaps.data(), gaps.size());
-            add(W[i], columns.row(n() + i), speeds.data(), speeds.size());
-        }
+        const Vector gaps = product(W, columns.part(0, n));
+        Vector speeds = product(W, columns.part(n, n));
         for (double& each : speeds) {  // what is lost of each
             const double other = gamma + scale * each;
             if (gamma > 0 || other > 0)
                 each = (std::min(other, 0.0) - std::min(gamma, 0.0)) / scale;
         }
-        for (std::size_t i = 0; i < n(); ++i) {
-            x[i] -= Z[i] * g, x[n() + i] -= kick[i] * std::min(gamma, 0.0);
-            add(-Z[i], gaps.data(), columns.row(i), gaps.size());
-            add(-kick[i], speeds.data(), columns.row(n() + i), speeds.size());
+        add(-g, Z, x.data());
+        add(-std::min(gamma, 0.0), kick, &x[n]);
+        for (std::size_t i = 0; i < n; ++i) {
+            add(-Z[i], gaps, columns.row(i));
+            add(-kick[i], speeds, columns.row(n + i));
         }
     }
 };
@@ -70,7 +68,11 @@ struct Hit {
     Instant instant;
     std::size_t contact;
     double energy;  // kinetic, before
-    std::vector<double> before, after;
+    Vector before, after;
+
+    auto fields() const {
+        return std::tie(instant.stamp, instant.remainder, contact, energy, before, after);
+    }
 };
 
 // What all flights of one plant share. Times that are short against `shortest` are left to others,
@@ -113,7 +115,7 @@ class Flights {
   private:
     struct Flight {
         Instant start;
-        std::shared_ptr<const Motion> motion;
+        std::shared_ptr<Motion> motion;
         Hunt hunt;
     };
 
@@ -134,17 +136,16 @@ class Flights {
         const std::size_t i = crossing->which.front(), n = arena->M.rows;
         const Contact& contact = arena->contacts[i];
         if (contact.kick.empty()) return {};
-        Hit hit{instant, i, 0.0, std::vector<double>(2 * n), {}};
+        Hit hit{instant, i, 0.0, Vector(2 * n), {}};
         flight.motion->states(&crossing->s, 1, hit.before.data());
         hit.after = hit.before;
-        const double gamma = dot(contact.W.data(), &hit.before[n], n);
+        const Row u = Row(hit.before).part(n, n);
+        const double gamma = contact.speed(hit.before);
         if (!(gamma < 0)) return {};
-        add(-gamma, contact.kick.data(), &hit.after[n], n);
-        add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(),
-            &hit.after[0], n);
-        for (std::size_t k = 0; k < n; ++k)
-            hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
-        const double away = dot(contact.W.data(), &hit.after[n], n);
+        add(-gamma, contact.kick, &hit.after[n]);
+        add(-contact.gap(hit.before), contact.Z, &hit.after[0]);
+        for (std::size_t k = 0; k < n; ++k) hit.energy += u[k] * dot(arena->M.row(k), u) / 2;
+        const double away = contact.speed(hit.after);
         if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return {};
         Flight next = begun(instant, hit.after.data());
         if (may_rest(i, away, next)) return {};

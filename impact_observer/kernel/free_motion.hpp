@@ -21,10 +21,12 @@
 
 namespace kernel::kalman {
 
-using Vector = std::vector<double>;
-
 constexpr double EPS = std::numeric_limits<double>::epsilon();
 constexpr double LEAST = 1e-150;  // standard deviation, or speed, instead of zero
+
+struct Ignored {
+    void operator()(const Row&) const {}
+};
 
 // dx/dt = A x + b(t), x = (q, u):  du/dt = lower x + constant + sum cosine cos + sine sin.
 struct FreeMotion {
@@ -45,90 +47,31 @@ struct FreeMotion {
                 if (lower(i, j) != 0.0) filled[i].push_back(j);
     }
 
-    // to = A x
-    void rates(const double* x, double* to) const {
-        for (std::size_t i = 0; i < n(); ++i) {
-            double sum = 0.0;
-            for (const std::size_t j : filled[i]) sum += lower(i, j) * x[j];
-            to[i] = x[n() + i];
-            to[n() + i] = sum;
-        }
-    }
-
-    // to = row A
-    void row_rates(const double* row, double* to) const {
-        std::fill(to, to + n(), 0.0);
-        std::copy(row, row + n(), to + n());
-        for (std::size_t i = 0; i < n(); ++i)
-            for (const std::size_t j : filled[i]) to[j] += row[n() + i] * lower(i, j);
-    }
-
-    Vector rates(const Vector& x) const {
+    // A x
+    Vector rates(const Row& x) const {
         Vector found(size());
-        rates(x.data(), found.data());
+        move(x.data, found.data());
         return found;
     }
 
-    Vector row_rates(const Vector& row) const {
+    // row A
+    Vector row_rates(const Row& row) const {
         Vector found(size());
-        row_rates(row.data(), found.data());
+        move_row(row.data, found.data());
         return found;
     }
 
     // x += factor times the derivative of order k of b at t
     void force(double t, int k, double factor, Vector& x) const {
         double* u = x.data() + n();
-        if (k == 0) add(factor, constant.data(), u, n());
+        if (k == 0) add(factor, constant, u);
         for (std::size_t i = 0; i < frequency.size(); ++i) {
             const double omega = frequency[i], angle = omega * t;
             const double one = k ? -omega * std::sin(angle) : std::cos(angle);
             const double two = k ? omega * std::cos(angle) : std::sin(angle);
-            add(factor * one, cosine.row(i), u, n());
-            add(factor * two, sine.row(i), u, n());
+            add(factor * one, cosine.row(i), u);
+            add(factor * two, sine.row(i), u);
         }
-    }
-
-    // Taylor's series of what moves by `next`, over s seconds: next(term, to) makes to = A term.
-    // Forces from t on are added where they are asked for. each(term) sees all terms.
-    template <class Next, class Each>
-    void moved(Vector& x, double s, const double* t, Next next, Each each) const {
-        const double turns = std::abs(s) * rate;
-        if (turns == 0.0) return;
-        if (!(turns < 1e9)) return x.assign(x.size(), NAN);  // a deviation has overflowed
-        const std::size_t steps = std::size_t(std::ceil(turns)),
-                          h_count = t ? frequency.size() : 0;
-        const double h = s / double(steps), turn = turns / double(steps);
-        Vector term(size()), other(size()), even(h_count), odd(h_count);
-        for (std::size_t step = 0; step < steps; ++step) {
-            term = x;
-            for (std::size_t i = 0; i < h_count; ++i) {
-                const double angle = frequency[i] * (*t + double(step) * h);
-                even[i] = std::cos(angle), odd[i] = std::sin(angle);
-            }
-            double size_of_term = 1.0;
-            for (int k = 0; size_of_term > EPS / 16; ++k) {
-                next(term.data(), other.data());
-                double* u = other.data() + n();
-                if (t && k == 0) add(1.0, constant.data(), u, n());
-                for (std::size_t i = 0; i < h_count; ++i) {  // h^k / k! times derivative k
-                    add(even[i], cosine.row(i), u, n());
-                    add(odd[i], sine.row(i), u, n());
-                    const double by = frequency[i] * h / (k + 1), before = even[i];
-                    even[i] = -by * odd[i], odd[i] = by * before;
-                }
-                for (std::size_t i = 0; i < size(); ++i) {
-                    term[i] = other[i] * (h / (k + 1));
-                    x[i] += term[i];
-                }
-                each(term.data());
-                size_of_term *= turn / (k + 1);
-            }
-        }
-    }
-
-    template <class Next>
-    void moved(Vector& x, double s, const double* t, Next next) const {
-        moved(x, s, t, next, [](const double*) {});
     }
 
     // Phi(s), by Taylor's series over a part of s that is shorter than the fastest rate's inverse,
@@ -136,18 +79,26 @@ struct FreeMotion {
     Matrix transition(double s) const {
         const int doublings = doublings_of(s);
         Matrix found(size(), size());
-        for (std::size_t j = 0; j < size(); ++j) {
-            const Vector column = moved_by(j, std::ldexp(s, -doublings));
-            for (std::size_t i = 0; i < size(); ++i) found(i, j) = column[i];
-        }
-        for (int turn = 0; turn < doublings; ++turn) found = twice(found);
+        for (std::size_t j = 0; j < size(); ++j)
+            set_column(found, j, 1.0, moved_by(j, std::ldexp(s, -doublings)));
+        for (int turn = 0; turn < doublings; ++turn) found = product(found, found);
         return found;
     }
 
-    // The state s seconds after x at t
-    Vector flown(double t, Vector x, double s) const {
-        moved(x, s, &t, [&](const double* term, double* to) { rates(term, to); });
-        return x;
+    // The state s seconds after x at t; each(term) sees all terms of Taylor's series
+    template <class Each = Ignored>
+    Vector flown(double t, Vector x, double s, Each each = {}) const {
+        return moved<&FreeMotion::move>(std::move(x), s, &t, each);
+    }
+
+    // Phi(s) x
+    Vector carried(Vector x, double s) const {
+        return moved<&FreeMotion::move>(std::move(x), s, nullptr);
+    }
+
+    // row Phi(s)
+    Vector seen(Vector row, double s) const {
+        return moved<&FreeMotion::move_row>(std::move(row), s, nullptr);
     }
 
     // What forces add in s seconds, by the constant and by each harmonic that starts as a cosine
@@ -156,28 +107,20 @@ struct FreeMotion {
         Matrix found(1 + 2 * frequency.size(), size());
         FreeMotion one = *this;
         const auto respond = [&](std::size_t k) {
-            const Vector x = one.flown(0.0, Vector(size()), s);
-            std::copy(x.begin(), x.end(), found.row(k));
+            add(1.0, one.flown(0.0, Vector(size()), s), found.row(k));
         };
         one.frequency = {}, one.cosine = one.sine = Matrix(0, n());
         respond(0);
         one.constant.assign(n(), 0.0), one.cosine = one.sine = Matrix(1, n());
         for (std::size_t i = 0; i < frequency.size(); ++i) {
             one.frequency = {frequency[i]};
-            std::copy(cosine.row(i), cosine.row(i) + n(), one.cosine.row(0));
-            std::copy(sine.row(i), sine.row(i) + n(), one.sine.row(0));
+            one.cosine = cosine.part(i, 1), one.sine = sine.part(i, 1);
             respond(1 + 2 * i);
             std::swap(one.cosine, one.sine);
             for (double& each : one.sine.data) each = -each;
             respond(2 + 2 * i);
         }
         return found;
-    }
-
-    // Phi(s) x
-    Vector carried(Vector x, double s) const {
-        moved(x, s, nullptr, [&](const double* term, double* to) { rates(term, to); });
-        return x;
     }
 
     // A square root, 2n x 2n, of what white accelerations add in s >= 0 seconds: the integral of
@@ -191,35 +134,62 @@ struct FreeMotion {
         const std::size_t d = size();
         const int doublings = doublings_of(s);
         const double h = std::ldexp(s, -doublings);
-        Matrix columns(d, 4 * d), Phi = doublings ? transition(h) : Matrix(), root(d, d);
+        Matrix columns(d, 4 * d), Phi = doublings ? transition(h) : Matrix();
         for (std::size_t k = 0; k < 8; ++k)
             for (std::size_t j = 0; j < n(); ++j) {
                 const double node = k < 4 ? nodes[k] : -nodes[k - 4];
                 const double size = std::sqrt(weights[k % 4] * h / 2);
-                const Vector column = moved_by(n() + j, (1 + node) * h / 2);
-                for (std::size_t i = 0; i < d; ++i) columns(i, k * n() + j) = size * column[i];
+                set_column(columns, k * n() + j, size, moved_by(n() + j, (1 + node) * h / 2));
             }
         for (int turn = 0;; ++turn) {
-            make_triangular(columns);
-            for (std::size_t i = 0; i < d; ++i)
-                std::copy(columns.row(i), columns.row(i) + d, root.row(i));
+            const Matrix root = squared(std::move(columns));
             if (turn == doublings) return root;
-            columns = Matrix(d, 2 * d);
-            for (std::size_t i = 0; i < d; ++i) {
-                for (std::size_t k = 0; k < d; ++k) add(Phi(i, k), root.row(k), columns.row(i), d);
-                std::copy(root.row(i), root.row(i) + d, columns.row(i) + d);
-            }
-            Phi = twice(Phi);
+            columns = resized(product(Phi, root), 2 * d);
+            put(root, columns, 0, d);
+            Phi = product(Phi, Phi);
         }
     }
 
-    // row Phi(s)
-    Vector seen(Vector row, double s) const {
-        moved(row, s, nullptr, [&](const double* term, double* to) { row_rates(term, to); });
-        return row;
+  private:
+    // Taylor's series of what moves by `next`, over s seconds: next(term, to) makes to = A term.
+    // Forces from t on are added where they are asked for. each(term) sees all terms.
+    template <void (FreeMotion::*next)(const double*, double*) const, class Each = Ignored>
+    Vector moved(Vector x, double s, const double* t, Each each = {}) const {
+        const double turns = std::abs(s) * rate;
+        if (turns == 0.0) return x;
+        if (!(turns < 1e9)) return Vector(x.size(), NAN);  // a deviation has overflowed
+        const std::size_t steps = std::size_t(std::ceil(turns)),
+                          h_count = t ? frequency.size() : 0;
+        const double h = s / double(steps), turn = turns / double(steps);
+        Vector term(size()), other(size()), even(h_count), odd(h_count);
+        for (std::size_t step = 0; step < steps; ++step) {
+            term = x;
+            for (std::size_t i = 0; i < h_count; ++i) {
+                const double angle = frequency[i] * (*t + double(step) * h);
+                even[i] = std::cos(angle), odd[i] = std::sin(angle);
+            }
+            double size_of_term = 1.0;
+            for (int k = 0; size_of_term > EPS / 16; ++k) {
+                (this->*next)(term.data(), other.data());
+                double* u = other.data() + n();
+                if (t && k == 0) add(1.0, constant, u);
+                for (std::size_t i = 0; i < h_count; ++i) {  // h^k / k! times derivative k
+                    add(even[i], cosine.row(i), u);
+                    add(odd[i], sine.row(i), u);
+                    const double by = frequency[i] * h / (k + 1), before = even[i];
+                    even[i] = -by * odd[i], odd[i] = by * before;
+                }
+                for (std::size_t i = 0; i < size(); ++i) {
+                    term[i] = other[i] * (h / (k + 1));
+                    x[i] += term[i];
+                }
+                each(term);
+                size_of_term *= turn / (k + 1);
+            }
+        }
+        return x;
     }
 
-  private:
     // How often s is halved until it is shorter than the fastest rate's inverse
     int doublings_of(double s) const {
         const double turns = std::min(std::max(1.0, std::abs(s) * rate), 1e300);
@@ -233,10 +203,26 @@ struct FreeMotion {
         return carried(std::move(column), s);
     }
 
-    static Matrix twice(const Matrix& Phi) {
-        Matrix found(Phi.rows, Phi.rows);
-        add_matrix_product(Phi.data.data(), Phi.rows, Phi, found.data.data());
-        return found;
+    static void set_column(Matrix& to, std::size_t j, double factor, const Vector& column) {
+        for (std::size_t i = 0; i < column.size(); ++i) to(i, j) = factor * column[i];
+    }
+
+    // to = A x
+    void move(const double* x, double* to) const {
+        for (std::size_t i = 0; i < n(); ++i) {
+            double sum = 0.0;
+            for (const std::size_t j : filled[i]) sum += lower(i, j) * x[j];
+            to[i] = x[n() + i];
+            to[n() + i] = sum;
+        }
+    }
+
+    // to = row A
+    void move_row(const double* row, double* to) const {
+        std::fill(to, to + n(), 0.0);
+        std::copy(row, row + n(), to + n());
+        for (std::size_t i = 0; i < n(); ++i)
+            for (const std::size_t j : filled[i]) to[j] += row[n() + i] * lower(i, j);
     }
 };
 
@@ -246,17 +232,14 @@ struct Sizes {
     Vector squares;        // omega^2 of the modes, n
     double timescale;
 
-    Vector of(const double* x, double s) const {
+    Vector of(const Row& x, double s) const {
         const std::size_t n = modes.rows;
-        Vector a(n), b(n), found(2 * n);
-        for (std::size_t i = 0; i < n; ++i) {
-            add(x[i], modes.row(i), a.data(), n);
-            add(x[n + i], modes.row(i), b.data(), n);
-        }
+        const Vector a = product(x.part(0, n), modes), b = product(x.part(n, n), modes);
+        Vector found(2 * n);
         for (std::size_t j = 0; j < n; ++j) {
             const double q = std::abs(a[j]), u = std::abs(b[j]), half = std::max(s, 0.0) / 2;
-            add(q + (timescale + half) * u, spread.row(j), found.data(), n);
-            add(u + half * squares[j] * q, spread.row(j), found.data() + n, n);
+            add(q + (timescale + half) * u, spread.row(j), &found[0]);
+            add(u + half * squares[j] * q, spread.row(j), &found[n]);
         }
         return found;
     }

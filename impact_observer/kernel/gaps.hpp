@@ -37,6 +37,10 @@ struct Dip {
     double unlikely;      // logarithm of the probability that an error of the estimate is so large
     bool over;            // whether it becomes positive again
     double began;         // where it becomes negative
+
+    auto fields() const {
+        return std::tie(contact, above, below, deepest, depth, unlikely, over, began);
+    }
 };
 
 // A linear function of the state that is measured with noise.
@@ -53,6 +57,11 @@ struct Followed {
     double innovation, normalised;
     double density;   // logarithm of that of the sample, but for a constant
     double residual;  // the expected square of its noise
+
+    auto fields() const {
+        const auto rest = std::tie(innovation, normalised, density, residual);
+        return std::tuple_cat(state.fields(), rest);
+    }
 };
 
 // Where a function of time that is positive at `above` falls through zero on the way to `below`,
@@ -131,6 +140,12 @@ inline void in_order(std::vector<Dip>& dips) {
                      [](const Dip& a, const Dip& b) { return a.below < b.below; });
 }
 
+// A state and its flight: t, s, and the level of white accelerations, m/s^1.5.
+struct Flown {
+    Prior prior;
+    double t, s, level;
+};
+
 class Gaps {
   public:
     std::shared_ptr<const Family> family;
@@ -142,10 +157,9 @@ class Gaps {
     // Those of the member with the parameters of a state.
     Gaps of(const Prior& prior) const {
         Gaps found = *this;
-        found.motion = family->at(prior.constants.data);
+        found.motion = family->at(prior.constants);
         for (std::size_t j = 0; j < family->count(); ++j)
-            add(prior.constants[j] - family->nominal[j], rests.row(j), found.rest.data(),
-                rest.size());
+            add(prior.constants[j] - family->nominal[j], rests.row(j), found.rest);
         return found;
     }
 
@@ -168,11 +182,11 @@ class Gaps {
         const Matrix parts = motion->pushed(h);
         for (std::size_t k = 0; k < count; ++k) {
             const double at = t + duration * (double(k) / double(count));
-            add(1.0, parts.row(0), found.pushed.row(k), size);
+            add(1.0, parts.row(0), found.pushed.row(k));
             for (std::size_t i = 0; i < motion->frequency.size(); ++i) {
                 const double angle = motion->frequency[i] * at;
-                add(std::cos(angle), parts.row(1 + 2 * i), found.pushed.row(k), size);
-                add(std::sin(angle), parts.row(2 + 2 * i), found.pushed.row(k), size);
+                add(std::cos(angle), parts.row(1 + 2 * i), found.pushed.row(k));
+                add(std::sin(angle), parts.row(2 + 2 * i), found.pushed.row(k));
             }
         }
         return found;
@@ -184,17 +198,16 @@ class Gaps {
         const double t = grid.t;
         std::vector<Dip> found;
         if (!(grid.duration > 0)) return found;
-        const Samples samples = sampled(grid, vector(prior.x));
+        const Samples samples = sampled(grid, prior.x);
         for (std::size_t j = 0; j < W.rows; ++j) {
             Vector values(samples.s.size());
             for (std::size_t k = 0; k < values.size(); ++k) values[k] = gap(j, samples.x.row(k));
             const auto near = [&](std::size_t from, double at) {
                 const double s = samples.s[from];
-                const double* x = samples.x.row(from);
-                return gap(j, motion->flown(t + s, Vector(x, x + motion->size()), at - s).data());
+                return gap(j, motion->flown(t + s, samples.x.row(from), at - s));
             };
             const auto rounding = [&](double s) {
-                const Vector scale = family->sizes.of(prior.x.data, 0.0);
+                const Vector scale = family->sizes.of(prior.x, 0.0);
                 double size = std::abs(rest[j]);
                 for (std::size_t i = 0; i < motion->n(); ++i) size += std::abs(W(j, i)) * scale[i];
                 return (64 * EPS + EPS * (t + s) / family->sizes.timescale) * size;
@@ -208,19 +221,36 @@ class Gaps {
         return found;
     }
 
+    // The same for many states; those that follow each other and fly alike share steps.
+    std::vector<std::vector<Dip>> dips(const std::vector<Flown>& states) const {
+        std::vector<std::vector<Dip>> found;
+        Grid shared{};
+        for (std::size_t b = 0; b < states.size(); ++b) {
+            const auto& [prior, t, s, level] = states[b];
+            const Gaps own = of(prior);
+            std::size_t end = b;
+            while (end < states.size() && states[end].t == t && states[end].s == s) ++end;
+            const bool is_shared = family->moving() == 0;
+            if (!is_shared || b == 0 || t != shared.t || s != shared.duration)
+                shared = own.grid(t, s, is_shared ? end - b : 1);
+            found.push_back(own.dips(shared, prior, level));
+        }
+        return found;
+    }
+
     // Where a gap plus `depth` deviations falls through zero between `above` and `below`, s.
     double root(double t, const Prior& prior, double level, std::size_t j, double above,
                 double below, double depth) const {
-        const Vector start = motion->flown(t, vector(prior.x), above);
+        const Vector start = motion->flown(t, prior.x, above);
         const bool is_short = depth > 0 && !(level > 0 || family->count());
         const Vector row = is_short ? motion->seen(direction(j), above) : Vector();
         const auto sigma = [&](double s) {
-            return is_short ? spread(motion->seen(row, s - above), prior.root)
+            return is_short ? length(product(motion->seen(row, s - above), prior.root))
                             : deviation(t, j, s, prior, level);
         };
         const auto value = [&](double s) {
             const Vector x = motion->flown(t + above, start, s - above);
-            return gap(j, x.data()) + (depth > 0 ? depth * sigma(s) : 0.0);
+            return gap(j, x) + (depth > 0 ? depth * sigma(s) : 0.0);
         };
         return falls_at(value, above, below, depth > 0 ? 1e-13 : 4 * EPS);
     }
@@ -228,24 +258,38 @@ class Gaps {
     // States s seconds later, corrected by a sample then. None where a gap is negative then, or,
     // if that is searched, on the way. White accelerations, m/s^1.5, have the `declared` level
     // beside that of each state.
-    std::vector<Followed> followed(double t, double s, const std::vector<Prior>& priors,
-                                   const View& levels, double declared, const Sample& sample,
-                                   bool searches) const {
+    std::optional<std::vector<Followed>> followed(double t, double s,
+                                                  const std::vector<Prior>& priors,
+                                                  const View& levels, double declared,
+                                                  const Sample& sample, bool searches) const {
         std::vector<Followed> found;
         Grid steps;
         Flight flight{s, {}, {}};
         for (std::size_t b = 0; b < priors.size(); ++b) {
             const Prior& prior = priors[b];
-            Vector x = vector(prior.x);
+            Vector x = prior.x;
             const bool is_far = flown_far(t, s, x);
             for (std::size_t j = 0; j < W.rows; ++j)
-                if (!(gap(j, x.data()) >= 0)) return {};
+                if (!(gap(j, x) >= 0)) return std::nullopt;
             if (searches && !is_far) {
                 if (steps.count == 0) steps = grid(t, s, priors.size());
-                if (!dips(steps, prior, levels[b]).empty()) return {};
+                if (!dips(steps, prior, levels[b]).empty()) return std::nullopt;
             }
             const double level = std::hypot(declared, levels[b]);
             found.push_back(updated(sample, after(t, prior, x, level, flight)));
+        }
+        return found;
+    }
+
+    // Each state after its flight, with white accelerations of its level beside those declared.
+    std::vector<Posterior> flown(const std::vector<Flown>& states, double declared) const {
+        std::vector<Posterior> found;
+        Flight flight{-1.0, {}, {}};
+        for (const auto& [prior, t, s, level] : states) {
+            if (s != flight.s) flight = {s, {}, {}};
+            const Gaps own = of(prior);
+            found.push_back(own.after(t, prior, own.motion->flown(t, prior.x, s),
+                                      s > 0 ? std::hypot(declared, level) : 0.0, flight));
         }
         return found;
     }
@@ -259,16 +303,9 @@ class Gaps {
     // A state after a flight from t on to x, with white accelerations of this level.
     Posterior after(double t, const Prior& prior, const Vector& x, double level,
                     Flight& flight) const {
-        const std::size_t size = x.size();
         const bool is_own = family->moving() > 0;
         if (is_own || flight.Phi.rows == 0) flight.Phi = motion->transition(flight.s);
-        Posterior found{Matrix(1, size),
-                        Matrix(1, prior.constants.size()),
-                        {},
-                        carried(flight.Phi, prior.differences)};
-        found.x.data = x;
-        std::copy(prior.constants.data, prior.constants.data + prior.constants.size(),
-                  found.constants.row(0));
+        Posterior found{x, prior.constants, {}, carried(flight.Phi, prior.differences)};
         found.root = is_own ? with_parameters(t, prior, flight, found.differences)
                             : carried(flight.Phi, prior.root);
         if (level > 0 && flight.diffused.rows == 0)
@@ -282,79 +319,59 @@ class Gaps {
     // Factorization methods for discrete sequential estimation, 1977, chapter II).
     static Followed updated(const Sample& sample, Posterior prior) {
         Followed found{std::move(prior), 0, 0, 0, 0};
-        Matrix &x = found.state.x, &root = found.state.root;
-        Matrix& differences = found.state.differences;
-        const std::size_t size = x.columns, d = root.rows, c = root.columns;
-        Vector columns(c), others(differences.columns);
-        for (std::size_t i = 0; i < sample.row.size(); ++i) {
-            if (sample.row[i] == 0.0) continue;
-            add(sample.row[i], root.row(i), columns.data(), c);
-            add(sample.row[i], differences.row(i), others.data(), others.size());
-        }
-        const double spread = dot(columns.data(), columns.data(), c);
+        auto& [x, constants, root, differences] = found.state;
+        const std::size_t size = x.size();
+        const Vector columns = product(sample.row, root),
+                     others = product(sample.row, differences);
+        const double spread = dot(columns, columns);
         const double variance = spread + sample.noise, share = sample.noise / variance;
-        found.innovation = sample.value - (dot(sample.row.data(), x.row(0), size) + sample.rest);
+        found.innovation = sample.value - (dot(x, sample.row) + sample.rest);
         found.normalised = std::abs(found.innovation) / std::sqrt(variance);
         const double least = std::min(found.normalised, sample.gate);
         found.density = -(least * least + std::log(variance)) / 2;
         found.residual = least * least * variance * share * share + spread * share;
         if (!(found.normalised > sample.gate)) {
             const double shrink = variance + std::sqrt(variance * sample.noise);
-            for (std::size_t i = 0; i < d; ++i) {
-                const double towards = dot(root.row(i), columns.data(), c);
+            for (std::size_t i = 0; i < root.rows; ++i) {
+                const double towards = dot(root.row(i), columns);
                 const double change = towards / variance * found.innovation;
-                (i < size ? x(0, i) : found.state.constants(0, i - size)) += change;
-                add(-towards / shrink, columns.data(), root.row(i), c);
-                add(-towards / variance, others.data(), differences.row(i), others.size());
+                (i < size ? x[i] : constants[i - size]) += change;
+                add(-towards / shrink, columns, root.row(i));
+                add(-towards / variance, others, differences.row(i));
             }
         }
         return found;
     }
 
   private:
-    // The state s seconds after x at t; whether no gap can have vanished on the way, as not even
-    // all terms of Taylor's series together reach so far.
+    // Takes x s seconds on from t. Whether no gap can have vanished on the way, as not even all
+    // terms of Taylor's series together reach so far.
     bool flown_far(double t, double s, Vector& x) const {
-        const double turns = std::abs(s) * motion->rate;
         Vector left(W.rows);
-        for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x.data());
-        motion->moved(
-            x, s, &t, [&](const double* term, double* to) { motion->rates(term, to); },
-            [&](const double* term) {
-                for (std::size_t j = 0; j < W.rows; ++j)
-                    left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term, motion->n()));
-            });
-        bool is_far = turns <= 1.0;
-        for (const double each : left) is_far = is_far && each > 0;
-        return is_far;
+        for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x);
+        x = motion->flown(t, std::move(x), s, [&](const Row& term) {
+            for (std::size_t j = 0; j < W.rows; ++j)
+                left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term.data));
+        });
+        return std::abs(s) * motion->rate <= 1.0 &&
+               std::all_of(left.begin(), left.end(), [](double each) { return each > 0; });
     }
 
     // Errors after a flight; the rows after those of the state stay.
     static Matrix carried(const Matrix& Phi, const View& errors) {
-        Matrix found(errors.rows, errors.columns);
-        for (std::size_t i = 0; i < errors.rows; ++i) {
-            if (i >= Phi.rows) {
-                std::copy(errors.row(i), errors.row(i) + errors.columns, found.row(i));
-                continue;
-            }
-            for (std::size_t k = 0; k < Phi.rows; ++k)
-                add(Phi(i, k), errors.row(k), found.row(i), errors.columns);
-        }
+        Matrix found = errors;
+        std::fill_n(found.data.begin(), Phi.rows * errors.columns, 0.0);
+        add_product(Phi, errors.part(0, Phi.rows), found.data.data());
         return found;
     }
 
     // A root of what white accelerations add to a covariance: lower triangular.
     static Matrix with_noise(const Matrix& root, const Matrix& diffused, double level) {
         const std::size_t d = root.rows, c = root.columns;
-        Matrix whole(d, std::max(d, c + diffused.columns)), found(d, d);
-        for (std::size_t i = 0; i < d; ++i) {
-            std::copy(root.row(i), root.row(i) + c, whole.row(i));
-            if (i < diffused.rows) add(level, diffused.row(i), whole.row(i) + c, diffused.columns);
-        }
-        make_triangular(whole);
-        for (std::size_t i = 0; i < d; ++i)
-            std::copy(whole.row(i), whole.row(i) + d, found.row(i));
-        return found;
+        Matrix whole = resized(root, std::max(d, c + diffused.columns));
+        for (std::size_t i = 0; i < diffused.rows; ++i)
+            add(level, diffused.row(i), whole.row(i).data + c);
+        return squared(std::move(whole));
     }
 
     struct Samples {
@@ -362,32 +379,27 @@ class Gaps {
         Matrix x;  // a state each row
     };
 
-    static Vector vector(const View& v) { return Vector(v.data, v.data + v.size()); }
-
-    double gap(std::size_t j, const double* x) const {
-        return dot(W.row(j), x, motion->n()) + rest[j];
-    }
+    double gap(std::size_t j, const Row& x) const { return dot(W.row(j), x.data) + rest[j]; }
 
     // Samples of a flight; a flight after an impact may be short.
     Samples sampled(const Grid& grid, const Vector& start) const {
         const std::size_t last = grid.count + FINER, size = start.size();
         Samples found{Vector(last + 1), Matrix(last + 1, size)};
-        std::copy(start.begin(), start.end(), found.x.row(0));
+        add(1.0, start, found.x.row(0));
         const double first = grid.duration / double(grid.count);
         for (std::size_t k = 1; k <= last; ++k) {
             const bool is_finer = k <= FINER, is_first = k == FINER + 1;
             found.s[k] = is_finer ? std::ldexp(first, 3 * (int(k) - FINER - 1))
                                   : grid.duration * (double(k - FINER) / double(grid.count));
-            const double* from = found.x.row(is_first ? 0 : k - 1);
+            const Row from = found.x.row(is_first ? 0 : k - 1);
+            const Span<double> to = found.x.row(k);
             if (is_finer || grid.step.rows == 0) {
                 const double s = is_first ? 0.0 : found.s[k - 1];
-                const Vector x =
-                    motion->flown(grid.t + s, Vector(from, from + size), found.s[k] - s);
-                std::copy(x.begin(), x.end(), found.x.row(k));
-                continue;
+                add(1.0, motion->flown(grid.t + s, from, found.s[k] - s), to);
+            } else {
+                for (std::size_t i = 0; i < size; ++i)
+                    to[i] = grid.pushed(k - FINER - 1, i) + dot(grid.step.row(i), from);
             }
-            for (std::size_t i = 0; i < size; ++i)
-                found.x(k, i) = grid.pushed(k - FINER - 1, i) + dot(grid.step.row(i), from, size);
         }
         return found;
     }
@@ -396,30 +408,29 @@ class Gaps {
     // the motion add.
     Matrix with_parameters(double t, const Prior& prior, const Flight& flight,
                            Matrix& differences) const {
-        const std::size_t size = motion->size(), q = family->moving(), d = prior.root.rows;
+        const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
-        const std::size_t c = whole.columns;
-        const View state{whole.row(0), size, c}, own{whole.row(size), q, c};
-        const Vector theta(prior.constants.data, prior.constants.data + q),
-            start = vector(prior.x);
-        const auto flown = [&](const Vector& at) {
-            const auto other = family->at(at.data());
-            return Map{other->flown(t, start, flight.s), other->transition(flight.s)};
-        };
-        const Sensitivity by(flown, theta, family->parameters.steps(theta.data(), own));
-        const Matrix moved = carried(flight.Phi, whole.view()), noise = by.noise(state, own);
-        Matrix found(d, c + noise.columns);
-        for (std::size_t i = 0; i < d; ++i) {
-            std::copy(moved.row(i), moved.row(i) + c, found.row(i));
-            if (i >= size) continue;
-            std::copy(noise.row(i), noise.row(i) + noise.columns, found.row(i) + c);
+        const View state = whole.part(0, size), own = whole.part(size, q);
+        const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
+            return Map{other.flown(t, prior.x, flight.s), other.transition(flight.s)};
+        });
+        const Matrix noise = by.noise(state, own);
+        Matrix found = resized(carried(flight.Phi, whole), whole.columns + noise.columns);
+        put(noise, found, 0, whole.columns);
+        for (std::size_t i = 0; i < size; ++i)
             for (std::size_t j = 0; j < q; ++j) {
-                add(by.first(j, i), own.row(j), found.row(i), c);
-                add(by.first(j, i), prior.differences.row(size + j), differences.row(i),
-                    differences.columns);
+                add(by.first(j, i), own.row(j), found.row(i).data);
+                add(by.first(j, i), prior.differences.row(size + j), differences.row(i));
             }
-        }
         return found;
+    }
+
+    // How a map changes with the parameters of the motion, whose errors are the rows of `own`.
+    template <class At>
+    Sensitivity by_parameters(const Prior& prior, const View& own, At at) const {
+        const Vector theta = Row(prior.constants).part(0, own.rows);
+        return {[&](const Vector& other) { return at(*family->at(other)); }, theta,
+                family->parameters.steps(theta, own)};
     }
 
     // Standard deviation of gap j after s seconds; white accelerations add the integral of the
@@ -434,14 +445,14 @@ class Gaps {
             for (double k = 0; k < count; ++k) {
                 row = motion->seen(std::move(row), h);
                 const double weight = k + 1 == count ? 1 : std::fmod(k, 2) == 0 ? 4 : 2;
-                added += weight * dot(row.data() + n, row.data() + n, n) * h / 3;
+                added += weight * dot(Row(row).part(n, n), &row[n]) * h / 3;
             }
         } else {
             row = motion->seen(std::move(row), s);
         }
         for (std::size_t k = 0; k < family->count(); ++k) row.push_back(rests(k, j));
         const double own = family->moving() ? spread_with_parameters(t, j, s, prior, row)
-                                            : spread(row, prior.root);
+                                            : length(product(row, prior.root));
         return std::hypot(own, level * std::sqrt(added));
     }
 
@@ -451,34 +462,22 @@ class Gaps {
                                   Vector row) const {
         const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
-        const View own{whole.row(size), q, whole.columns};
-        const Vector start = vector(prior.x), seen = direction(j);
-        const auto flown = [&](const Vector& at) {
-            const auto other = family->at(at.data());
-            const Vector x = other->flown(t, start, s), linear = other->seen(seen, s);
-            return Map{{dot(seen.data(), x.data(), size)}, Matrix(View{linear.data(), 1, size})};
-        };
-        const Sensitivity by(flown, Vector(prior.constants.data, prior.constants.data + q),
-                             family->parameters.steps(prior.constants.data, own));
+        const View own = whole.part(size, q);
+        const Vector seen = direction(j);
+        const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
+            const Vector linear = other.seen(seen, s);
+            return Map{{dot(seen, other.flown(t, prior.x, s))}, View{linear.data(), 1, size}};
+        });
         for (std::size_t k = 0; k < q; ++k) row[size + k] += by.first(k, 0);
-        const Matrix noise = by.noise({whole.row(0), size, whole.columns}, own);
-        return std::hypot(spread(row, whole.view()),
-                          std::sqrt(dot(noise.row(0), noise.row(0), noise.columns)));
+        const Matrix noise = by.noise(whole.part(0, size), own);
+        return std::hypot(length(product(row, whole)), length(noise.data));
     }
 
     // Gap j as a function of states
     Vector direction(std::size_t j) const {
         Vector row(motion->size());
-        std::copy(W.row(j), W.row(j) + motion->n(), row.begin());
+        std::copy(W.row(j).begin(), W.row(j).end(), row.begin());
         return row;
-    }
-
-    // Standard deviation of a function of states
-    double spread(const Vector& row, const View& root) const {
-        Vector sums(root.columns);
-        for (std::size_t i = 0; i < row.size(); ++i)
-            add(row[i], root.row(i), sums.data(), root.columns);
-        return std::sqrt(dot(sums.data(), sums.data(), sums.size()));
     }
 };
 

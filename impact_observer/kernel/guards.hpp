@@ -15,9 +15,6 @@
 // Functions of a motion in closed form, with all derivatives and a bound on each.
 #pragma once
 
-#include <array>
-#include <stdexcept>
-
 #include "motion.hpp"
 
 namespace kernel {
@@ -25,84 +22,80 @@ namespace kernel {
 // With r T = (r_1, .., r_n), a part for each pair, the k-th derivative of what a pair does freely
 // is r_p J_p^k e^{J_p s} z_p. A harmonic has a factor i omega for each derivative. An answer to a
 // load has r_p J_p^k in place of r_p and, besides, more and more of the load itself.
-class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuards> {
+class ModalGuards : public Guards {
   public:
+    // Of a function to a load: to its answers, and to the load itself.
+    struct Response {
+        Complex one, two, direct;
+    };
+
     // What differs between a young motion and one with a steady response.
-    struct View {
+    struct Form {
         const std::vector<Drive>* drives;
-        std::vector<double> constant;                // w
-        std::vector<Complex> harmonics;              // ORDERS x w x h
-        std::vector<double> driven;                  // ORDERS x w, sums of their sizes
-        std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
+        Matrix waves[ORDERS];         // derivatives of what (1, cos, sin) make, w x (1 + 2h)
+        Matrix driven;                // sums of their sizes, but for the constant, ORDERS x w
+        std::vector<Response> loads;  // ORDERS x w x drives
     };
 
     std::shared_ptr<const ModalFlow> modal;
-    std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
-    Matrix reach;                     // what entries of r T are rounded against, w x 2n
-    Matrix growth;                    // |lambda|^k, ORDERS x n
-    View early, late;
+    std::array<Matrix, ORDERS> of_pairs;  // r T J^k, w x 2n
+    Matrix growth;                        // |lambda|^k, ORDERS x n
+    Form early, late;
 
-    // `seen` is r T; `waves` w x (1 + 2h).
-    ModalGuards(std::shared_ptr<const ModalFlow> of, Matrix position, Matrix seen, Matrix rounded,
-                Matrix waves)
-        : Guards(of, std::move(position)),
-          modal(std::move(of)),
-          reach(std::move(rounded)),
-          growth(ORDERS, modal->pairs.size()) {
-        rows[0] = std::move(seen);
+    ModalGuards(std::shared_ptr<const ModalFlow> of, Rows given)
+        : Guards(of, std::move(given)), modal(std::move(of)), growth(ORDERS, modal->pairs.size()) {
+        of_pairs[0] = rows.seen;
         for (std::size_t k = 1; k < ORDERS; ++k) {
-            rows[k] = Matrix(w, rows[0].columns);
-            for (std::size_t i = 0; i < w; ++i)
+            of_pairs[k] = of_pairs[0];
+            for (std::size_t i = 0; i < size(); ++i)
                 for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
-                    const double *J = modal->pairs[p].J, *r = rows[k - 1].row(i) + 2 * p;
-                    rows[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
-                    rows[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
+                    const double *J = modal->pairs[p].J, *r = &of_pairs[k - 1](i, 2 * p);
+                    of_pairs[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
+                    of_pairs[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
                 }
         }
-        for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
-            const Pair& pair = modal->pairs[p];
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p)
             for (std::size_t k = 0; k < ORDERS; ++k)
-                growth(k, p) = std::pow(std::hypot(pair.a, pair.d), double(k));
-        }
-        early = view(modal->all, waves);
-        const Matrix& response = modal->response;
-        for (std::size_t i = 0; i < w; ++i)
-            for (std::size_t k = 0; k < response.rows; ++k)
-                add(rows[0](i, k), response.row(k), waves.row(i), response.columns);
-        late = view(modal->near, waves);
+                growth(k, p) =
+                    std::pow(std::hypot(modal->pairs[p].a, modal->pairs[p].d), double(k));
+        early = form(modal->all, rows.waves);
+        Matrix waves = rows.waves;
+        add_product(rows.seen, modal->response, waves.data.data());
+        late = form(modal->near, waves);
     }
 
-    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const override;
-
   private:
-    View view(const std::vector<Drive>& drives, const Matrix& waves) const {
-        const std::size_t h = flow->harmonics.size(), r = drives.size();
-        View found{&drives, {}, {}, std::vector<double>(ORDERS * w), {}, {}, {}};
-        for (std::size_t i = 0; i < w; ++i) {
-            found.constant.push_back(waves(i, 0));
-            for (std::size_t j = 0; j < h; ++j)
-                found.harmonics.emplace_back(waves(i, 1 + j), -waves(i, 1 + h + j));
-        }
-        found.harmonics.resize(ORDERS * w * h);
-        for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
-            found.harmonics[k] =
-                found.harmonics[k - w * h] * Complex(0.0, flow->harmonics.frequency[k % h]);
-        for (std::size_t k = 0; k < ORDERS * w * h; ++k)
-            found.driven[k / h] += std::abs(found.harmonics[k]);
-        for (auto* part : {&found.loads, &found.turned, &found.direct})
-            part->resize(ORDERS * w * r);
-        for (std::size_t k = 0; k < ORDERS; ++k)
-            for (std::size_t i = 0; i < w; ++i)
-                for (std::size_t j = 0; j < r; ++j) {
-                    const Drive& drive = drives[j];
-                    const double* row = rows[k].row(i) + 2 * drive.pair;
-                    const std::size_t at = (k * w + i) * r + j;
-                    found.loads[at] = row[0] * drive.beta[0] + row[1] * drive.beta[1];
-                    found.turned[at] = row[0] * drive.turned[0] + row[1] * drive.turned[1];
-                    if (k > 0)
-                        found.direct[at] =
-                            drive.mu * found.direct[at - w * r] + found.loads[at - w * r];
+    std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+                                         Vector shift) const override;
+
+    Form form(const std::vector<Drive>& drives, const Matrix& waves) const {
+        const std::size_t h = flow->harmonics.size(), r = drives.size(), w = size();
+        Form found{&drives, {waves}, Matrix(ORDERS, w), {}};
+        for (std::size_t k = 0; k < ORDERS; ++k) {
+            Matrix& now = found.waves[k];
+            if (k > 0) now = Matrix(w, 1 + 2 * h);
+            for (std::size_t i = 0; i < w; ++i) {
+                for (std::size_t j = 0; j < h; ++j) {
+                    double &even = now(i, 1 + j), &odd = now(i, 1 + h + j);
+                    if (k > 0) {
+                        const double omega = flow->harmonics.frequency[j];
+                        even = omega * found.waves[k - 1](i, 1 + h + j);
+                        odd = -omega * found.waves[k - 1](i, 1 + j);
+                    }
+                    found.driven(k, i) += std::hypot(even, odd);
                 }
+                for (const Drive& drive : drives) {
+                    const double* row = &of_pairs[k].row(i)[2 * drive.pair];
+                    Response by{row[0] * drive.beta[0] + row[1] * drive.beta[1],
+                                row[0] * drive.turned[0] + row[1] * drive.turned[1], 0.0};
+                    if (k > 0) {
+                        const Response& before = found.loads[found.loads.size() - w * r];
+                        by.direct = drive.mu * before.direct + before.one;
+                    }
+                    found.loads.push_back(by);
+                }
+            }
+        }
         return found;
     }
 };
@@ -111,7 +104,7 @@ class ModalFunctions : public Functions {
   public:
     // `shift` is added to the constants.
     ModalFunctions(std::shared_ptr<const ModalGuards> of, std::shared_ptr<const ModalMotion> along,
-                   std::vector<double> shift)
+                   Vector shift)
         : guards(std::move(of)),
           motion(std::move(along)),
           added(std::move(shift)),
@@ -123,110 +116,103 @@ class ModalFunctions : public Functions {
         enter();
     }
 
-    std::size_t size() const override { return guards->w; }
+    std::size_t size() const override { return guards->size(); }
 
-    double smooth_until() const override { return early ? motion->flow->young : INFINITY; }
+    double smooth_until() const override { return early ? motion->modal->young : INFINITY; }
 
     void look(double to) override {
         s = to;
         if (early != motion->is_young(s)) enter();
-        const std::vector<double>& z = motion->free(early);
-        for (std::size_t p = 0; p < n; ++p) {
-            const Pair& pair = guards->modal->pairs[p];
-            const Propagated by = pair.dead(s) ? Propagated{0, 0, 0} : pair.propagated(s);
-            for (std::size_t k = 0; k < 2; ++k)
-                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
-            decay[p] = by.decay;
-        }
+        const Vector& z = motion->free(early);
+        for (std::size_t p = 0; p < n; ++p)
+            decay[p] = guards->modal->pairs[p].carry(s, &z[4 * p], &y[2 * p]).decay;
         motion->flow->harmonics.waves(motion->angles, s, waves.data());
-        for (std::size_t j = 0; j < view->drives->size(); ++j)
-            (*view->drives)[j].answers(s, &phi[2 * j]);
+        for (std::size_t j = 0; j < phi.size(); ++j) phi[j] = (*form->drives)[j].answers(s);
     }
 
     double derivative(std::size_t order, std::size_t i) const override {
-        const double* row = guards->rows[order].row(i);
-        const std::size_t k = order * size() + i, r = phase.size();
-        double found = (order == 0 ? constant(i) : 0.0) + dot(row, y.data(), 2 * n);
-        for (std::size_t j = 0; j < h; ++j) {
-            const Complex& amplitude = view->harmonics[k * h + j];
-            found += amplitude.real() * waves[1 + j] - amplitude.imag() * waves[1 + h + j];
-        }
-        for (std::size_t j = 0; j < r; ++j) {
-            const std::size_t of = (*view->drives)[j].harmonic;
+        double found = (order == 0 ? added[i] : 0.0) + dot(guards->of_pairs[order].row(i), y) +
+                       dot(form->waves[order].row(i), waves);
+        for (std::size_t j = 0; j < phi.size(); ++j) {
+            const ModalGuards::Response& by = response(order, i, j);
+            const std::size_t of = (*form->drives)[j].harmonic;
             const Complex turn = of ? Complex(waves[of], waves[h + of]) : Complex(1.0);
-            const Complex answer =
-                view->loads[k * r + j] * phi[2 * j] + view->turned[k * r + j] * phi[2 * j + 1];
-            found += (answer * phase[j] + view->direct[k * r + j] * turn).real();
+            const Complex answer = by.one * phi[j][0] + by.two * phi[j][1];
+            found += (answer * phase[j] + by.direct * turn).real();
         }
         return found;
     }
 
-    double constant(std::size_t i) const override { return view->constant[i] + added[i]; }
+    double constant(std::size_t i) const override { return form->waves[0](i, 0) + added[i]; }
 
     double largest(std::size_t order, std::size_t i, double stop) override {
-        const std::size_t k = order * size() + i, r = phase.size();
         if (sizes[0].rows == 0) prepare(0);
         if (sizes[order].rows == 0) prepare(order);
-        const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
+        const double *flat = sizes[order].row(i).data, *value = flat + n, *rate = value + n;
         Two sum = {0, 0};
         std::size_t p = 0;
         for (; p + 2 <= n; p += 2) {
             const Two early = two(value + p) + two(rate + p) * stop, late = two(flat + p);
             sum += two(&decay[p]) * (early < late ? early : late);
         }
-        double found = sum[0] + sum[1] + view->driven[k];
+        double found = sum[0] + sum[1] + form->driven(order, i);
         if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
-        for (std::size_t j = 0; j < r; ++j) {
-            const Drive& drive = (*view->drives)[j];
-            found += std::abs(view->direct[k * r + j]);
-            found += std::abs(view->loads[k * r + j]) * kernel::largest(drive.one, drive.mu, stop);
-            found += std::abs(view->turned[k * r + j]) *
-                     kernel::largest(drive.one, drive.two, drive.mu, stop);
+        for (std::size_t j = 0; j < phi.size(); ++j) {
+            const Drive& drive = (*form->drives)[j];
+            const ModalGuards::Response& by = response(order, i, j);
+            found += std::abs(by.direct) +
+                     std::abs(by.one) * kernel::largest(drive.one, drive.mu, stop) +
+                     std::abs(by.two) * kernel::largest(drive.one, drive.two, drive.mu, stop);
         }
         return found;
     }
 
     double scale(std::size_t i) override {
-        return std::abs(constant(i)) + largest(0, i, s) + dot(decay.data(), rounded.row(i), n);
+        return std::abs(constant(i)) + largest(0, i, s) + dot(decay, rounded.row(i));
     }
 
   private:
     std::shared_ptr<const ModalGuards> guards;
     std::shared_ptr<const ModalMotion> motion;
-    std::vector<double> added;
+    Vector added;
     std::size_t n, h;
-    std::vector<double> y, decay, waves;
-    std::vector<Complex> phi, phase;
+    Vector y, decay, waves;
+    std::vector<std::array<Complex, 2>> phi;
+    std::vector<Complex> phase;
     std::array<Matrix, ORDERS> sizes;  // of each pair: amplitude, c's and S's, w x 3n
     Matrix rounded;                    // w x n
     double s = 0.0;
     bool early = false;
-    const ModalGuards::View* view = nullptr;
+    const ModalGuards::Form* form = nullptr;
+
+    const ModalGuards::Response& response(std::size_t order, std::size_t i, std::size_t j) const {
+        return form->loads[(order * size() + i) * phi.size() + j];
+    }
 
     // Take the form that the motion has at s.
     void enter() {
         early = motion->is_young(s);
-        view = early ? &guards->early : &guards->late;
-        phi.resize(2 * view->drives->size());
+        form = early ? &guards->early : &guards->late;
+        phi.resize(form->drives->size());
         phase.clear();
-        for (const Drive& drive : *view->drives) phase.push_back(motion->phase(drive.harmonic));
+        for (const Drive& drive : *form->drives) phase.push_back(motion->phase(drive.harmonic));
         sizes = {};
-        const std::vector<double>& z = motion->free(early);
+        const Vector& z = motion->free(early);
         rounded = Matrix(size(), n);
         for (std::size_t i = 0; i < size(); ++i)
             for (std::size_t p = 0; p < n; ++p)
-                rounded(i, p) = guards->reach(i, 2 * p) * std::abs(z[4 * p]) +
-                                guards->reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
+                rounded(i, p) = guards->rows.reach(i, 2 * p) * std::abs(z[4 * p]) +
+                                guards->rows.reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
     }
 
     // The k-th derivative of a pair that oscillates is |lambda|^k as large as its value.
     void prepare(std::size_t order) {
-        const std::vector<double>& z = motion->free(early);
+        const Vector& z = motion->free(early);
         sizes[order] = Matrix(size(), 3 * n);
         for (std::size_t i = 0; i < size(); ++i)
             for (std::size_t p = 0; p < n; ++p) {
                 const Pair& pair = guards->modal->pairs[p];
-                const double *row = guards->rows[order].row(i) + 2 * p, *of = &z[4 * p];
+                const double *row = &guards->of_pairs[order].row(i)[2 * p], *of = &z[4 * p];
                 const double A = row[0] * of[0] + row[1] * of[1];
                 const double B = row[0] * of[2] + row[1] * of[3];
                 sizes[order](i, p) = order > 0 && pair.oscillates
@@ -238,11 +224,15 @@ class ModalFunctions : public Functions {
     }
 };
 
-inline std::unique_ptr<Functions> ModalGuards::along(
-    const std::shared_ptr<const Motion>& motion) const {
-    auto mine = std::dynamic_pointer_cast<const ModalMotion>(motion);
-    if (!mine || mine->flow != modal) throw std::invalid_argument("motion: of another flow");
-    return std::make_unique<ModalFunctions>(shared_from_this(), mine, shift(mine->rest));
+inline std::unique_ptr<Functions> ModalGuards::functions(std::shared_ptr<const Motion> motion,
+                                                         Vector shift) const {
+    return std::make_unique<ModalFunctions>(
+        std::static_pointer_cast<const ModalGuards>(shared_from_this()),
+        std::static_pointer_cast<const ModalMotion>(motion), std::move(shift));
+}
+
+inline std::shared_ptr<Guards> ModalFlow::guards(Rows rows) const {
+    return std::make_shared<ModalGuards>(self<ModalFlow>(), std::move(rows));
 }
 
 }  // namespace kernel

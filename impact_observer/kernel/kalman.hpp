@@ -51,7 +51,10 @@ struct Prior {
 };
 
 struct Posterior {
-    Matrix x, constants, root, differences;
+    Vector x, constants;
+    Matrix root, differences;
+
+    auto fields() const { return std::tie(x, constants, root, differences); }
 };
 
 // An impact as it was predicted.
@@ -68,6 +71,14 @@ struct Doubts {
     double density;     // least logarithm of the density of the instant, 1/s
     double innovation;  // largest, in standard deviations
     double negligible;  // largest odds of all alternatives
+};
+
+// A state after an event that can be nothing else, and how it fits.
+struct Clear {
+    Posterior state;
+    Fit fit;
+
+    auto fields() const { return std::tie(state, fit.density, fit.normalised, fit.deviation); }
 };
 
 // Logarithm of the probability that a standard normal variable is below x.
@@ -101,8 +112,9 @@ class Impact {
 
     // The posterior, if nothing else can be the cause of an event. It may also be another clock's:
     // of those after the first, which is the prior's own.
-    std::optional<Posterior> clear(double t, double flown, Prior prior, const View& clocks,
-                                   const Doubts& doubts, Fit& own) const {
+    std::optional<Clear> clear(double t, double flown, Prior prior, const View& clocks,
+                               const Doubts& doubts) const {
+        Fit own;
         prior.clock = clocks[0];
         const Joint joint = corrected(t, prior, ROUNDS, own);
         if (!(std::abs(own.normalised) <= doubts.innovation && own.density > doubts.density))
@@ -113,15 +125,15 @@ class Impact {
             others += std::exp(doubts.clock + fit(t, prior).density - own.density);
         }
         if (others > doubts.negligible) return {};
-        return jumped(t, flown, joint);
+        return Clear{jumped(t, flown, joint), own};
     }
 
     // The posterior where the impact was not reported: it is at the zero of the estimate's own
     // gap, near t, and measures nothing. The prior has an infinite clock.
     Posterior missed(double t, double flown, const Prior& prior) const {
         Joint joint = joint_of(prior, false);
-        const Law law = law_of(prior.constants.data);
-        const Place at = place(law, t, 0.0, joint.z.data() + 1);
+        const Law law = law_of(prior.constants);
+        const Place at = place(law, t, 0.0, Row(joint.z).part(1, joint.z.size() - 1));
         const Vector row = seen_by(at.rho[0], joint.root), speeds = seen_by(at.rho[1], joint.root);
         double deviation = length(row), late = -at.g;
         // Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
@@ -129,7 +141,7 @@ class Impact {
         const double slope = std::max({-at.gamma, falling, LEAST});
         deviation /= slope;
         joint.z[0] = late / slope;
-        double* own = joint.root.row(0);
+        const Span<double> own = joint.root.row(0);
         for (std::size_t j = 0; j < row.size(); ++j) own[j] = -row[j] / slope;
         own[0] = deviation * length(speeds) / slope + at.a / slope * deviation * deviation / 2;
         const Vector others = seen_by(at.rho[0], joint.differences);
@@ -160,38 +172,32 @@ class Impact {
         Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y and theta
     };
 
-    Law law_of(const double* theta) const { return law_of(theta, family->at(theta)); }
+    Law law_of(const Row& theta) const { return law_of(theta, family->at(theta)); }
 
-    Law law_of(const double* theta, std::shared_ptr<const FreeMotion> motion) const {
+    Law law_of(const Row& theta, std::shared_ptr<const FreeMotion> motion) const {
         Law found{std::move(motion), kick, rest, 0.0};
         for (std::size_t j = 0; j < family->count(); ++j) {
             const double by = theta[j] - family->nominal[j];
-            add(by, kicks.row(j), found.kick.data(), kick.size());
+            add(by, kicks.row(j), found.kick);
             found.rest += by * rests[j], found.lag += by * lags[j];
         }
         return found;
     }
 
-    static double length(const Vector& v) { return std::sqrt(dot(v.data(), v.data(), v.size())); }
-
     // Without a stamp e is left to be zero.
     Joint joint_of(const Prior& p, bool has_stamp = true) const {
-        const std::size_t d = p.root.rows, c = p.root.columns, size = p.x.size();
-        const bool has_offset = has_stamp && p.constants.size() > family->count();
-        Joint found{Vector(1 + d), Matrix(1 + d, 1 + c), Matrix(1 + d, p.differences.columns)};
-        std::copy(p.x.data, p.x.data + size, found.z.begin() + 1);
-        std::copy(p.constants.data, p.constants.data + d - size, found.z.begin() + 1 + size);
-        for (std::size_t i = 0; i < d; ++i) {
-            std::copy(p.root.row(i), p.root.row(i) + c, found.root.row(1 + i) + 1);
-            std::copy(p.differences.row(i), p.differences.row(i) + p.differences.columns,
-                      found.differences.row(1 + i));
-        }
+        const std::size_t d = p.root.rows;
+        Joint found{Vector(1 + d), {1 + d, 1 + p.root.columns}, {1 + d, p.differences.columns}};
+        auto to = found.z.begin() + 1;
+        for (const Row& part : {Row(p.x), Row(p.constants)})
+            to = std::copy(part.begin(), part.end(), to);
+        put(p.root, found.root, 1, 1);
+        put(p.differences, found.differences, 1, 0);
         if (has_stamp) found.root(0, 0) = p.clock;
-        if (has_offset) {
+        if (has_stamp && p.constants.size() > family->count()) {  // with an offset
             found.z[0] = found.z[d];
-            std::copy(found.root.row(d) + 1, found.root.row(d) + 1 + c, found.root.row(0) + 1);
-            std::copy(found.differences.row(d), found.differences.row(d) + p.differences.columns,
-                      found.differences.row(0));
+            put(p.root.part(d - 1, 1), found.root, 0, 1);
+            put(p.differences.part(d - 1, 1), found.differences, 0, 0);
             reflect(found.root, 0);
         }
         return found;
@@ -199,54 +205,49 @@ class Impact {
 
     // row times the rows of the state in a joint matrix
     static Vector seen_by(const Vector& row, const Matrix& joint) {
-        Vector found(joint.columns);
-        for (std::size_t i = 0; i < row.size(); ++i)
-            if (row[i] != 0.0) add(row[i], joint.row(1 + i), found.data(), joint.columns);
-        return found;
+        return product(row, joint.part(1, row.size()));
     }
 
-    Place place(const Law& law, double t, double e, const double* y) const {
+    Place place(const Law& law, double t, double e, const Row& y) const {
         const FreeMotion& motion = *law.motion;
         const std::size_t n = motion.n();
-        Place found;
-        const Vector x = motion.flown(t, Vector(y, y + 2 * n), -e);
+        const Vector x = motion.flown(t, y.part(0, 2 * n), -e);
         Vector first = motion.rates(x);
         motion.force(t - e, 0, 1.0, first);
         Vector second = motion.rates(first);
         motion.force(t - e, 1, 1.0, second);
-        found.g = dot(w.data(), x.data(), n) + law.rest;
-        found.gamma = dot(w.data(), x.data() + n, n);
-        found.a = dot(w.data(), first.data() + n, n);
-        found.jerk = dot(w.data(), second.data() + n, n);
         Vector of_gap(2 * n), of_speed(2 * n);
         std::copy(w.begin(), w.end(), of_gap.begin());
         std::copy(w.begin(), w.end(), of_speed.begin() + n);
-        found.rho[0] = motion.seen(of_gap, -e);
-        found.rho[1] = motion.seen(of_speed, -e);
+        Place found{
+            dot(w, x.data()) + law.rest,
+            dot(w, &x[n]),
+            dot(w, &first[n]),
+            dot(w, &second[n]),
+            {motion.seen(std::move(of_gap), -e), motion.seen(std::move(of_speed), -e), {}}};
         found.rho[2] = motion.row_rates(found.rho[1]);
-        if (family->count() == 0) return found;
         for (Vector& row : found.rho) row.resize(2 * n + family->count());
         std::copy(rests.begin(), rests.end(), found.rho[0].begin() + 2 * n);
         for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
-            found.rho[1][2 * n + j] = -e * dot(w.data(), pushed(j, x).data(), n);
+            found.rho[1][2 * n + j] = -e * dot(w, pushed(j, x));
         return found;
     }
 
     // What a unit of a parameter adds to the accelerations at x
     Vector pushed(std::size_t j, const Vector& x) const {
         Vector found(w.size());
-        for (std::size_t i = 0; i < w.size(); ++i)
-            found[i] = dot(family->lower[j].row(i), x.data(), x.size());
+        for (std::size_t i = 0; i < w.size(); ++i) found[i] = dot(family->lower[j].row(i), x);
         return found;
     }
 
-    // Mean and deviation of e D x + E e^2 / 2, linearised about its best estimate. D x of the
-    // columns of a root is `row`, whose first column is that of e.
-    static double nonlinear(const Vector& row, double deviation, double E, double& mean) {
-        mean = deviation * row[0] + E * deviation * deviation / 2;
+    // Mean and deviation of e D x + E e^2 / 2, linearised about its best estimate. The first
+    // column of the root is that of e.
+    static double nonlinear(const Place& at, const Matrix& root, double& mean) {
+        const Vector D = seen_by(at.rho[1], root);
+        const double deviation = root(0, 0);
+        mean = -deviation * D[0] + at.a * deviation * deviation / 2;
         double squares = 2 * mean * mean;
-        for (std::size_t j = 1; j < row.size(); ++j)
-            squares += deviation * row[j] * deviation * row[j];
+        for (std::size_t j = 1; j < D.size(); ++j) squares += deviation * D[j] * deviation * D[j];
         return std::sqrt(squares);
     }
 
@@ -262,33 +263,31 @@ class Impact {
     // about its own posterior until that changes next to nothing.
     Joint corrected(double t, const Prior& given, int rounds, Fit& fit) const {
         const Joint prior = joint_of(given);
-        const std::size_t d = prior.z.size(), c = prior.root.columns;
+        const std::size_t d = prior.z.size();
         const std::size_t size = given.x.size() + family->count();  // of (y, theta)
-        const double* y = prior.z.data() + 1;
+        const Row y = Row(prior.z).part(1, size);
         const Vector scale = family->sizes.of(y, 0.0);
-        Law law = law_of(given.constants.data);
+        Law law = law_of(given.constants);
         double rounded = std::abs(law.rest);
         for (std::size_t i = 0; i < w.size(); ++i) rounded += std::abs(w[i]) * scale[i];
         rounded = 4 * EPS * rounded + LEAST;
 
-        Vector about(y, y + size);
+        Vector about = y;
         double e = within(prior.z[0]);
         Joint found = prior;
         for (int turn = 0; turn < rounds; ++turn) {
-            const Place at = place(law, t, e, about.data());
-            Vector speeds = seen_by(at.rho[1], found.root);
+            const Place at = place(law, t, e, about);
             const double slope = -at.gamma;
-            double mean, after;
-            const double bent = nonlinear(negative(speeds), found.root(0, 0), at.a, mean);
+            double mean;
+            const double bent = nonlinear(at, found.root, mean);
             double value = at.g + slope * (prior.z[0] - e) + mean;
             for (std::size_t i = 0; i < size; ++i) value += at.rho[0][i] * (y[i] - about[i]);
-            Matrix joint(1 + d, 1 + c);
+            Matrix joint(1 + d, 1 + prior.root.columns);
             joint(0, 0) = std::hypot(bent, rounded);
             const Vector seen = seen_by(at.rho[0], prior.root);
-            for (std::size_t j = 0; j < c; ++j) joint(0, 1 + j) = seen[j];
+            std::copy(seen.begin(), seen.end(), &joint(0, 1));
             joint(0, 1) += slope * prior.root(0, 0);
-            for (std::size_t i = 0; i < d; ++i)
-                std::copy(prior.root.row(i), prior.root.row(i) + c, joint.row(1 + i) + 1);
+            put(prior.root, joint, 1, 1);
             reflect(joint, 0);
             const double white = -value / joint(0, 0);
             if (turn == 0) {
@@ -300,27 +299,25 @@ class Impact {
             reflect(joint, 1);
             for (std::size_t i = 0; i < d; ++i) {
                 found.z[i] = prior.z[i] + joint(1 + i, 0) * white;
-                std::copy(joint.row(1 + i) + 1, joint.row(1 + i) + 1 + c, found.root.row(i));
+                std::copy(&joint(1 + i, 1), joint.row(1 + i).end(), found.root.row(i).data);
             }
             const double by = found.z[0] - e, clear = found.root(0, 0);
             double change = at.a * by / 2;
             for (std::size_t i = 0; i < size; ++i)
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
-            after = nonlinear(negative(seen_by(at.rho[1], found.root)), clear, at.a, mean);
+            const double after = nonlinear(at, found.root, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
-            if (family->count())
-                family->parameters.bound(found.z, found.root.view(), 1 + given.x.size());
+            if (family->count()) family->parameters.bound(found.z, found.root, 1 + given.x.size());
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
-                add(slope, prior.differences.row(0), others.data(), others.size());
+                add(slope, prior.differences.row(0), others);
                 for (std::size_t i = 0; i < d; ++i)
-                    add(-joint(1 + i, 0) / joint(0, 0), others.data(), found.differences.row(i),
-                        others.size());
+                    add(-joint(1 + i, 0) / joint(0, 0), others, found.differences.row(i));
                 break;
             }
             e = within(found.z[0]);
-            about.assign(found.z.begin() + 1, found.z.begin() + 1 + size);
-            if (family->count()) law = law_of(about.data() + given.x.size());
+            about = Row(found.z).part(1, size);
+            if (family->count()) law = law_of(Row(about).part(given.x.size(), family->count()));
         }
         return found;
     }
@@ -332,27 +329,24 @@ class Impact {
                         const View& own, const View& others) const {
         const std::size_t size = 2 * w.size();
         const auto jumped = [&](const Vector& other) {
-            const Law its = law_of(other.data(), law.motion);
+            const Law its = law_of(other, law.motion);
             const std::array<Vector, 2> kappa = kicked(its, *family->given, e);
             Map found{Vector(size), Matrix(size, 2)};
-            add(at.g + its.rest - law.rest, kappa[0].data(), found.value.data(), size);
-            add(at.gamma, kappa[1].data(), found.value.data(), size);
+            add(at.g + its.rest - law.rest, kappa[0], found.value);
+            add(at.gamma, kappa[1], found.value);
             for (std::size_t i = 0; i < size; ++i)
                 found.linear(i, 0) = kappa[0][i], found.linear(i, 1) = kappa[1][i];
             return found;
         };
-        Vector steps = family->parameters.steps(theta.data(), own);
+        Vector steps = family->parameters.steps(theta, own);
+        const auto is_zero = [](const Row& row) {
+            return std::all_of(row.begin(), row.end(), [](double each) { return each == 0.0; });
+        };
         for (std::size_t j = 0; j < steps.size(); ++j) {
-            const bool changes = rests[j] || lags[j] || !is_zero(kicks.row(j), kicks.columns);
-            const bool is_known =
-                is_zero(own.row(j), own.columns) && is_zero(others.row(j), others.columns);
-            if (!changes || is_known) steps[j] = 0.0;
+            const bool changes = rests[j] || lags[j] || !is_zero(kicks.row(j));
+            if (!changes || (is_zero(own.row(j)) && is_zero(others.row(j)))) steps[j] = 0.0;
         }
         return {jumped, theta, steps};
-    }
-
-    static bool is_zero(const double* row, std::size_t n) {
-        return std::all_of(row, row + n, [](double each) { return each == 0.0; });
     }
 
     // kappa of a law, of which a lag is multiplied by the damping of one of the members.
@@ -361,19 +355,18 @@ class Impact {
         std::array<Vector, 2> kappa = {Vector(2 * n), Vector(2 * n)};
         std::copy(law.kick.begin(), law.kick.end(), kappa[0].begin());
         std::copy(law.kick.begin(), law.kick.end(), kappa[1].begin() + n);
-        const Vector late = damped.rates(kappa[1]);
-        add(-law.lag, late.data(), kappa[1].data(), 2 * n);
-        for (Vector& each : kappa) each = law.motion->carried(each, e);
+        add(-law.lag, damped.rates(kappa[1]), kappa[1]);
+        for (Vector& each : kappa) each = law.motion->carried(std::move(each), e);
         return kappa;
     }
 
     // The state after the impact, at the stamp: saltation.
     Posterior jumped(double t, double flown, const Joint& joint) const {
         const std::size_t n = w.size(), size = 2 * n, c = joint.root.columns, p = family->count();
-        const std::size_t d = joint.root.rows - 1, others = joint.differences.columns;
+        const std::size_t d = joint.root.rows - 1;
         const double e = within(joint.z[0]), late = joint.z[0] - e;
-        const double* y = joint.z.data() + 1;
-        const Law law = law_of(y + size);
+        const Row y = Row(joint.z).part(1, d), theta = y.part(size, p);
+        const Law law = law_of(theta);
         const FreeMotion& motion = *law.motion;
         const Place at = place(law, t, e, y);
         const std::array<Vector, 2> kappa = kicked(law, motion, e);
@@ -382,10 +375,8 @@ class Impact {
 
         // y+ = x + first e + 1/2 E e^2, and its mean over the error of e
         const double deviation = joint.root(0, 0);
-        Vector row[3];
+        Vector row[3], x(size), first(size), mean(size);
         for (int k = 0; k < 3; ++k) row[k] = seen_by(at.rho[k], joint.root);
-        Matrix x(1, size), bent(3, std::max<std::size_t>(c, 3)), root;
-        Vector first(size), mean(size);
         for (std::size_t i = 0; i < size; ++i) {
             const double across = once[1][i] - kappa[0][i];
             first[i] = once[0][i] * at.g + across * at.gamma - kappa[1][i] * at.a;
@@ -393,89 +384,71 @@ class Impact {
                              (kappa[0][i] - 2 * once[1][i]) * at.a + kappa[1][i] * at.jerk;
             const double D = once[0][i] * row[0][0] + across * row[1][0] - kappa[1][i] * row[2][0];
             mean[i] = deviation * (D + E * deviation / 2);
-            x(0, i) = y[i] + kappa[0][i] * at.g + kappa[1][i] * at.gamma + mean[i] +
-                      late * (first[i] + E * late / 2);
+            x[i] = y[i] + kappa[0][i] * at.g + kappa[1][i] * at.gamma + mean[i] +
+                   late * (first[i] + E * late / 2);
         }
         // Noise of the product of both errors: three rows of D, turned into three columns.
+        Matrix bent(3, std::max<std::size_t>(c, 3));
         for (std::size_t k = 0; k < 3; ++k)
             for (std::size_t j = 1; j < c; ++j) bent(k, j) = deviation * row[k][j];
         make_triangular(bent);
 
         Matrix by_theta, curved;  // p x size: of y+ but for the gap's part in g; and noise
         if (p) {
-            Matrix whole(d + 1, std::max(c, d + 1));
-            for (std::size_t i = 0; i <= d; ++i)
-                std::copy(joint.root.row(i), joint.root.row(i) + c, whole.row(i));
-            make_triangular(whole);  // the noise depends on the root: take one that is unique
-            whole = leading(whole.view(), 1 + size, p);
-            const Vector theta(y + size, y + size + p);
-            const View own{whole.row(1 + size), p, whole.columns};
-            const View of_others{joint.differences.row(1 + size), p, others};
-            Sensitivity by = jump_by(law, at, e, theta, own, of_others);
+            // The noise depends on the root: take one that is unique.
+            const Matrix whole = leading(squared(joint.root), 1 + size, p);
+            const View own = whole.part(1 + size, p);
+            Sensitivity by = jump_by(law, at, e, theta, own, joint.differences.part(1 + size, p));
             Matrix seen(2, whole.columns);
             for (std::size_t k = 0; k < 2; ++k)
-                for (std::size_t i = 0; i < size; ++i)
-                    add(at.rho[k][i], whole.row(1 + i), seen.row(k), whole.columns);
-            curved = by.noise(seen.view(), own);
+                add_product({at.rho[k].data(), 1, size}, whole.part(1, size), seen.row(k).data);
+            curved = by.noise(seen, own);
             Vector jump(size);
-            add(at.g, kappa[0].data(), jump.data(), size);
-            add(at.gamma, kappa[1].data(), jump.data(), size);
-            for (std::size_t j = 0; j < p; ++j)
-                add(-rests[j], kappa[0].data(), by.first.row(j), size);
+            add(at.g, kappa[0], jump);
+            add(at.gamma, kappa[1], jump);
+            for (std::size_t j = 0; j < p; ++j) add(-rests[j], kappa[0], by.first.row(j));
             for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
-                add(e, pushed(j, jump).data(), by.first.row(j) + n, n);
+                add(e, pushed(j, jump), &by.first(j, n));
             by_theta = std::move(by.first);
         }
+        // Adds what gap, speed and parameters make of the errors to those of y+.
+        const auto jump = [&](std::size_t i, const Matrix& errors, const Vector& gaps,
+                              const Vector& speeds, double* to) {
+            add(kappa[0][i], gaps, to);
+            add(kappa[1][i], speeds, to);
+            for (std::size_t j = 0; j < p; ++j) add(by_theta(j, i), errors.row(1 + size + j), to);
+        };
 
-        const Vector rounding = family->sizes.of(x.row(0), flown);
+        const Vector rounding = family->sizes.of(x, flown);
         const std::size_t more = c + 4 + curved.columns;
         const bool is_final = p || size < LARGE || 2 * more > 3 * size;
-        root = Matrix(d, std::max(d, more + (is_final ? size : 0)));
+        Matrix root(d, std::max(d, more + (is_final ? size : 0)));
+        put(joint.root.part(1, d), root, 0, 0);
+        put(curved, root, 0, c + 4);
         for (std::size_t i = 0; i < size; ++i) {
-            double* to = root.row(i);
-            std::copy(joint.root.row(1 + i), joint.root.row(1 + i) + c, to);
-            add(kappa[0][i], row[0].data(), to, c);
-            add(kappa[1][i], row[1].data(), to, c);
-            for (std::size_t j = 0; j < p; ++j)
-                add(by_theta(j, i), joint.root.row(1 + size + j), to, c);
-            if (p) std::copy(curved.row(i), curved.row(i) + curved.columns, to + c + 4);
+            double* to = root.row(i).data;
+            jump(i, joint.root, row[0], row[1], to);
             to[0] += first[i] * deviation;
             to[c] = std::sqrt(2.0) * mean[i];
             for (std::size_t k = 0; k < 3; ++k)
                 to[c + 1 + k] = once[0][i] * bent(0, k) + (once[1][i] - kappa[0][i]) * bent(1, k) -
                                 kappa[1][i] * bent(2, k);
         }
-        for (std::size_t i = size; i < d; ++i)
-            std::copy(joint.root.row(1 + i), joint.root.row(1 + i) + c, root.row(i));
         if (is_final) {  // with the rounding of as many impacts as have added columns
             const double events = c > size && !p ? 1 + double(c - size) / 5 : 1.0;
             for (std::size_t i = 0; i < size; ++i)
                 root(i, more + i) = EPS * std::sqrt(events) * rounding[i];
-            make_triangular(root);
+            root = squared(std::move(root));
         }
 
-        Posterior found{std::move(x), Matrix(1, d - size), Matrix(), Matrix(d, others)};
-        std::copy(joint.z.begin() + 1 + size, joint.z.end(), found.constants.row(0));
+        Matrix differences = joint.differences.part(1, d);
         const Vector gaps = seen_by(at.rho[0], joint.differences);
         const Vector speeds = seen_by(at.rho[1], joint.differences);
-        for (std::size_t i = 0; i < d; ++i) {
-            double* to = found.differences.row(i);
-            std::copy(joint.differences.row(1 + i), joint.differences.row(1 + i) + others, to);
-            if (i >= size) continue;
-            add(kappa[0][i], gaps.data(), to, others);
-            add(kappa[1][i], speeds.data(), to, others);
-            add(first[i], joint.differences.row(0), to, others);
-            for (std::size_t j = 0; j < p; ++j)
-                add(by_theta(j, i), joint.differences.row(1 + size + j), to, others);
+        for (std::size_t i = 0; i < size; ++i) {
+            jump(i, joint.differences, gaps, speeds, differences.row(i).data);
+            add(first[i], joint.differences.row(0), differences.row(i));
         }
-        if (is_final) {
-            Matrix square(d, d);
-            for (std::size_t i = 0; i < d; ++i)
-                std::copy(root.row(i), root.row(i) + d, square.row(i));
-            root = std::move(square);
-        }
-        found.root = std::move(root);
-        return found;
+        return {std::move(x), y.part(size, d - size), std::move(root), std::move(differences)};
     }
 
     // Logarithm of the density of the instant at which a gap goes through zero from above, 1/s.
@@ -483,11 +456,6 @@ class Impact {
         const double closing = std::max({spread, CLOSING * std::abs(slope), LEAST});
         return std::log(std::hypot(slope, spread) + LEAST) - white * white / 2 -
                std::log(deviation) - 0.9189385332046727 + log_normal(slope / closing);
-    }
-
-    static Vector negative(Vector row) {
-        for (double& each : row) each = -each;
-        return row;
     }
 };
 

@@ -15,11 +15,54 @@
 // Motions of a linear phase under harmonics and a constant force, in closed form.
 #pragma once
 
+#include <array>
+
 #include "divided.hpp"
-#include "modes.hpp"
 #include "phase.hpp"
 
 namespace kernel {
+
+// A real pair dy/dt = J y with eigenvalues a +- d: what e^{Js} = c + S (J - a) is made of, and
+// e^{as} or, where J does not oscillate, what the slow eigenvalue makes: a bound on c, and on S d.
+struct Propagated {
+    double c, S, decay;
+};
+
+// `slow` is a + d where it does not oscillate (a + d itself would cancel), else a.
+struct Pair {
+    double a, d, slow;
+    bool oscillates;
+    double J[4], D[4];  // D = J - a
+
+    Pair(double a, double d, double slow, bool oscillates, const double* block)
+        : a(a), d(d), slow(slow), oscillates(oscillates) {
+        for (std::size_t k = 0; k < 4; ++k) J[k] = block[k], D[k] = J[k] - (k % 3 ? 0.0 : a);
+    }
+
+    // c = e^{as} cosh(ds), S = e^{as} sinh(ds) / d, without cancellation for any d; zero where
+    // they are nothing beside any number that a model can bring about.
+    Propagated propagated(double s) const {
+        const double decay = std::exp(slow * s), width = 2 * d * s;
+        if (slow * s < -100.0) return {0.0, 0.0, 0.0};
+        if (oscillates) return {decay * std::cos(d * s), decay * std::sin(d * s) / d, decay};
+        const double ratio = width == 0 ? 1.0 : -std::expm1(-width) / width;
+        return {decay * (1 + std::exp(-width)) / 2, decay * s * ratio, decay};
+    }
+
+    // y = e^{Js} z of z and D z, beside each other.
+    Propagated carry(double s, const double* z, double* y) const {
+        const Propagated by = propagated(s);
+        for (std::size_t k = 0; k < 2; ++k) y[k] = by.c * z[k] + by.S * z[2 + k];
+        return by;
+    }
+
+    // A bound on c A + S B at any time, over its decay.
+    double amplitude(double A, double B) const {
+        if (B == 0) return std::abs(A);
+        return oscillates ? std::sqrt(A * A + (B / d) * (B / d))
+                          : std::abs(A) + std::abs(B) / (2 * d);
+    }
+};
 
 // A pair and a load Re(beta e^{mu t}) that drives it, answered from the motion's start on by
 // (exp[l1, mu] + exp[l1, l2, mu] (J - l1)) beta.
@@ -27,39 +70,58 @@ struct Drive {
     std::size_t pair, harmonic;                // 0 is the constant
     Complex one, two, mu, beta[2], turned[2];  // turned = (J - l1) beta
 
+    Drive(std::size_t p, const Pair& pair, std::size_t k, Complex mu, Complex first,
+          Complex second)
+        : pair(p),
+          harmonic(k),
+          one(pair.oscillates ? Complex(pair.a, pair.d) : Complex(pair.slow)),
+          two(pair.oscillates ? std::conj(one) : Complex(2 * pair.a - pair.slow)),
+          mu(mu),
+          beta{first, second} {
+        for (std::size_t i = 0; i < 2; ++i)
+            turned[i] =
+                pair.D[2 * i] * first + pair.D[2 * i + 1] * second + (pair.a - one) * beta[i];
+    }
+
     // exp[l1, mu] and exp[l1, l2, mu] at s.
-    void answers(double s, Complex* phi) const {
-        phi[0] = divided(one, mu, s);
-        phi[1] = divided(one, two, mu, s);
+    std::array<Complex, 2> answers(double s) const {
+        return {divided(one, mu, s), divided(one, two, mu, s)};
     }
 };
 
 // A phase that falls into pairs.
-class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
-  public:
+struct ModalFlow : Flow {
     std::vector<Pair> pairs;
-    Matrix response;               // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
-    std::vector<Drive> near, all;  // loads near resonance; and all loads
-    Matrix energy;                 // weights of a pair's squares in twice the energy, r x 2
-    double small;  // root of twice the energy below which a motion is young at its start
-    double young;  // how long, s
+    Matrix response;  // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
+    Matrix energy;    // weights of a pair's squares in twice the energy, r x 2
+    double small;     // root of twice the energy below which a motion is young at its start
+    double young;     // how long, s
+    std::vector<Drive> near{}, all{};  // loads near resonance; and all loads
 
-    ModalFlow(Coordinates coordinates, Harmonics harmonics, std::vector<Pair> pairs,
-              Matrix response, Matrix energy, double small, double young)
-        : Flow(std::move(coordinates), std::move(harmonics)),
-          pairs(std::move(pairs)),
-          response(std::move(response)),
-          energy(std::move(energy)),
-          small(small),
-          young(young) {}
+    using Flow::Flow;
+    std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
+    std::shared_ptr<Guards> guards(Rows rows) const override;
 
-    std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
+    // The loads, 2r x (1 + 2h), of those pairs and harmonics that are marked, r x (1 + h).
+    std::vector<Drive> drives(const View& load, const ViewOf<bool>& marked) const {
+        std::vector<Drive> found;
+        const std::size_t h = harmonics.size();
+        for (std::size_t p = 0; p < pairs.size(); ++p)
+            for (std::size_t k = 0; k <= h; ++k) {
+                const auto beta = [&](std::size_t i) {
+                    return Complex(load(i, k), k ? -load(i, k + h) : 0.0);
+                };
+                const Complex mu(0.0, k ? harmonics.frequency[k - 1] : 0.0);
+                if (marked(p, k))
+                    found.emplace_back(p, pairs[p], k, mu, beta(2 * p), beta(2 * p + 1));
+            }
+        return found;
+    }
 
     // T e^{Js}, transposed, for s of any sign.
     Matrix propagated(double s) const {
-        std::vector<double> carried(4 * pairs.size());  // of each pair e^{Js}
+        Vector carried(4 * pairs.size());  // of each pair e^{Js}
         for (std::size_t p = 0; p < pairs.size(); ++p) {
-            if (pairs[p].dead(s)) continue;
             const Propagated by = pairs[p].propagated(s);
             for (std::size_t k = 0; k < 4; ++k)
                 carried[4 * p + k] = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
@@ -69,26 +131,18 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
 
     // Differences of motions, one a column, s seconds later; where no coordinate is held.
     Matrix carried(double s, const View& columns) const {
-        const std::size_t count = columns.columns;
-        Matrix x(count, columns.rows), y(count, coordinates.size), found(columns.rows, count);
-        for (std::size_t k = 0; k < count; ++k) {
-            for (std::size_t i = 0; i < columns.rows; ++i) x(k, i) = columns(i, k);
-            coordinates.split(x.row(k), {}, y.row(k));
-        }
-        for (std::size_t p = 0; p < pairs.size(); ++p) {
-            const bool dead = pairs[p].dead(s);
-            const Propagated by = dead ? Propagated{0, 0, 0} : pairs[p].propagated(s);
-            const double* D = pairs[p].D;
-            for (std::size_t k = 0; k < count; ++k) {
-                double *z = y.row(k) + 2 * p, one = z[0], two = z[1];
-                z[0] = by.c * one + by.S * (D[0] * one + D[1] * two);
-                z[1] = by.c * two + by.S * (D[2] * one + D[3] * two);
+        Matrix x = transposed(columns), y(x.rows, coordinates.size);
+        for (std::size_t k = 0; k < x.rows; ++k) {
+            coordinates.split(x.row(k).data, {}, y.row(k).data);
+            for (std::size_t p = 0; p < pairs.size(); ++p) {
+                double* to = &y(k, 2 * p);
+                const double *D = pairs[p].D, z[4] = {to[0], to[1], D[0] * to[0] + D[1] * to[1],
+                                                      D[2] * to[0] + D[3] * to[1]};
+                pairs[p].carry(s, z, to);
             }
         }
-        coordinates.states(y.data.data(), count, {}, x.data.data());
-        for (std::size_t k = 0; k < count; ++k)
-            for (std::size_t i = 0; i < columns.rows; ++i) found(i, k) = x(k, i);
-        return found;
+        coordinates.states(y.data.data(), x.rows, {}, x.data.data());
+        return transposed(x);
     }
 };
 
@@ -96,29 +150,26 @@ class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
 // not had time to reach, is answered from its start on for a while.
 class ModalMotion : public Motion {
   public:
-    std::shared_ptr<const ModalFlow> flow;
-    std::vector<double> angles;  // of the harmonics at the start
-    std::vector<double> rest;
+    std::shared_ptr<const ModalFlow> modal;
+    Vector angles;  // of the harmonics at the start
     bool young;
 
     ModalMotion(std::shared_ptr<const ModalFlow> of, const Time& t, const double* x)
-        : flow(std::move(of)), angles(flow->harmonics.at(t)), rest(flow->coordinates.rest(x)) {
-        std::vector<double> y(flow->coordinates.size), now(flow->response.columns);
+        : Motion(of, t, x), modal(std::move(of)), angles(flow->harmonics.at(t)) {
+        Vector y(flow->coordinates.size), now(modal->response.columns);
         flow->coordinates.split(x, rest, y.data());
         double squares = 0.0;
-        for (std::size_t k = 0; k < y.size(); ++k) squares += flow->energy.data[k] * y[k] * y[k];
-        young = std::sqrt(squares) < flow->small;
+        for (std::size_t k = 0; k < y.size(); ++k) squares += modal->energy.data[k] * y[k] * y[k];
+        young = std::sqrt(squares) < modal->small;
         if (young) from_start = with_deviator(y);
-        add_steady(0.0, -1.0, y.data(), now.data());
+        add_steady(0.0, -1.0, y.data(), now);
         beside_steady = with_deviator(y);
     }
 
-    bool is_young(double s) const { return young && s < flow->young; }
+    bool is_young(double s) const { return young && s < modal->young; }
 
     // The pairs that go on freely, without what is answered or steady: z and D z.
-    const std::vector<double>& free(bool early) const {
-        return early ? from_start : beside_steady;
-    }
+    const Vector& free(bool early) const { return early ? from_start : beside_steady; }
 
     // e^{i angle} of what drives, at the start.
     Complex phase(std::size_t harmonic) const {
@@ -127,63 +178,53 @@ class ModalMotion : public Motion {
 
     void states(const double* s, std::size_t count, double* rows) const override {
         const std::size_t size = flow->coordinates.size, at_once = 64;  // shapes are read once
-        std::vector<double> y(std::min(count, at_once) * size), now(flow->response.columns);
+        Vector y(std::min(count, at_once) * size), now(modal->response.columns);
         for (std::size_t first = 0; first < count; first += at_once) {
             const std::size_t some = std::min(at_once, count - first);
-            for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now.data());
+            for (std::size_t i = 0; i < some; ++i) pairs(s[first + i], &y[i * size], now);
             flow->coordinates.states(y.data(), some, rest, rows + first * 2 * flow->coordinates.n);
         }
     }
 
   private:
-    std::vector<double> from_start, beside_steady;  // four numbers a pair: z, D z
+    Vector from_start, beside_steady;  // four numbers a pair: z, D z
 
     // All pairs at s; `now` is room for 1 + 2h numbers.
-    void pairs(double s, double* y, double* now) const {
+    void pairs(double s, double* y, Vector& now) const {
         const bool early = is_young(s);
-        const std::vector<double>& z = free(early);
-        for (std::size_t p = 0; p < flow->pairs.size(); ++p) {
-            y[2 * p] = y[2 * p + 1] = 0.0;
-            if (flow->pairs[p].dead(s)) continue;
-            const Propagated by = flow->pairs[p].propagated(s);
-            for (std::size_t k = 0; k < 2; ++k)
-                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
-        }
-        for (const Drive& drive : early ? flow->all : flow->near) {
-            Complex phi[2];
-            drive.answers(s, phi);
-            const Complex now = phase(drive.harmonic);
+        const Vector& z = free(early);
+        for (std::size_t p = 0; p < modal->pairs.size(); ++p)
+            modal->pairs[p].carry(s, &z[4 * p], y + 2 * p);
+        for (const Drive& drive : early ? modal->all : modal->near) {
+            const auto [one, two] = drive.answers(s);
+            const Complex turn = phase(drive.harmonic);
             for (std::size_t k = 0; k < 2; ++k)
                 y[2 * drive.pair + k] +=
-                    ((phi[0] * drive.beta[k] + phi[1] * drive.turned[k]) * now).real();
+                    ((one * drive.beta[k] + two * drive.turned[k]) * turn).real();
         }
         if (!early) add_steady(s, 1.0, y, now);
     }
 
-    std::vector<double> with_deviator(const std::vector<double>& y) const {
-        std::vector<double> found(2 * y.size());
+    Vector with_deviator(const Vector& y) const {
+        Vector found;
         for (std::size_t p = 0; 2 * p < y.size(); ++p) {
-            const double *D = flow->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
-            const double four[4] = {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two};
-            std::copy(four, four + 4, &found[4 * p]);
+            const double *D = modal->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
+            for (const double each : {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two})
+                found.push_back(each);
         }
         return found;
     }
 
     // y += factor times the steady response at s.
-    void add_steady(double s, double factor, double* y, double* now) const {
-        const Matrix& response = flow->response;
-        flow->harmonics.waves(angles, s, now);
-        for (std::size_t k = 0; k < response.rows; ++k) {
-            double sum = 0.0;
-            for (std::size_t j = 0; j < response.columns; ++j) sum += response(k, j) * now[j];
-            y[k] += factor * sum;
-        }
+    void add_steady(double s, double factor, double* y, Vector& now) const {
+        flow->harmonics.waves(angles, s, now.data());
+        for (std::size_t k = 0; k < modal->response.rows; ++k)
+            y[k] += factor * dot(modal->response.row(k), now);
     }
 };
 
-inline std::shared_ptr<const Motion> ModalFlow::start(const Time& t, const double* x) const {
-    return std::make_shared<const ModalMotion>(shared_from_this(), t, x);
+inline std::shared_ptr<Motion> ModalFlow::start(const Time& t, const double* x) const {
+    return std::make_shared<ModalMotion>(self<ModalFlow>(), t, x);
 }
 
 }  // namespace kernel

@@ -15,13 +15,13 @@
 // What all motions of a linear phase have, and functions along them.
 #pragma once
 
-#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
 #include <string>
 
-#include "arrays.hpp"
+#include "matrix.hpp"
 
 namespace kernel {
 
@@ -38,14 +38,14 @@ struct Time {
 // Angles omega t of harmonics, accurate however late it is: turns in a nanosecond are counted in
 // parts of 2^-128, so that whole turns are left out before anything is rounded.
 struct Harmonics {
-    std::vector<double> frequency;  // omega, rad/s
+    Vector frequency;  // omega, rad/s
     std::vector<Turns> turns;
 
     std::size_t size() const { return frequency.size(); }
 
-    std::vector<double> at(const Time& t) const {
+    Vector at(const Time& t) const {
         const double part = 6.283185307179586476925286766559 / 0x1p128;
-        std::vector<double> found(size());
+        Vector found(size());
         for (std::size_t k = 0; k < size(); ++k)
             found[k] = t.exact ? double(Turns(__int128(t.ns)) * turns[k]) * part +
                                      frequency[k] * t.remainder
@@ -54,7 +54,7 @@ struct Harmonics {
     }
 
     // 1, cosines and sines, s seconds after the instant with these angles.
-    void waves(const std::vector<double>& angles, double s, double* waves) const {
+    void waves(const Vector& angles, double s, double* waves) const {
         const std::size_t h = size();
         waves[0] = 1.0;
         for (std::size_t k = 0; k < h; ++k) {
@@ -88,46 +88,41 @@ class Coordinates {
     bool all_move() const { return held.rows == 0 && Q.rows == 0; }
 
     // y = T^-1 (x - rest).
-    void split(const double* x, const std::vector<double>& rest, double* y) const {
-        std::vector<double> moves(x, x + 2 * n), parts(size, 0.0);
+    void split(const double* x, const Vector& rest, double* y) const {
+        Vector moves(x, x + 2 * n), parts(size, 0.0);
         for (std::size_t i = 0; i < rest.size(); ++i) moves[i] -= rest[i];
-        add_matrix_product(moves.data(), paired ? 2 : 1, backward, parts.data());
+        add_product({moves.data(), paired ? 2u : 1u, backward.rows}, backward, parts.data());
         for (std::size_t k = 0; k < size; ++k) y[k] = parts[place(k)];
     }
 
     // The part of the position that does not move, n numbers, or none where all moves.
-    std::vector<double> rest(const double* x) const {
-        std::vector<double> found(held.rows);
-        for (std::size_t i = 0; i < found.size(); ++i) found[i] = dot(held.row(i), x, n);
+    Vector rest(const double* x) const {
+        Vector found(held.rows);
+        for (std::size_t i = 0; i < found.size(); ++i) found[i] = dot(held.row(i), x);
         return found;
     }
 
     // States of rows y. Terms are added in the order of the pairs, whatever else is computed.
-    void states(const double* y, std::size_t count, const std::vector<double>& rest,
-                double* x) const {
-        std::vector<double> parts(count * size);
+    void states(const double* y, std::size_t count, const Vector& rest, double* x) const {
+        Vector parts(count * size);
         for (std::size_t i = 0; i < count; ++i) {
             std::fill(std::copy(rest.begin(), rest.end(), x + 2 * n * i), x + 2 * n * (i + 1),
                       0.0);
             for (std::size_t k = 0; k < size; ++k) parts[size * i + place(k)] = y[size * i + k];
         }
-        add_matrix_product(parts.data(), paired ? 2 * count : count, forward, x);
+        add_product({parts.data(), paired ? 2 * count : count, forward.rows}, forward, x);
         for (std::size_t i = 0; i < count && Q.rows > 0; ++i, x += 2 * n) {
-            const std::vector<double> p(x, x + n);
-            for (std::size_t j = 0; j < n; ++j) x[j] = dot(Q.row(j), p.data(), n) + offset[j];
+            const Vector p(x, x + n);
+            for (std::size_t j = 0; j < n; ++j) x[j] = dot(Q.row(j), p) + offset[j];
         }
     }
 
     // T E, transposed, size x 2n. E carries each pair by itself: four numbers e_ij.
-    Matrix carried(const std::vector<double>& E) const {
+    Matrix carried(const Vector& E) const {
         Matrix found(size, 2 * n);
         for (std::size_t k = 0; k < 2 * size; ++k) {
             const std::size_t p = k / 4, i = k / 2 % 2, j = k % 2;
-            double* to = found.row(2 * p + j);
-            if (paired)
-                add(E[k], forward.row(p), to + i * n, n);
-            else
-                add(E[k], forward.row(2 * p + i), to, 2 * n);
+            add(E[k], forward.row(paired ? p : 2 * p + i), &found(2 * p + j, paired ? i * n : 0));
         }
         return found;
     }
@@ -136,31 +131,36 @@ class Coordinates {
     bool paired;
     Matrix forward, backward;  // transposed: T and T^-1 by columns
     Matrix held, Q;
-    std::vector<double> offset;
+    Vector offset;
 
     // Where y_k stands if all coordinates stand before all velocities.
     std::size_t place(std::size_t k) const { return paired ? k % 2 * (size / 2) + k / 2 : k; }
-
-    static Matrix transposed(const View& A) {
-        Matrix found(A.columns, A.rows);
-        for (std::size_t i = 0; i < A.rows; ++i)
-            for (std::size_t j = 0; j < A.columns; ++j) found(j, i) = A(i, j);
-        return found;
-    }
 };
 
-// One motion of a phase.
-class Motion {
-  public:
+struct Flow;
+class Guards;
+
+// One motion of a phase, from an instant on.
+struct Motion {
+    std::shared_ptr<const Flow> flow;
+    Time t;
+    Vector rest;  // the part of the position that does not move
+
+    Motion(std::shared_ptr<const Flow> of, const Time& t, const double* x);
     virtual ~Motion() = default;
 
     // States (q, u) at `count` instants, a row each; a row does not depend on the others.
     virtual void states(const double* s, std::size_t count, double* rows) const = 0;
 };
 
+// Functions of the motions of one flow: rows of q, which tell what they see of a position at rest;
+// of y, and what these are rounded against; of (1, cos, sin); of sampled forces.
+struct Rows {
+    Matrix position, seen, reach, waves, force;
+};
+
 // All motions of a phase.
-class Flow {
-  public:
+struct Flow : std::enable_shared_from_this<Flow> {
     Coordinates coordinates;
     Harmonics harmonics;
 
@@ -169,8 +169,19 @@ class Flow {
     virtual ~Flow() = default;
 
     // The motion through x at t.
-    virtual std::shared_ptr<const Motion> start(const Time& t, const double* x) const = 0;
+    virtual std::shared_ptr<Motion> start(const Time& t, const double* x) const = 0;
+    virtual std::shared_ptr<Guards> guards(Rows rows) const = 0;
+    virtual std::size_t forces() const { return 0; }  // that are sampled
+
+  protected:
+    template <class Own>
+    std::shared_ptr<const Own> self() const {
+        return std::static_pointer_cast<const Own>(shared_from_this());
+    }
 };
+
+inline Motion::Motion(std::shared_ptr<const Flow> of, const Time& t, const double* x)
+    : flow(std::move(of)), t(t), rest(flow->coordinates.rest(x)) {}
 
 constexpr std::size_t ORDERS = 9;     // derivatives 0 to 8
 constexpr double MOST_STRIDES = 4e6;  // of a motion: more would take too long
@@ -178,8 +189,8 @@ constexpr double MOST_STRIDES = 4e6;  // of a motion: more would take too long
 // A motion that would take too long.
 struct TooFar : std::runtime_error {
     explicit TooFar(double s)
-        : std::runtime_error("the motion of " + std::to_string(s) +
-                             " s takes too many steps; are these stamps right?") {}
+        : runtime_error("the motion of " + std::to_string(s) +
+                        " s takes too many steps; are these stamps right?") {}
 };
 
 // Functions along one motion: `look` goes to an instant, the others tell what is there.
@@ -203,27 +214,29 @@ class Functions {
 };
 
 // Functions rows x + waves (1, cos, sin) + forces f of the motions of one flow, w of them.
-class Guards {
+class Guards : public std::enable_shared_from_this<Guards> {
   public:
     std::shared_ptr<const Flow> flow;
-    std::size_t w;
-    Matrix position;  // rows of q, w x n: what they see of a position at rest
+    Rows rows;
 
-    Guards(std::shared_ptr<const Flow> flow, Matrix position)
-        : flow(std::move(flow)), w(position.rows), position(std::move(position)) {}
+    Guards(std::shared_ptr<const Flow> flow, Rows rows)
+        : flow(std::move(flow)), rows(std::move(rows)) {}
     virtual ~Guards() = default;
 
-    virtual std::unique_ptr<Functions> along(
-        const std::shared_ptr<const Motion>& motion) const = 0;
+    std::size_t size() const { return rows.position.rows; }
 
-  protected:
-    // What is added to the constants along a motion.
-    std::vector<double> shift(const std::vector<double>& rest) const {
-        std::vector<double> found(w, 0.0);
-        for (std::size_t i = 0; i < w && !rest.empty(); ++i)
-            found[i] = dot(position.row(i), rest.data(), rest.size());
-        return found;
+    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const {
+        if (motion->flow != flow) throw std::invalid_argument("motion: of another flow");
+        Vector shift(size());
+        for (std::size_t i = 0; i < size() && !motion->rest.empty(); ++i)
+            shift[i] = dot(rows.position.row(i), motion->rest);
+        return functions(motion, std::move(shift));
     }
+
+  private:
+    // Of one motion of the flow; `shift` is added to the constants.
+    virtual std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+                                                 Vector shift) const = 0;
 };
 
 }  // namespace kernel

@@ -16,6 +16,8 @@
 #pragma once
 
 #include <optional>
+#include <tuple>
+#include <vector>
 
 #include "phase.hpp"
 
@@ -30,9 +32,13 @@ constexpr double FIRST =
 constexpr double FALLS = 0.02;  // of a parabola: that is straight enough
 constexpr double CLOSE = 1e-6;  // to a root, relative, of a polynomial
 
+using Which = std::vector<std::size_t>;
+
 struct Crossing {
     double s;
-    std::vector<std::size_t> which;  // all that are zero then
+    Which which;  // all that are zero then
+
+    auto fields() const { return std::tie(s, which); }
 };
 
 // A search along one motion that goes on where it has stopped. From s, where a function has value
@@ -74,7 +80,7 @@ class Hunt {
     std::unique_ptr<Functions> functions;
     double there = NAN;  // where it has looked last
     double window, s, last, stretch;
-    std::vector<double> values, before;  // at s and at `last`
+    Vector values, before;  // at s and at `last`
     std::optional<Crossing> found;
 
     // Whether one of the functions is below zero at s by more than rounding.

@@ -16,7 +16,7 @@
 // that are sampled, and for phases that fall into no pairs.
 #pragma once
 
-#include <stdexcept>
+#include <functional>
 
 #include "phase.hpp"
 
@@ -31,16 +31,18 @@ constexpr std::size_t JETS = 4;  // a cubic and its derivatives
 // Forces at instants, a cubic from each to the next; after the last one it goes on. More may come,
 // and old ones be dropped; samples are counted from the very first.
 struct Samples {
-    std::vector<double> time;  // s since the epoch, ascending
-    Matrix jets[JETS];         // the forces and their derivatives from each instant on, a row each
-    double rounding = 0.0;     // difference of instants that counts as none, s
-    double newest = INFINITY;  // from when on they may still change, s
-    std::size_t dropped = 0;   // at the front
-    std::vector<double> changes;  // the instants from which on they have changed, each time
+    Vector time;      // s since the epoch, ascending
+    Matrix jets;      // the forces from each instant on, and their derivatives, a row each
+    double rounding;  // difference of instants that counts as none, s
+    std::function<void(double)> check;  // raises an error for instants before the first one
+    std::size_t dropped = 0;            // at the front
+    double newest = INFINITY;           // from when on they may still change, s
+    Vector changes{};                   // the instants from which on they have changed, each time
 
     std::size_t count() const { return dropped + time.size(); }
+    std::size_t forces() const { return jets.columns / JETS; }
     double at(std::size_t k) const { return time[here(k)]; }
-    const double* jet(std::size_t order, std::size_t k) const { return jets[order].row(here(k)); }
+    View jet(std::size_t k) const { return {jets.row(here(k)).data, JETS, forces()}; }
 
     // The sample that holds from t on.
     std::size_t index(double t) const {
@@ -50,27 +52,20 @@ struct Samples {
 
     // Other samples from number `first` on.
     void splice(std::size_t first, const View& at, const View& values) {
-        const std::size_t kept = first - dropped, columns = jets[0].columns;
         changes.push_back(at[0]);
-        time.resize(kept);
-        time.insert(time.end(), at.data, at.data + at.rows);
-        for (std::size_t k = 0; k < JETS; ++k) {
-            std::vector<double>& data = jets[k].data;
-            data.resize(kept * columns);
-            data.insert(data.end(), values.row(k * at.rows),
-                        values.row(k * at.rows) + at.rows * columns);
-            jets[k].rows = time.size();
-        }
+        time.resize(first - dropped);
+        jets.data.resize(time.size() * jets.columns);
+        time.insert(time.end(), at.data, at.data + at.size());
+        jets.data.insert(jets.data.end(), values.data, values.data + values.size());
+        jets.rows = time.size();
     }
 
     // Forget samples before number `first`.
     void drop(std::size_t first) {
-        const std::size_t old = here(first), columns = jets[0].columns;
-        time.erase(time.begin(), time.begin() + std::ptrdiff_t(old));
-        for (Matrix& each : jets) {
-            each.data.erase(each.data.begin(), each.data.begin() + std::ptrdiff_t(old * columns));
-            each.rows = time.size();
-        }
+        const auto old = std::ptrdiff_t(here(first)), columns = std::ptrdiff_t(jets.columns);
+        time.erase(time.begin(), time.begin() + old);
+        jets.data.erase(jets.data.begin(), jets.data.begin() + old * columns);
+        jets.rows = time.size();
         dropped = first;
     }
 
@@ -82,64 +77,57 @@ struct Samples {
 };
 
 // dy/dt = J y + load (1, cos, sin) + push f. In a suitable norm |J^k| <= rate^k.
-class SeriesFlow : public Flow, public std::enable_shared_from_this<SeriesFlow> {
-  public:
+struct SeriesFlow : Flow {
     Matrix J;                                // blocks below each other, as many columns as one
     Matrix load, push;                       // size x (1 + 2h), size x forces
     std::shared_ptr<const Samples> samples;  // or none
     double rate;                             // also of the harmonics, 1/s
-    std::vector<double> orders;  // of harmonics that turn with a drive, whose phase is the last
-                                 // of the samples; 0 for others, none where nothing turns
+    Vector orders;  // of harmonics that turn with a drive, whose phase is the last of the samples;
+                    // 0 for others, none where nothing turns
 
-    SeriesFlow(Coordinates coordinates, Harmonics harmonics, Matrix J, Matrix load, Matrix push,
-               std::shared_ptr<const Samples> samples, double rate, std::vector<double> orders)
-        : Flow(std::move(coordinates), std::move(harmonics)),
-          J(std::move(J)),
-          load(std::move(load)),
-          push(std::move(push)),
-          samples(std::move(samples)),
-          rate(rate),
-          orders(std::move(orders)) {}
-
-    std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
+    using Flow::Flow;
+    std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
+    std::shared_ptr<Guards> guards(Rows rows) const override;
+    std::size_t forces() const override { return push.columns; }
 
     // dy = J y.
     void turn(const double* y, double* dy) const {
         for (std::size_t i = 0; i < J.rows; ++i)
-            dy[i] = dot(J.row(i), y + i / J.columns * J.columns, J.columns);
+            dy[i] = dot(J.row(i), y + i / J.columns * J.columns);
     }
 };
 
 // A motion at one of its strides. Strides do not depend on what is looked at.
 class Walk {
   public:
+    std::shared_ptr<const SeriesFlow> flow;
     double begin, end, length;     // s since the start; the last stride has no end
     std::size_t terms, count = 0;  // of the polynomial; strides begun
     Matrix y, waves, force;        // there and their derivatives, a row each
 
     Walk(std::shared_ptr<const SeriesFlow> of, const Time& t, const double* x)
-        : y(TERMS, of->coordinates.size),
-          waves(TERMS, of->load.columns),
-          force(JETS, of->push.columns),
-          flow(std::move(of)),
+        : flow(std::move(of)),
+          y(TERMS, flow->coordinates.size),
+          waves(TERMS, flow->load.columns),
+          force(JETS, flow->push.columns),
           t(t.seconds),
           angles(flow->harmonics.at(t)),
           frequency(flow->harmonics.frequency) {
         if (flow->samples) {
+            check(0.0);
             first = flow->samples->index(this->t);
             seen = flow->samples->changes.size();
         }
-        flow->coordinates.split(x, flow->coordinates.rest(x), y.row(0));
+        flow->coordinates.split(x, flow->coordinates.rest(x), y.row(0).data);
         enter();
     }
-
-    const SeriesFlow& of() const { return *flow; }
 
     // Until when the forces are final, s.
     double last() const { return flow->samples ? flow->samples->newest - t : INFINITY; }
 
     // To the stride that holds at s.
     void go(double s) {
+        check(s);
         if (flow->samples && seen < flow->samples->changes.size()) refresh();
         if (s < begin) {
             const auto after = std::upper_bound(kept.begin(), kept.end(), s,
@@ -148,9 +136,8 @@ class Walk {
         }
         if ((s - begin) * flow->rate > MOST_STRIDES) throw TooFar(s);
         while (s >= end) {
-            std::vector<double> next(y.columns);
-            value(length, next.data());
-            std::copy(next.begin(), next.end(), y.row(0));
+            const Vector next = value(length);
+            std::copy(next.begin(), next.end(), y.row(0).data);
             ++stride, ++passed;
             if (stride == strides) ++interval, stride = 0;
             enter();
@@ -158,11 +145,10 @@ class Walk {
     }
 
     // y `s` seconds after the begin.
-    void value(double s, double* found) const {
-        std::copy(y.row(terms - 1), y.row(terms - 1) + y.columns, found);
-        for (std::size_t k = terms - 1; k-- > 0;)
-            for (std::size_t i = 0; i < y.columns; ++i)
-                found[i] = y(k, i) + s / double(k + 1) * found[i];
+    Vector value(double s) const {
+        Vector found(y.columns);
+        taylor(y.part(0, terms), s, found.data());
+        return found;
     }
 
   private:
@@ -170,26 +156,29 @@ class Walk {
         double s;
         std::size_t interval, passed;
         double stride;
-        std::vector<double> y;
+        Vector y;
     };
 
-    std::shared_ptr<const SeriesFlow> flow;
     double t;
-    std::vector<double> angles, frequency;  // at the start; of the present stride, rad/s
+    Vector angles, frequency;  // at the start; of the present stride, rad/s
     std::size_t first = 0, interval = 0, passed = 0;
     double stride = 0, strides = INFINITY;  // in the interval between two samples
     std::vector<Kept> kept;
     std::size_t seen = 0;  // changes of the samples
 
+    void check(double s) const {
+        if (flow->samples && t + s < flow->samples->time.front()) flow->samples->check(t + s);
+    }
+
     void restore(const Kept& from) {
         interval = from.interval, stride = from.stride, passed = from.passed;
-        std::copy(from.y.begin(), from.y.end(), y.row(0));
+        std::copy(from.y.begin(), from.y.end(), y.row(0).data);
         enter();
     }
 
     // Goes back to before the samples that have changed meanwhile.
     void refresh() {
-        const std::vector<double>& changes = flow->samples->changes;
+        const Vector& changes = flow->samples->changes;
         const double from =
             *std::min_element(changes.begin() + std::ptrdiff_t(seen), changes.end()) - t;
         seen = changes.size();
@@ -215,18 +204,17 @@ class Walk {
         }
         length = end < INFINITY ? end - begin : 0.0;
         if (passed % KEPT == 0 && (kept.empty() || kept.back().s < begin))
-            kept.push_back({begin, interval, passed, stride, {y.row(0), y.row(0) + y.columns}});
+            kept.push_back({begin, interval, passed, stride, y.row(0)});
         double left_out = 1.0;
         for (terms = 1; terms < TERMS && (terms <= ORDERS || left_out > NEGLIGIBLE); ++terms)
             left_out *= rate * length / double(terms);
         drive(begin - from);
         for (std::size_t k = 0; k + 1 < terms; ++k) {
-            double* next = y.row(k + 1);
-            flow->turn(y.row(k), next);
+            const Span<double> next = y.row(k + 1);
+            flow->turn(y.row(k).data, next.data);
             for (std::size_t i = 0; i < y.columns; ++i) {
-                if (k == 0 || waves.columns > 1)
-                    next[i] += dot(flow->load.row(i), waves.row(k), waves.columns);
-                if (k < JETS) next[i] += dot(flow->push.row(i), force.row(k), force.columns);
+                if (k == 0 || waves.columns > 1) next[i] += dot(flow->load.row(i), waves.row(k));
+                if (k < JETS) next[i] += dot(flow->push.row(i), force.row(k));
             }
         }
         ++count;
@@ -234,7 +222,7 @@ class Walk {
 
     // Waves and forces at the begin, `s` seconds into the interval, and their derivatives.
     void drive(double s) {
-        flow->harmonics.waves(angles, begin, waves.row(0));
+        flow->harmonics.waves(angles, begin, waves.row(0).data);
         if (flow->samples) push(s);
         const std::size_t h = flow->harmonics.size();
         for (std::size_t j = 0; j < flow->orders.size(); ++j) {
@@ -252,105 +240,77 @@ class Walk {
     }
 
     void push(double s) {
-        const std::size_t now = first + interval;
+        const View jet = flow->samples->jet(first + interval);
         if (interval == 0) s += t - flow->samples->at(first);
-        for (std::size_t k = 0; k < JETS; ++k)
-            for (std::size_t j = 0; j < force.columns; ++j) {
-                force(k, j) = flow->samples->jet(JETS - 1, now)[j];
-                for (std::size_t i = JETS - 1; i-- > k;)
-                    force(k, j) =
-                        flow->samples->jet(i, now)[j] + s / double(i - k + 1) * force(k, j);
-            }
+        for (std::size_t k = 0; k < JETS; ++k) taylor(jet.part(k, JETS - k), s, force.row(k).data);
     }
 };
 
 class SeriesMotion : public Motion {
   public:
-    std::vector<double> rest;
+    const Walk begun;  // from its start, for somebody else
 
-    SeriesMotion(const std::shared_ptr<const SeriesFlow>& flow, const Time& t, const double* x)
-        : rest(flow->coordinates.rest(x)), start(flow, t, x), walk(start) {}
-
-    // From its start, for somebody else.
-    const Walk& begun() const { return start; }
+    SeriesMotion(const std::shared_ptr<const SeriesFlow>& of, const Time& t, const double* x)
+        : Motion(of, t, x), begun(of, t, x), walk(begun) {}
 
     void states(const double* s, std::size_t count, double* rows) const override {
-        std::vector<double> y(walk.y.columns);
-        const Coordinates& coordinates = walk.of().coordinates;
-        for (std::size_t i = 0; i < count; ++i) {
+        for (std::size_t i = 0; i < count; ++i, rows += 2 * flow->coordinates.n) {
             walk.go(s[i]);
-            walk.value(s[i] - walk.begin, y.data());
-            coordinates.states(y.data(), 1, rest, rows + i * 2 * coordinates.n);
+            flow->coordinates.states(walk.value(s[i] - walk.begin).data(), 1, rest, rows);
         }
     }
 
   private:
-    Walk start;
     mutable Walk walk;
 };
 
-inline std::shared_ptr<const Motion> SeriesFlow::start(const Time& t, const double* x) const {
-    return std::make_shared<const SeriesMotion>(shared_from_this(), t, x);
+inline std::shared_ptr<Motion> SeriesFlow::start(const Time& t, const double* x) const {
+    return std::make_shared<SeriesMotion>(self<SeriesFlow>(), t, x);
 }
 
-class SeriesGuards : public Guards, public std::enable_shared_from_this<SeriesGuards> {
+class SeriesGuards : public Guards {
   public:
-    std::shared_ptr<const SeriesFlow> series;
-    Matrix seen, reach;   // rows of y, and what these are rounded against, w x size
-    Matrix waves, force;  // w x (1 + 2h), w x forces
+    using Guards::Guards;
 
-    SeriesGuards(std::shared_ptr<const SeriesFlow> of, Matrix position, Matrix seen, Matrix reach,
-                 Matrix waves, Matrix force)
-        : Guards(of, std::move(position)),
-          series(std::move(of)),
-          seen(std::move(seen)),
-          reach(std::move(reach)),
-          waves(std::move(waves)),
-          force(std::move(force)) {}
-
-    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const override;
+  private:
+    std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+                                         Vector shift) const override;
 };
 
 class SeriesFunctions : public Functions {
   public:
-    SeriesFunctions(std::shared_ptr<const SeriesGuards> of, const SeriesMotion& motion,
-                    std::vector<double> shift)
+    SeriesFunctions(std::shared_ptr<const Guards> of, const Walk& begun, Vector shift)
         : guards(std::move(of)),
-          walk(motion.begun()),
+          rows(guards->rows),
+          walk(begun),
           added(std::move(shift)),
-          there(guards->w, TERMS),
+          there(TERMS, guards->size()),
           here(there),
-          scales(guards->w) {
+          scales(guards->size()) {
         enter();
     }
 
-    std::size_t size() const override { return guards->w; }
+    std::size_t size() const override { return scales.size(); }
     double smooth_until() const override { return walk.end; }
     double end() const override { return walk.last(); }
-    double rate() const override { return guards->series->rate; }
-    double derivative(std::size_t order, std::size_t i) const override { return here(i, order); }
-    double constant(std::size_t i) const override { return guards->waves(i, 0) + added[i]; }
+    double rate() const override { return walk.flow->rate; }
+    double derivative(std::size_t order, std::size_t i) const override { return here(order, i); }
+    double constant(std::size_t i) const override { return rows.waves(i, 0) + added[i]; }
     double scale(std::size_t i) override { return scales[i]; }
 
     void look(double to) override {
         const std::size_t before = walk.count;
         walk.go(s = to);
         if (walk.count != before) enter();
-        const double after = s - walk.begin;
-        for (std::size_t i = 0; i < size(); ++i)
-            for (std::size_t k = 0; k < walk.terms; ++k) {
-                double sum = there(i, walk.terms - 1);
-                for (std::size_t j = walk.terms - 1; j-- > k;)
-                    sum = there(i, j) + after / double(j + 1 - k) * sum;
-                here(i, k) = sum;
-            }
+        for (std::size_t k = 0; k < walk.terms; ++k)
+            taylor(there.part(k, walk.terms - k), s - walk.begin, here.row(k).data);
     }
 
     double largest(std::size_t order, std::size_t i, double stop) override {
-        const double h = std::min(stop, walk.end) - s, rate = guards->series->rate;
+        const double h = std::min(stop, walk.end) - s, rate = walk.flow->rate;
         double found = 0.0, factor = 1.0;
         for (std::size_t k = order; k < walk.terms; ++k) {
-            found += factor * std::abs(here(i, k) - (k == 0 ? constant(i) : 0.0));
+            found += factor * std::abs(here(k, i) - (k == 0 ? constant(i) : 0.0));
             factor *= h / double(k + 1 - order);
         }
         double left_out = scales[i] * std::exp(1.0);  // all terms from walk.terms on
@@ -360,51 +320,52 @@ class SeriesFunctions : public Functions {
     }
 
   private:
-    std::shared_ptr<const SeriesGuards> guards;
+    std::shared_ptr<const Guards> guards;
+    const Rows& rows;
     Walk walk;
-    std::vector<double> added;
+    Vector added;
     Matrix there, here;  // the functions at the begin of the stride and at s, with derivatives
-    std::vector<double> scales;
+    Vector scales;
     double s = 0.0;
 
     // The functions of a stride, and how large what they are made of is within the time scale, but
     // not longer than since the start.
     void enter() {
-        const double rate = guards->series->rate, ended = walk.begin + walk.length;
+        const double rate = walk.flow->rate, ended = walk.begin + walk.length;
         const double h = rate > 0 ? std::min(1 / rate, ended) : ended;
         for (std::size_t i = 0; i < size(); ++i) {
-            const double *row = guards->seen.row(i), *reach = guards->reach.row(i);
+            const Row reach = rows.reach.row(i);
             for (std::size_t k = 0; k < walk.terms; ++k)
-                there(i, k) =
-                    dot(row, walk.y.row(k), walk.y.columns) +
-                    dot(guards->waves.row(i), walk.waves.row(k), walk.waves.columns) +
-                    (k < JETS ? dot(guards->force.row(i), walk.force.row(k), walk.force.columns)
-                              : 0);
-            there(i, 0) += added[i];
+                there(k, i) = dot(rows.seen.row(i), walk.y.row(k)) +
+                              dot(rows.waves.row(i), walk.waves.row(k)) +
+                              (k < JETS ? dot(rows.force.row(i), walk.force.row(k)) : 0);
+            there(0, i) += added[i];
             scales[i] = std::abs(constant(i));
             for (std::size_t j = 0; j < walk.y.columns; ++j)
                 scales[i] += reach[j] * (std::abs(walk.y(0, j)) + std::abs(walk.y(1, j)) * h +
                                          std::abs(walk.y(2, j)) * h * h / 2);
             for (std::size_t j = 1; j < walk.waves.columns; ++j)
-                scales[i] += std::abs(guards->waves(i, j));
+                scales[i] += std::abs(rows.waves(i, j));
             for (std::size_t j = 0; j < walk.force.columns; ++j) {
                 double size = 0.0, factor = 1.0;
                 for (std::size_t k = 0; k < JETS; ++k) {
                     size += factor * std::abs(walk.force(k, j));
                     factor *= walk.length / double(k + 1);
                 }
-                scales[i] += std::abs(guards->force(i, j)) * size;
+                scales[i] += std::abs(rows.force(i, j)) * size;
             }
         }
     }
 };
 
-inline std::unique_ptr<Functions> SeriesGuards::along(
-    const std::shared_ptr<const Motion>& motion) const {
-    auto mine = std::dynamic_pointer_cast<const SeriesMotion>(motion);
-    if (!mine || &mine->begun().of() != series.get())
-        throw std::invalid_argument("motion: of another flow");
-    return std::make_unique<SeriesFunctions>(shared_from_this(), *mine, shift(mine->rest));
+inline std::unique_ptr<Functions> SeriesGuards::functions(std::shared_ptr<const Motion> motion,
+                                                          Vector shift) const {
+    const Walk& begun = static_cast<const SeriesMotion&>(*motion).begun;
+    return std::make_unique<SeriesFunctions>(shared_from_this(), begun, std::move(shift));
+}
+
+inline std::shared_ptr<Guards> SeriesFlow::guards(Rows rows) const {
+    return std::make_shared<SeriesGuards>(self<SeriesFlow>(), std::move(rows));
 }
 
 }  // namespace kernel

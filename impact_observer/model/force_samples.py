@@ -152,7 +152,7 @@ class Samples:
         """The largest angular frequencies of harmonics with these nominal ones, (h,), rad/s."""
         return frequency
 
-    def check(self, t: Vector) -> None:
+    def check(self, t: Vector | float) -> None:
         """Check that there are samples at ``t``, s since the epoch.
 
         Raises:

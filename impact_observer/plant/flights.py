@@ -60,8 +60,17 @@ class PlainImpacts:
                 against.
         """
         system, scales = phases.system, phases.scales
-        times = scales.window, scales.timescale, shortest
-        self.arena = Arena(gaps, system.M, system.W.T, system.q_r, phases.length, times, lowest)
+        self.arena = Arena(
+            gaps,
+            system.M,
+            system.W.T,
+            system.q_r,
+            phases.length,
+            scales.window,
+            scales.timescale,
+            shortest,
+            lowest,
+        )
         self._phases, self._law = phases, law
         self._flights: Flights | None = None
         simple = (system.eps > 0) & (system.contact_time == 0)

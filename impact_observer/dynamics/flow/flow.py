@@ -138,9 +138,9 @@ class Flow:
         pulled += time * np.abs(self._accelerated(u).T @ pulls)
         rows = np.hstack([q.T, u.T])
         given = position, *self.modes.seen(rows, np.abs(rows) + pulled), waves
-        if isinstance(self._kernel, SeriesFlow):
-            return self._kernel.guards(*given, self._forces.columns(force))
-        return self._kernel.guards(*given)
+        strides = isinstance(self._kernel, SeriesFlow)
+        pushed = self._forces.columns(force) if strides else force[:, :0]
+        return self._kernel.guards(*given, pushed)
 
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.

@@ -70,14 +70,14 @@ def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
     assert samples.jets is not None, "derived"
     active = np.flatnonzero(samples.drives)
     if not isinstance(samples, LiveSamples):
-        jets = np.concatenate(samples.jets)[:, active]
+        jets = _rows(samples.jets[..., active])
         return SampledForces(samples.time, jets, samples.rounding, samples.check), active
     turning = samples.orders.any()
 
     def columns(jets: Jets, turns: Matrix) -> Matrix:
-        found = np.concatenate(jets)[:, active]
-        phase = np.concatenate([turns.ravel(), np.zeros((JETS - 2) * turns.shape[1])])
-        return np.column_stack([found, phase]) if turning else found
+        phase = np.concatenate([turns, np.zeros((JETS - 2, turns.shape[1]))])
+        found = jets[..., active]
+        return _rows(np.concatenate([found, phase[..., None]], axis=2) if turning else found)
 
     found = SampledForces(
         samples.time,
@@ -93,3 +93,8 @@ def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
 
     samples.follow(splice, found.drop)
     return found, active
+
+
+def _rows(jets: Jets) -> Matrix:
+    """Jets, shape (4, samples, forces), with those of each sample in a row."""
+    return np.swapaxes(jets, 0, 1).reshape(jets.shape[1], -1)
