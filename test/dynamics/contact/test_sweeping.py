@@ -254,7 +254,7 @@ def assert_stops_only_push(held: Held, seconds: float) -> None:
 
 
 @pytest.mark.slow
-@examples(25)
+@examples(250)
 @given(st.data())
 def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
     data: st.DataObject,
@@ -266,7 +266,8 @@ def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
         assert_stops_only_push(held, 3.0)
 
 
-@examples(25)
+@pytest.mark.slow
+@examples(250)
 @given(st.data())
 def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     """Gaps, rates and reactions that are zero together; equal and opposite stops."""
