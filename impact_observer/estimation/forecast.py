@@ -213,7 +213,7 @@ class Forecast:
             return []
         s = self._flight.instants(duration)
         values = np.nan_to_num(self._flight.values(self.prediction.motion, s))  # may overflow
-        along = dips_along(s, values, self._value, self._rounding, self._deviation)
+        along = dips_along(s, values, self._value, self._rounding, self._spread)
         contacts, gaps = self._flight.contacts, self._flight.gaps
         kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]
         return [
@@ -228,7 +228,11 @@ class Forecast:
         return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
 
     def _deviation(self, j: int, s: float) -> float:
-        """Standard deviation of function ``j`` after ``s`` seconds."""
+        """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
+        return math.hypot(self._spread(j, s), self._rounding(j, s))
+
+    def _spread(self, j: int, s: float) -> float:
+        """Standard deviation of function ``j`` after ``s`` seconds, by the state's."""
         if self._state.parameters:
             row = self._row(j, s)
             spread = row.dot(self.prediction.full_root(s)[: row.size])
