@@ -35,7 +35,8 @@ using ArrayOf = py::array_t<T, py::array::c_style | py::array::forcecast |
                                    py::detail::npy_api::NPY_ARRAY_ALIGNED_>;
 using Array = ArrayOf<double>;
 
-// For functions that need nothing of Python once their arguments are converted.
+// For functions that need nothing of Python once their arguments are converted. Not for those with
+// tuples of arrays among them, which pybind11 copies for the call.
 using Released = py::call_guard<py::gil_scoped_release>;
 
 constexpr std::size_t ANY = std::size_t(-1);   // size along a dimension

@@ -49,9 +49,9 @@ Matrix checked_difference(const Two& Y, const Two& Z, const Array& factors) {
 
 PYBIND11_MODULE(_kernel, module) {
     module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
-    module.def("product", &checked_product, "A"_a, "B"_a, Released());
-    module.def("dots", &checked_dots, "X"_a, "Y"_a, Released());
-    module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a, Released());
+    module.def("product", &checked_product, "A"_a, "B"_a);
+    module.def("dots", &checked_dots, "X"_a, "Y"_a);
+    module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a);
     bind_estimation(module);
     bind_dynamics(module);
 }
