@@ -36,6 +36,8 @@ from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps
 
+_MOST = 2**22
+"""Numbers in the errors of all replicas that are made together."""
 _AT_ONCE = 2**12
 """States that are made together: they stay in the processor's cache."""
 
@@ -137,21 +139,22 @@ def _errors(
             continue
         if item.first.stamp != stamps[done]:
             break
-        end = done + item.stamps.size
-        last_event[done:end] = item.first.last_event
-        # The error of a replica: that of the estimate and the difference from it.
-        x, maps, differences = observer.replicas(item.stamps)
-        maps = np.concatenate([maps, (x - truth[done:end]).T[:, None]], axis=1)
-        columns = np.vstack([np.pad(differences, ((0, 0), (1, 0))), np.ones(size)]).T
-        low, high = np.searchsorted(near, [done, end])
-        closing = np.tensordot(contacts, maps[system.n :, :, near[low:high] - done], 1)
-        speeds[:, :, low:high] = columns @ closing
-        weighted, step = np.tensordot(root, maps, 1), max(_AT_ONCE // item.stamps.size, 1)
-        for begin in range(0, size, step):
-            some = slice(begin, begin + step)
-            error = columns[some] @ weighted
-            V[some, done:end] = np.einsum("kis,kis->is", error, error)
-        done = end
+        last_event[done : done + item.stamps.size] = item.first.last_event
+        at_once = max(_MOST // (size * 2 * system.n), 1)
+        for first in range(0, item.stamps.size, at_once):
+            some = item.stamps[first : first + at_once]
+            end = done + some.size
+            maps, columns = _of_all(observer, some, truth[done:end])
+            low, high = np.searchsorted(near, [done, end])
+            closing = np.tensordot(contacts, maps[system.n :, :, near[low:high] - done], 1)
+            speeds[:, :, low:high] = closing if columns is None else columns @ closing
+            weighted = np.tensordot(root, maps, 1)
+            step = max(_AT_ONCE // some.size, 1)
+            for begin in range(0, size, step):
+                which = slice(begin, begin + step)
+                error = weighted[:, which] if columns is None else columns[which] @ weighted
+                V[which, done:end] = np.einsum("kis,kis->is", error, error)
+            done = end
     if done < stamps.size:
         raise BagError(
             f"{observer.law.name}: no estimate at the sample {text(int(stamps[done]))} s"
@@ -161,6 +164,22 @@ def _errors(
     outcomes = outcomes_of(events, verdicts)
     punctual = arrived(stamps, last_event, outcomes.reported)
     return _ReplicaErrors(V, near, speeds, punctual, outcomes)
+
+
+def _of_all(
+    observer: Observer, stamps: Stamps, truth: Matrix
+) -> tuple[NDArray[np.float64], Matrix | None]:
+    """Errors of all replicas, the estimate's and the differences from it.
+
+    As products of maps, shape (2n, r, samples), with columns, shape (N, r); None where the maps
+    are the errors, r = N.
+    """
+    x, maps, differences = observer.replicas(stamps)
+    error = (x - truth).T[:, None]
+    if differences is None:
+        return np.concatenate([error, maps + error], axis=1), None
+    columns = np.vstack([np.pad(differences, ((0, 0), (1, 0))), np.ones(observer.ensemble)])
+    return np.concatenate([maps, error], axis=1), columns.T
 
 
 def _about(stamps: Stamps, event: int) -> NDArray[np.intp]:

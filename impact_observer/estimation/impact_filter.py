@@ -212,7 +212,7 @@ class ImpactFilter:
         the motion.
         """
         arena = None if self._is_uncertain else self.members.given.moving.arena
-        if arena is None:
+        if arena is None or self.gaps((), s) is None:
             return None
         made = arena.flown(t, s, late, state.x, state.root, state.differences)
         return made and GaussianState(made[0], state.constants, *made[1:])

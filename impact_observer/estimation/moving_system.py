@@ -43,7 +43,7 @@ _MANY = 32
 _SMALL = 16
 """Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
 _SHORTEST = 1e-8
-"""Flights that a plant may neglect, relative to the model's time scale."""
+"""Shortest flight of an arena, relative to the model's time scale; only plants have such."""
 _MOST_TURNS = 100.0
 """Longest time that it takes, in the inverse of the fastest rate."""
 
@@ -52,7 +52,7 @@ class MovingSystem:
     """One system between its impacts.
 
     Attributes:
-        system: the system; the places of its stops do not matter here.
+        system: the system; the places of its stops matter to its ``arena`` only.
         guided: whether guides rub: then a motion has many phases, and which one depends on it.
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
@@ -119,7 +119,7 @@ class MovingSystem:
 
     @cached_property
     def arena(self) -> Arena | None:
-        """Its flights, each to an impact of one contact, for the kernel.
+        """Its flights to impacts of one contact, with its own stops, for the kernel.
 
         None where that does not know them, or has no use for them: of many coordinates, of forces
         that are sampled, of guides.

@@ -69,7 +69,7 @@ def rested(
     H, value, floor = rest_measurement(members, state, new, leftover)
     update = correction(state.root, H, np.empty((len(H), 0)), floor)
     z = np.concatenate([state.x, state.constants]) - update.change(value)
-    if p:
+    if p and np.isfinite(z).all() and np.isfinite(update.root).all():
         z = members.parameters.bounded(z, update.root, size)
     corrected = state._replace(
         x=z[:size],

@@ -40,7 +40,7 @@ from impact_observer.states import Matrix, Vector
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Rounding of a measurement, relative to the terms of its sum."""
 STATE_ROUNDING = float(np.finfo(np.float64).eps)
-"""Rounding of a state, relative to ``dynamics.sizes``."""
+"""Rounding of a state, relative to ``Scales.sizes``."""
 LEAST = 1e-150
 """Least standard deviation of a measurement."""
 _ONE = np.ones(1)

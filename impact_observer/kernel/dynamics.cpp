@@ -311,8 +311,12 @@ std::optional<std::tuple<Vector, Matrix, Matrix>> flown(const Arena& arena, cons
     expect(own.rows >= after.x.size(), "root: expected rows of all states");
     if (s > finite(late, "late") && arena.gaps->size() > 0) {
         Hunt hunt(arena.gaps->along(after.motion), arena.window);
-        const std::optional<Crossing>& crossing = hunt.first(s - late);
-        if (crossing && crossing->s <= s - late) return {};
+        if (const std::optional<Crossing>& crossing = hunt.first(s);
+            crossing && crossing->s <= s) {
+            if (crossing->s <= s - late) return {};
+            for (const std::size_t i : crossing->which)  // or is it over?
+                if (hunt.look(s).derivative(0, i) > 0) return {};
+        }
     }
     return std::tuple(after.x, after.carried(s, own), after.carried(s, others));
 }

@@ -226,7 +226,7 @@ struct FreeMotion {
     }
 };
 
-// What (q, u) is rounded against: the largest that all modes can give; see dynamics.sizes.
+// What (q, u) is rounded against: the largest that all modes can give; see Scales.sizes.
 struct Sizes {
     Matrix modes, spread;  // n x n each
     Vector squares;        // omega^2 of the modes, n

@@ -131,8 +131,9 @@ class ModalFunctions : public Functions {
     }
 
     double derivative(std::size_t order, std::size_t i) const override {
-        double found = (order == 0 ? added[i] : 0.0) + dot(guards->of_pairs[order].row(i), y) +
-                       dot(form->waves[order].row(i), waves);
+        // Parts of a constant cancel before anything is added that is rounded against less.
+        double found = (order == 0 ? constant(i) : 0.0) + dot(guards->of_pairs[order].row(i), y) +
+                       dot(form->waves[order].row(i).part(1, 2 * h), &waves[1]);
         for (std::size_t j = 0; j < phi.size(); ++j) {
             const ModalGuards::Response& by = response(order, i, j);
             const std::size_t of = (*form->drives)[j].harmonic;

@@ -116,9 +116,11 @@ class Impact {
                                const Doubts& doubts) const {
         Fit own;
         prior.clock = clocks[0];
-        const Joint joint = corrected(t, prior, ROUNDS, own);
-        if (!(std::abs(own.normalised) <= doubts.innovation && own.density > doubts.density))
-            return {};
+        const auto is_good = [&](const Fit& fit) {
+            return std::abs(fit.normalised) <= doubts.innovation && fit.density > doubts.density;
+        };
+        const Joint joint = corrected(t, prior, ROUNDS, own, is_good);
+        if (!is_good(own)) return {};
         double others = std::exp(doubts.spurious - own.density);
         for (std::size_t k = 1; k < clocks.size(); ++k) {
             prior.clock = clocks[k];
@@ -259,9 +261,13 @@ class Impact {
         return std::clamp(e, -far, far);
     }
 
+    static bool any(const Fit&) { return true; }
+
     // Instant and state just before the impact, corrected by it: an iterated filter, linearised
-    // about its own posterior until that changes next to nothing.
-    Joint corrected(double t, const Prior& given, int rounds, Fit& fit) const {
+    // about its own posterior until that changes next to nothing. Only where the first fit is
+    // good.
+    template <class Good = bool (*)(const Fit&)>
+    Joint corrected(double t, const Prior& given, int rounds, Fit& fit, Good is_good = any) const {
         const Joint prior = joint_of(given);
         const std::size_t d = prior.z.size();
         const std::size_t size = given.x.size() + family->count();  // of (y, theta)
@@ -294,7 +300,7 @@ class Impact {
                 const double spread = length(seen_by(at.rho[1], prior.root));
                 fit = {density(white, std::abs(joint(0, 0)), slope, spread),
                        std::copysign(white, -value), std::abs(joint(0, 0))};
-                if (rounds == 1) return found;
+                if (rounds == 1 || !is_good(fit)) return found;
             }
             reflect(joint, 1);
             for (std::size_t i = 0; i < d; ++i) {

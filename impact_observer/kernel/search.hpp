@@ -43,7 +43,7 @@ struct Crossing {
 
 // A search along one motion that goes on where it has stopped. From s, where a function has value
 // g and slope v and |g''| <= b from there on, it is above -delta at least until the root of
-// g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions-> Nothing can
+// g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions. Nothing can
 // be jumped, and near a root the steps converge like Newton's. What is found does not depend on
 // who asks when: steps are the same for any horizon.
 class Hunt {
@@ -63,7 +63,11 @@ class Hunt {
     const std::optional<Crossing>& first(double horizon) {
         const double end = functions->end();
         if ((std::min(horizon, end) - s) * functions->rate() > MOST_STRIDES) throw TooFar(horizon);
-        while (!found && s <= horizon && s < end) step(end);
+        for (const double most = double(looks) + MOST_STRIDES;
+             !found && s <= horizon && s < end;) {
+            if (double(looks) > most) throw TooFar(horizon);  // a function that is rounding only
+            step(end);
+        }
         if (!found && s <= horizon && s == end && is_below()) cross();
         return found;
     }

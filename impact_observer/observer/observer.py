@@ -476,7 +476,7 @@ class Observer:
         self._follow()
         return self._run.estimates(whole_stamps(stamps), only_states=only_states)
 
-    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
         """All replicas; see ``Prediction.replicas``.
 
         Args:

@@ -332,7 +332,7 @@ class RunHistory:
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
-    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
         """See ``Observer.replicas``."""
         assert self.timeline is not None, "there is an estimate"
         entry = self.timeline.at(int(stamps[0]))

@@ -183,8 +183,9 @@ class EventIntake:
 
         The verdicts on one that was ahead of the clock say that they are not the first.
         """
-        place = next(i for i, each in enumerate(self._taken) if each.event is event)
-        if not self._taken.pop(place).was_refused:
+        places = (i for i, each in enumerate(self._taken) if each.event is event)
+        place = next(places, None)
+        if place is None or not self._taken.pop(place).was_refused:
             return event, verdicts
         first, *others = verdicts
         reason = f"{REVISED}{first.reason or 'as reported'}"

@@ -55,7 +55,8 @@ class Law(ABC):
     def __init_subclass__(cls) -> None:
         """Reset the shortcut of a method that ``cls`` redefines, unless it redefines it."""
         super().__init_subclass__()
-        for method, shortcut in (("correct", "struck"), ("measure", "followed")):
+        belonging = ("correct", "struck"), ("predict", "struck"), ("measure", "followed")
+        for method, shortcut in belonging:
             if method in vars(cls) and shortcut not in vars(cls):
                 setattr(cls, shortcut, getattr(Law, shortcut))
 

@@ -183,8 +183,7 @@ class MinimumVariance(Law):
             return None
         began, ago = (began, ago + s) if ago else (since, s)
         replica = self._replica.struck(change.hit[0], began, ago, fallback)
-        if replica is None:
-            return None
+        assert replica is not None, "the kernel knows the motion"
         (corrected, x), (fallback, gap) = found, replica
         return self._judged(change, posterior, corrected, fallback, x=x, gap=gap), x
 

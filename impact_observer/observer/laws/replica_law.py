@@ -64,6 +64,7 @@ class ReplicaLaw(Law):
         belonging = {
             "impact": ("impacts", "impact_ensemble", "energy_removed", "struck"),
             "motion": ("phase", "struck"),
+            **dict.fromkeys(("phase", "impact_ensemble", "energy_removed"), ("struck",)),
         }
         for method, others in belonging.items():
             for other in others if method in vars(cls) else ():
@@ -339,9 +340,9 @@ class _OwnMotions(Prediction):
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
-    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
         states = np.stack([motion.states(s).T for motion in self._motions], axis=1)
-        return states[:, 0].T, states[:, 1:] - states[:, :1], np.eye(len(self._motions) - 1)
+        return states[:, 0].T, states[:, 1:] - states[:, :1], None
 
 
 class _CommonPhase(Prediction):
@@ -369,6 +370,6 @@ class _CommonPhase(Prediction):
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
-    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix]:
+    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
         maps = np.stack([self._phase.transition(at) for at in s.tolist()], axis=2)
         return self._first.states(s), maps, self._belief.ensemble.differences
