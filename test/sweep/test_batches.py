@@ -246,6 +246,7 @@ def test_an_observer_runs_the_replicas_that_it_is_given() -> None:
     together = make_observer(model, options, others=starts[1:])
     stamps = np.array([epoch, epoch + 1, epoch + 700_000_000])
     x, maps, columns = together.replicas(stamps)
+    assert columns is not None, "they move in one phase"
     assert (x.shape, maps.shape[::2], columns.shape[1]) == ((3, 4), (4, 3), 3)
     others = np.einsum("irk,rj->kij", maps, columns) + x[..., None]
     found = np.concatenate([x[..., None], others], axis=2)
