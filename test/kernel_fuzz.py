@@ -118,10 +118,12 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
 
     from impact_observer.dynamics import Phases, Watched
     from impact_observer.kernel import RootSearch
+    from impact_observer.kernel._kernel import falls_at
     from impact_observer.model import Forcing
     from impact_observer.model.force_samples import Samples
 
     w = calls["Impact.__init__"][0].given[1]
+    falls_at(lambda s: 1.0 - s, 0.0, 2.0)
     motion = calls["Family.__init__"][0].given[0]
     motion.moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, _, states, _ = calls["Impact.posteriors"][0].given
