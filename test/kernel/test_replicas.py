@@ -19,7 +19,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import linalg
-from systems import chain, examples, sample, systems
+from systems import chain, examples, sample, system, systems
 
 from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.estimation.contact_change import ContactChange
@@ -31,6 +31,8 @@ from impact_observer.model import System
 from impact_observer.observer import law_named
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.fallback import FallbackReplica
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.law import Law
 
 FREE = systems(max_n=4, contacts=(1, 3))
 
@@ -127,6 +129,15 @@ def test_a_gap_that_closes_in_the_last_moments_counts_as_open() -> None:
     assert filter_.flown(0.0, falls + 1e-3, 2e-3, state) is not None
 
 
+def test_a_gap_that_was_closed_in_the_last_moments_and_is_open_again_was_an_impact() -> None:
+    """That may have been missed: others decide it."""
+    model = system(np.eye(1), np.zeros((1, 1)), np.eye(1), contacts=[([1.0], 1 - 1e-4, 0.5)])
+    filter_ = ImpactFilter(model)
+    state = GaussianState(np.array([1.0, 0.0]), np.zeros(0), np.eye(2), np.zeros((2, 0)))
+    assert filter_.flown(0.0, np.pi, 0.1, state) is not None
+    assert filter_.flown(0.0, np.pi + 0.05, 0.1, state) is None
+
+
 def test_differences_that_have_faded_are_zero() -> None:
     """Denormal numbers are slow."""
     model = sample("two_mass").system
@@ -148,3 +159,14 @@ def test_many_coordinates_and_several_contacts_are_left_to_the_general_methods()
     assert law.struck(ContactChange(1.0, (0,), (1,), (0,), flown=1.0), before, 0.0, 1.0) is None
     large = MovingSystem(chain(20, contacts=[([0] * 19 + [-1], 0.1, 0.5)]))
     assert large.arena is None
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["impact", "motion", "phase", "impact_ensemble", "energy_removed", "correct", "predict"],
+)
+def test_a_law_that_redefines_what_the_shortcut_replaces_does_not_inherit_it(method: str) -> None:
+    """Else it would be another law at most events."""
+    own = type("Own", (Geometric,), {"name": "own", method: getattr(Geometric, method)})
+    assert "struck" in vars(own)
+    assert own.struck is Law.struck  # type: ignore[attr-defined]

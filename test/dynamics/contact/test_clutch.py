@@ -147,6 +147,19 @@ def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     assert_is_a_motion(closed, 5.0)
 
 
+def test_a_load_that_is_always_zero_ends_in_no_search_without_end() -> None:
+    """Of three contacts two hold the body; what is left for the third one is rounding."""
+    model = system(
+        np.eye(2),
+        np.zeros((2, 2)),
+        np.eye(2),
+        contacts=[([-1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5), ([-1, -1], 0.0, 0.5)],
+        force=forcing(2, [1.0, 0.0], [Harmonic(2.0, [-1.0, -1.0], [1.0, 1.0])]),
+    )
+    start = np.array([1.0, 0.0, -1.0, -1.0])
+    assert_is_a_motion(started(model, 0.0, start, (0, 1, 2), fix=False), 5.0)
+
+
 def test_slipping_ball_is_caught_as_it_stops() -> None:
     """``gamma = v - 9.81 s``: the kinematic replica rises to ``v^2 / 2 g`` and stays there."""
     ball = system(1, 0, 0, contacts=[([1], 0.0, 0.5)], force=forcing(1, -9.81))
