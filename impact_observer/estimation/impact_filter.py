@@ -112,7 +112,6 @@ class ImpactFilter:
         self._is_uncertain = self.noise is not None or self.members.family.size > 0
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
         self._drifts = bool(np.any(declared.drift))
-        self._special = system.curved | set(np.flatnonzero(system.contact_time).tolist())
         self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
 
     def begin(self, state: GaussianState) -> GaussianState:
@@ -226,8 +225,7 @@ class ImpactFilter:
 
         One that lasts is not, nor is a restitution that depends on the speed.
         """
-        alone = len(change.hit) == 1 and not (change.before or change.closed)
-        return alone and self._is_free and change.hit[0] not in self._special
+        return self._is_free and change.is_plain(self.system)
 
     def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
         """Contacts that impact alone, and None for all else, and where they are asked for."""
