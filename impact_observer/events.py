@@ -74,11 +74,12 @@ class ImpactEvent:
         for name in ("stamp", "epoch"):
             if type(value := getattr(self, name)) is not int:
                 object.__setattr__(self, name, whole_stamp(value, name))
-        if not all(type(each) is Switch for each in self.switches):
-            raise UsageError(
-                f"switches: {self.switches!r} found; expected a tuple of Switch, such as"
-                " (Switch('stop'),)"
-            )
+        for each in self.switches:
+            if type(each) is not Switch:
+                raise UsageError(
+                    f"switches: {self.switches!r} found; expected a tuple of Switch, such as"
+                    " (Switch('stop'),)"
+                )
 
 
 class Ruling(IntEnum):

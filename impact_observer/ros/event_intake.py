@@ -151,7 +151,8 @@ class EventIntake:
     def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
         """Work for some milliseconds: events with their verdicts, each when it is applied."""
         end = time.monotonic_ns() + SLICE
-        self._take_what_was_ahead()
+        if self._ahead:
+            self._take_what_was_ahead()
         self._refuse_what_waited()
         while self._refused:
             yield self._refused.popleft()
@@ -183,13 +184,15 @@ class EventIntake:
 
         The verdicts on one that was ahead of the clock say that they are not the first.
         """
-        places = (i for i, each in enumerate(self._taken) if each.event is event)
-        place = next(places, None)
-        if place is None or not self._taken.pop(place).was_refused:
-            return event, verdicts
-        first, *others = verdicts
-        reason = f"{REVISED}{first.reason or 'as reported'}"
-        return event, (first._replace(reason=reason), *others)
+        for i, each in enumerate(self._taken):
+            if each.event is event:
+                del self._taken[i]
+                if each.was_refused:
+                    first, *others = verdicts
+                    reason = f"{REVISED}{first.reason or 'as reported'}"
+                    verdicts = (first._replace(reason=reason), *others)
+                break
+        return event, verdicts
 
     def _refuse_what_waited(self) -> None:
         """Refuse the events that have waited for too long."""
@@ -202,8 +205,6 @@ class EventIntake:
             self._refused.append((event, (verdict,)))
 
     def _take_what_was_ahead(self) -> None:
-        if not self._ahead:
-            return
         latest = self._now() + self._future
         while self._ahead and self._ahead[0][0] <= latest and self.room > 0:
             event = heapq.heappop(self._ahead)[2]

@@ -219,10 +219,12 @@ class ObserverNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _on_impact(self, message: bytes) -> None:
-        """Take an event, and those that wait behind it; apply some."""
+        """Take an event and apply it; then those that wait behind it."""
         self._take(message)
-        self._take_waiting()
         self._apply_events()
+        self._take_waiting()
+        if self._intake.is_busy:
+            self._apply_events()
 
     def _take(self, message: bytes) -> None:
         if problem := self._intake.add(message):

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import EventHandler
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -58,8 +58,8 @@ class Polled(CallbackGroup):
         """Nothing has begun."""
 
 
-class EventsSeldom(MutuallyExclusiveCallbackGroup):
-    """One callback at a time; the middleware's events only for a moment in each second.
+class EventsSeldom(ReentrantCallbackGroup):
+    """For an executor of one thread; the middleware's events only for a moment in each second.
 
     Each publisher and subscription has two such events, on partners that do not fit. Whenever the
     executor waits, they cost it as much as five timers.
@@ -70,13 +70,12 @@ class EventsSeldom(MutuallyExclusiveCallbackGroup):
         self._begun = -_PERIOD
 
     def can_execute(self, entity: object) -> bool:
-        """Whether no callback runs and, for an event, whether it is such a moment."""
-        return (not isinstance(entity, EventHandler) or self._is_moment()) and bool(
-            super().can_execute(entity)
-        )
+        """Whether it is no event, or it is such a moment.
 
-    def _is_moment(self) -> bool:
-        """One begins when this is asked a second or more after the last one began."""
+        One begins when this is asked a second or more after the last one began.
+        """
+        if not isinstance(entity, EventHandler):
+            return True
         now = time.monotonic()
         if now >= self._begun + _PERIOD:
             self._begun = now
