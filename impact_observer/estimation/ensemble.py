@@ -14,33 +14,15 @@
 
 """Replicas that are run together: the estimate, and others as differences from it."""
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.kernel import largest_distance
+from impact_observer.kernel import sizes_by
 from impact_observer.states import Matrix, Vector
 
 _SAME = 1e-200
 """Squared size of a map after which all differences count as zero."""
-
-
-@dataclass(frozen=True, eq=False)
-class Differences:
-    """By how much replicas differed from the estimate at some time.
-
-    Attributes:
-        columns: one column for each replica, shape (2n, N - 1).
-    """
-
-    columns: Matrix
-
-    @cached_property
-    def count(self) -> int:
-        """How many replicas there are."""
-        return int(self.columns.shape[1])
 
 
 class Ensemble(NamedTuple):
@@ -50,12 +32,12 @@ class Ensemble(NamedTuple):
 
     Attributes:
         x: the estimate (q, u), shape (2n,).
-        since: differences at some earlier time.
+        columns: by how much they differed at some earlier time, one a column, shape (2n, N - 1).
         due: the map from then to now, shape (2n, 2n); None for the identity.
     """
 
     x: Vector
-    since: Differences
+    columns: Matrix
     due: Matrix | None = None
 
     @classmethod
@@ -63,17 +45,17 @@ class Ensemble(NamedTuple):
         """``replicas`` (q, u), shape (N, 2n), the estimate first."""
         x, others = replicas[0], replicas[1:].T
         columns = np.subtract(others, x[:, None], order="C") if others.size else others
-        return cls(x, Differences(columns))
+        return cls(x, columns)
 
     @property
     def others(self) -> int:
         """How many replicas there are besides the estimate."""
-        return self.since.count
+        return int(self.columns.shape[1])
 
     @property
     def differences(self) -> Matrix:
         """Differences from the estimate, one a column, shape (2n, N - 1)."""
-        return self.since.columns if self.due is None else self.due.dot(self.since.columns)
+        return self.columns if self.due is None else self.due.dot(self.columns)
 
     @property
     def replicas(self) -> Matrix:
@@ -83,24 +65,24 @@ class Ensemble(NamedTuple):
     def mapped(self, functions: Matrix) -> Matrix:
         """Values of linear ``functions``, shape (k, 2n) or (2n,), at the differences."""
         due = functions if self.due is None else functions.dot(self.due)
-        return np.asarray(due.dot(self.since.columns))
+        return np.asarray(due.dot(self.columns))
 
     def maximum(self, function: Vector) -> float:
         """The largest value of a linear ``function``, shape (2n,), of the differences."""
         due = function if self.due is None else function.dot(self.due)
-        values = due.dot(self.since.columns)
+        values = due.dot(self.columns)
         return float(values[values.argmax()])
 
-    def largest_distance(self, metric: Matrix) -> float:
-        """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""
-        return largest_distance(self.differences, metric)
+    def sizes_by(self, metric: Matrix) -> tuple[float, float]:
+        """``x^T metric x``, and the largest ``d^T metric d`` between two replicas; (2n, 2n)."""
+        return sizes_by(metric, self.x, self.differences)
 
     def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), propagates all differences."""
-        return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
+        return Ensemble(x, self.columns, map_ if self.due is None else map_.dot(self.due))
 
     def without_faded(self) -> "Ensemble":
         """The same with differences set to zero that have faded: denormal numbers are slow."""
         if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
             return self
-        return Ensemble(self.x, Differences(np.zeros_like(self.since.columns)))
+        return Ensemble(self.x, np.zeros_like(self.columns))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Contacts
 from impact_observer.states import Matrix, Vector
 
@@ -71,7 +71,7 @@ class GaussianState(NamedTuple):
     @property
     def ensemble(self) -> Ensemble:
         """The states of all replicas."""
-        return Ensemble(self.x, Differences(self.differences[: self.x.size]))
+        return Ensemble(self.x, self.differences[: self.x.size])
 
     @property
     def is_finite(self) -> bool:

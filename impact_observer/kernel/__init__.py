@@ -41,8 +41,8 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     Sizes,
     difference,
     dots,
-    largest_distance,
     product,
+    sizes_by,
 )
 
 __all__ = [
@@ -60,6 +60,6 @@ __all__ = [
     "Sizes",
     "difference",
     "dots",
-    "largest_distance",
     "product",
+    "sizes_by",
 ]

@@ -321,19 +321,20 @@ std::optional<std::tuple<Vector, Matrix, Matrix>> flown(const Arena& arena, cons
     return std::tuple(after.x, after.carried(s, own), after.carried(s, others));
 }
 
-// A replica s seconds after t, the same after an impact then, and its differences.
-std::tuple<Vector, Vector, Matrix> rebounded(const Arena& arena, std::size_t contact,
-                                             const Time& t, double s, const Array& x,
-                                             const Array& differences) {
+// A replica s seconds after t, the same after an impact then, its differences, and the gap then.
+std::tuple<Vector, Vector, Matrix, double> rebounded(const Arena& arena, std::size_t contact,
+                                                     const Time& t, double s, const Array& x,
+                                                     const Array& differences) {
     constexpr double faded = 1e-100;  // as good as zero: denormal numbers are slow
     Estimate after(arena, t, s, x);
     const Vector before = after.x;
     Matrix columns = after.carried(s, checked(differences, "differences", before.size(), ANY));
-    known_contact(arena, contact).strike(after.x, columns, 1.0);
+    const Contact& stop = known_contact(arena, contact);
+    stop.strike(after.x, columns, 1.0);
     const auto has_faded = [](double each) { return std::abs(each) < faded; };
     if (std::all_of(columns.data.begin(), columns.data.end(), has_faded))
         std::fill(columns.data.begin(), columns.data.end(), 0.0);
-    return {before, after.x, columns};
+    return {before, after.x, columns, stop.gap(before)};
 }
 
 // The same of a replica with errors, by the white accelerations of `noise` and by a lag; and the

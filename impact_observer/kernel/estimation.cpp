@@ -370,27 +370,28 @@ double root(const Gaps& gaps, double t, const State& state, double level, std::s
                                finite(depth, "depth"));
 }
 
-// The largest d^T metric d between two of the columns, or one of them and zero; NaN where the
-// numbers overflow.
-double largest_distance(const Array& columns, const Array& metric) {
+// x^T metric x; and the largest d^T metric d between two of the columns, or one of them and zero.
+// NaN where the numbers overflow.
+std::pair<double, double> sizes_by(const Array& metric, const Array& x, const Array& columns) {
     const View given = checked(columns, "columns", ANY, ANY);
     const std::size_t size = given.rows, count = given.columns;
-    const View weights = checked(metric, "metric", size, size);
+    const View weights = checked(metric, "metric", size, size), state = checked(x, "x", size);
     Matrix one(count + 1, size), seen(count + 1, size);  // the last one is zero
     for (std::size_t k = 0; k < count; ++k)
         for (std::size_t i = 0; i < size; ++i) {
             one(k, i) = given(i, k);
             add(given(i, k), weights.row(i), seen.row(k));
         }
-    double found = 0.0;
+    double own = 0.0, largest = 0.0;
+    for (std::size_t i = 0; i < size; ++i) own += state[i] * dot(weights.row(i), state);
     for (std::size_t k = 0; k <= count; ++k)
         for (std::size_t j = 0; j < k; ++j) {
             double square = 0.0;
             for (std::size_t i = 0; i < size; ++i)
                 square += (one(k, i) - one(j, i)) * (seen(k, i) - seen(j, i));
-            if (!(square <= found)) found = square;
+            if (!(square <= largest)) largest = square;
         }
-    return found;
+    return {own, largest};
 }
 
 // dx/dt of a state x at t.
@@ -421,7 +422,7 @@ void bind_estimation(py::module_& module) {
     module.def("falls_at", &root_between, "function"_a, "above"_a, "below"_a);
     module.def("measured", &measured, "x"_a, "constants"_a, "root"_a, "differences"_a, "row"_a,
                "rest"_a, "value"_a, "noise"_a, "gate"_a);
-    module.def("largest_distance", &largest_distance, "columns"_a, "metric"_a);
+    module.def("sizes_by", &sizes_by, "metric"_a, "x"_a, "columns"_a);
     py::class_<FreeMotion, std::shared_ptr<FreeMotion>>(module, "FreeMotion")
         .def(py::init(&motion_of), "lower"_a, "constant"_a, "frequency"_a, "cosine"_a, "sine"_a,
              "rate"_a, "decay"_a)

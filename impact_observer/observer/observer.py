@@ -105,6 +105,7 @@ class Observer:
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
         samples: of sensors beside the impacts, and what became of them.
+        restarts: how often a new episode or epoch has restarted the replica.
     """
 
     def __init__(
@@ -164,6 +165,7 @@ class Observer:
         self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = whole_stamp(epoch, "epoch")
         self.remarks: Counter[Remark] = Counter()
+        self.restarts = 0
         self._notices: list[str] = []
         self.restart()
 
@@ -307,7 +309,7 @@ class Observer:
         return (*own, *others)
 
     def receiving(
-        self, events: Iterable[ImpactEvent]
+        self, events: Sequence[ImpactEvent]
     ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
         """``receive`` several events; the late ones together, so that others run again once only.
 
@@ -318,6 +320,9 @@ class Observer:
             Each event with its verdicts; None after each step of work in between.
         """
         late, others = list[ImpactEvent](), list[ImpactEvent]()
+        if len(events) == 1 and not self._is_late(events[0]):  # as nearly always
+            yield events[0], self._receive_or_reject(events[0])
+            return
         for event in events:
             (late if self._is_late(event) else others).append(event)
         if len({(each.epoch, each.episode) for each in others}) == 1:
@@ -555,11 +560,6 @@ class Observer:
         """How many sequence numbers are missing since the first received."""
         return self._run.numbers.missing
 
-    @property
-    def restarts(self) -> int:
-        """How often a new episode or epoch has restarted the replica."""
-        return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
-
     def _first_entry(self, stamp: int) -> Entry:
         if self._others is None:
             replicas = spread(self._initial, self._root, self.ensemble)
@@ -601,6 +601,7 @@ class Observer:
         name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
         self._notices = [*self._notices, f"{name} {what}: the observer is reset"]
         self.remarks[Remark.EPOCH if is_epoch else Remark.EPISODE] += 1
+        self.restarts += 1
 
     def _resolve_contacts(
         self, event: ImpactEvent

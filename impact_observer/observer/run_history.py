@@ -251,7 +251,8 @@ class RunHistory:
         x = self._before_jump(entry, s, x)
         closed = prediction.closed(s)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
-        x = self._from_frame(np.array([stamp]), x[None])[0]
+        if self._system.frame is not None:
+            x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
             stamp=stamp,
             law=law.name,

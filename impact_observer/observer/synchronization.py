@@ -124,16 +124,25 @@ class SynchronizationTest:
         return ""
 
     def _distance_and_energy(self, ensemble: Ensemble) -> tuple[float, float]:
-        """The largest V distance of two replicas, of very many an upper bound, and energy, J."""
-        x = ensemble.x
-        energy = max(float(x.dot(self._metric.dot(x))), 0.0) / 2  # NaN stays, standing first
-        if not (ensemble.others and math.isfinite(energy)):
+        """The largest V distance of two replicas, of very many an upper bound, and energy, J.
+
+        The energy is NaN where states are not finite.
+        """
+        others = ensemble.others
+        is_bounded = others >= _MOST_COMPARED
+        some = Ensemble(ensemble.x, ensemble.columns[:, :0]) if is_bounded else ensemble
+        try:
+            energy, distance = some.sizes_by(self._metric)
+        except ValueError:  # states are not finite
+            return -1.0, math.nan
+        energy = max(energy, 0.0) / 2  # NaN stays, standing first
+        if not (others and math.isfinite(energy)):
             return -1.0, energy
-        if ensemble.others >= _MOST_COMPARED:
+        if is_bounded:
             lengths = ensemble.mapped(self._lengths)
             squares = np.einsum("ij,ij->j", lengths, lengths)
             return 2 * float(squares.max()), energy  # half of twice the radius, squared
-        return ensemble.largest_distance(self._metric) / 2, energy
+        return distance / 2, energy
 
     @cached_property
     def _lengths(self) -> Matrix:

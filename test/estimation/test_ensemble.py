@@ -47,7 +47,7 @@ def test_noted_maps_act_in_their_order() -> None:
 
 
 @pytest.mark.parametrize(("size", "count"), [(4, 2), (4, 10), (6, 10), (20, 40)])
-def test_largest_distance_is_that_of_all_pairs(size: int, count: int) -> None:
+def test_sizes_are_those_of_the_estimate_and_of_all_pairs(size: int, count: int) -> None:
     """Before and after a map, for few replicas and for many."""
     random = np.random.default_rng(2)
     replicas, root = random.normal(size=(count, size)), random.normal(size=(size, size))
@@ -56,7 +56,8 @@ def test_largest_distance_is_that_of_all_pairs(size: int, count: int) -> None:
     for _ in range(3):
         pairs = combinations(ensemble.replicas - ensemble.x, 2)
         largest = max((one - two) @ metric @ (one - two) for one, two in pairs)
-        assert ensemble.largest_distance(metric) == pytest.approx(largest, rel=1e-12)
+        own = ensemble.x @ metric @ ensemble.x
+        assert ensemble.sizes_by(metric) == pytest.approx((own, largest), rel=1e-12)
         ensemble = ensemble.propagated(random.normal(size=size), random.normal(size=(size, size)))
 
 

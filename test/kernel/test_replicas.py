@@ -144,7 +144,7 @@ def test_differences_that_have_faded_are_zero() -> None:
     law = law_named("geometric")(model)
     replicas = np.array([[0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3, 0.4]])
     belief = Belief(Ensemble.of(replicas)._replace(due=1e-120 * np.eye(4)))
-    belief.ensemble.since.columns[:] = 1.0
+    belief.ensemble.columns[:] = 1.0
     struck = law.struck(ContactChange(1.0, (), (0,), (), flown=1.0), belief, 0.0, 1.0)
     assert struck is not None
     assert not struck[0].ensemble.differences.any()

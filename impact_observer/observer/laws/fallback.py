@@ -23,7 +23,7 @@ import numpy as np
 
 from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.model_error import unit_kicks
@@ -83,7 +83,7 @@ class FallbackReplica:
         after = (
             self._geometric.soft_impact(change, before.x)[0] if change.delay(self._system) else x
         )
-        near = Ensemble(before.x, Differences(_SMALL * before.errors))
+        near = Ensemble(before.x, _SMALL * before.errors)
         near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
         errors = near.differences / _SMALL
         errors[:n, -1] -= self._lag(change.hit).dot(x[n:])

@@ -22,7 +22,7 @@ from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
@@ -95,6 +95,7 @@ class Geometric(ReplicaLaw):
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
         self._jump = cache(self._jump_of)
+        self._stiffness = cache(self._projection.stiffness)
 
     def _jump_of(self, contact: int) -> _SingleJump:
         z = self._projection.jump((contact,))[:, 0]
@@ -132,7 +133,7 @@ class Geometric(ReplicaLaw):
         differences, speeds = before.mapped(jump.map), before.mapped(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         differences[self.system.n :] += jump.kick[:, None] * kept
-        return Ensemble(x, Differences(differences))
+        return Ensemble(x, differences)
 
     def struck(
         self, change: ContactChange, posterior: Belief, since: float, s: float
@@ -142,11 +143,11 @@ class Geometric(ReplicaLaw):
         if arena is None or not change.is_plain(self.system) or before.others > _MOST_TOGETHER:
             return None
         contact = change.hit[0]
-        prior, x, differences = arena.rebounded(contact, since, s, before.x, before.differences)
+        prior, x, others, gap = arena.rebounded(contact, since, s, before.x, before.differences)
         bound = posterior.bound
         if bound is not None:
-            bound -= self._projection.strain(prior[: self.system.n], change.hit)
-        after = Ensemble(x, Differences(differences))
+            bound -= self._stiffness(contact) * gap * gap / 2
+        after = Ensemble(x, others)
         return self._checked(Belief(after, None, bound, posterior.inconsistent)), prior
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:

@@ -60,7 +60,7 @@ class SinglePrediction(Prediction):
     def belief(self, s: float) -> Belief:
         x, map_ = self._linear.moved(s)
         before = self._belief.ensemble
-        after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
+        after = before.propagated(x, map_) if before.others else Ensemble(x, before.columns)
         root = self._linear.root_after(map_, None, s)
         return Belief(after, root, fit=self._belief.fit)
 

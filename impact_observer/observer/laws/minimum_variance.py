@@ -471,7 +471,7 @@ def _estimate(
         states = [ensemble.x, fallback.x]
         if account is not None and fit.prefers_account:
             states.append(account.published[0].state.x)
-        ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.since)
+        ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.columns)
     return hypotheses, ensemble
 
 

@@ -153,7 +153,7 @@ class ReplicaLaw(Law):
         onset = None
         if change.delay(self.system):
             x, onset = self.soft_impact(change, before.x)
-            after, on_stop = Ensemble(x, before.since), onset.x
+            after, on_stop = Ensemble(x, before.columns), onset.x
             if before.others:
                 others = [self.soft_impact(change, other)[0] for other in before.replicas[1:]]
                 after = Ensemble.of(np.array([x, *others]))
@@ -162,7 +162,7 @@ class ReplicaLaw(Law):
             if before.others:
                 after = self.impact_ensemble(before, x, active, closed)
             else:
-                after = Ensemble(x, before.since)
+                after = Ensemble(x, before.columns)
         bound = prior.bound
         if bound is not None:
             removed = self.energy_removed(before.x, on_stop, active)
@@ -236,7 +236,7 @@ class ReplicaLaw(Law):
             energy = jump.energy * innovation * innovation
             exact = sensor.measurement.is_exact
             bound = bound - alpha * (1 - alpha / 2) * energy if exact else None
-        belief = Belief(Ensemble(x, ensemble.since, due), None, bound, posterior.inconsistent)
+        belief = Belief(Ensemble(x, ensemble.columns, due), None, bound, posterior.inconsistent)
         return self._checked(belief), SampleOutcome(innovation), reading.known
 
     def _is_free(self, s: float) -> bool:
@@ -367,7 +367,7 @@ class _CommonPhase(Prediction):
         if before.others:
             after = before.propagated(self._first.state(s), self._phase.transition(s))
         else:
-            after = Ensemble(self._first.state(s), before.since)
+            after = Ensemble(self._first.state(s), before.columns)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
 
     def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
