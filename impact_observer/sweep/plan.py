@@ -310,10 +310,15 @@ class Sweep:
 
 
 def _differ_in_start(case: Case) -> bool:
-    """Whether other runs of a case differ from it only in their start, and move as it does."""
+    """Whether other runs of a case differ from it only in their start, and move as it does.
+
+    Hits that last do not let them: each has its own state from onset to jump.
+    """
     law = law_named(case.observer.law)
     together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase
-    return together and not (case.sensor.is_random or case.measurements)
+    if not together or case.sensor.is_random or case.measurements:
+        return False
+    return not parse_model(case.variant.text, "replica").system.contact_time.any()
 
 
 def sensors_of(faults: Mapping[str, Sequence[float | bool]]) -> tuple[SensorModel, ...]:
