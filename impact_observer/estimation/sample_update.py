@@ -203,7 +203,10 @@ class SampleUpdate:
 
         Where a sensor contradicts the estimate for long, the state of a ``restart`` is tried too.
         """
-        known = self.one.first(reading, hypotheses[0].state, reading.known)
+        with np.errstate(over="ignore", invalid="ignore"):
+            known = self.one.first(reading, hypotheses[0].state, reading.known)
+        if not math.isfinite(known.variance):
+            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
         doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
         if doubt or any(h.penetrating for h in hypotheses):
             hypotheses = [

@@ -156,10 +156,13 @@ def test_a_square_root_is_updated_like_its_covariance() -> None:
         assert residual == pytest.approx((0.7 * share) ** 2 + (variance - noise) * share)
 
 
-def test_an_estimate_that_has_overflowed_is_too_uncertain_for_a_sample() -> None:
-    """It stays as it is; nothing is learned of the sensor."""
+@pytest.mark.parametrize("deviation", [0.1, None])
+def test_an_estimate_that_has_overflowed_is_too_uncertain_for_a_sample(
+    deviation: float | None,
+) -> None:
+    """It stays as it is; nothing is learned of the sensor, of known deviation or not."""
     model = sample("two_mass").system
-    declared = Measurement("a", "/a", field="a", position=(("x1", 1.0),), deviation=0.1)
+    declared = Measurement("a", "/a", field="a", position=(("x1", 1.0),), deviation=deviation)
     reading = Reading(DeclaredSensor(declared, model), 0.5, 1.0, NS_PER_S)
     update = SampleUpdate(FilterBank(ImpactFilter(model), Uncertainty(), (1e-3,)))
     for large in (math.inf, math.nan, 1e200):

@@ -62,15 +62,13 @@ class FallbackReplica:
 
     def struck(
         self, contact: int, t: float, s: float, before: Fallback
-    ) -> tuple[Fallback, tuple[float, float]] | None:
+    ) -> tuple[Fallback, tuple[float, float]]:
         """The replica ``s`` seconds after ``t`` (s) and an impact then, of one contact alone.
 
-        With it the gap before that impact; see ``Fallback.gap``. None where the kernel does not
-        know the motion.
+        With it the gap before that impact; see ``Fallback.gap``. The kernel knows the motion.
         """
         arena, noise = self._moving.arena, self._moving.free
-        if arena is None:
-            return None
+        assert arena is not None, "the kernel knows the motion"
         lag = self._contact_time * self._kicks[:, contact]
         x, errors, *gap = arena.fallback(noise, contact, t, s, before.x, before.errors, lag)
         return Fallback(x, np.maximum(before.largest, np.abs(x)), errors), (gap[0], gap[1])

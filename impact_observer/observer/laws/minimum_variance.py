@@ -182,9 +182,8 @@ class MinimumVariance(Law):
         if found is None:
             return None
         began, ago = (began, ago + s) if ago else (since, s)
-        replica = self._replica.struck(change.hit[0], began, ago, fallback)
-        assert replica is not None, "the kernel knows the motion"
-        (corrected, x), (fallback, gap) = found, replica
+        corrected, x = found
+        fallback, gap = self._replica.struck(change.hit[0], began, ago, fallback)
         return self._judged(change, posterior, corrected, fallback, x=x, gap=gap), x
 
     def _judged(
