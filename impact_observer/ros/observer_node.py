@@ -222,8 +222,9 @@ class ObserverNode(Node):
         """Take an event and apply it; then those that wait behind it."""
         self._take(message)
         self._apply_events()
+        is_done = not self._intake.is_busy
         self._take_waiting()
-        if self._intake.is_busy:
+        if is_done and self._intake.is_busy:
             self._apply_events()
 
     def _take(self, message: bytes) -> None:

@@ -416,7 +416,7 @@ def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
 
 
 @pytest.mark.slow
-@examples(400)
+@examples(160)
 @given(st.data())
 def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject) -> None:
     """Of gaps, speeds and loads, with a contact held or none."""
@@ -431,7 +431,7 @@ def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hold", [None, "previous", "linear"])
-@examples(160)
+@examples(64)
 @given(st.data())
 def test_derivatives_and_bounds_hold_in_strides(hold: str | None, data: st.DataObject) -> None:
     """Where no modes can be split, and under sampled forces with a contact held or none."""
