@@ -75,14 +75,12 @@ class _Missed(NamedTuple):
     Attributes:
         path: the path.
         dip: the penetration that begins there.
-        at: seconds after the path's beginning.
         weight: logarithm of the probability of the path with this switch.
         is_dead: whether it is in the sensor's dead time.
     """
 
     path: _Path
     dip: Dip
-    at: float
     weight: float
     is_dead: bool
 
@@ -230,33 +228,30 @@ class BetweenEvents:
         dip = next(likely, None)
         if dip is None or len(h.missed) >= _MOST_MISSED:
             return
-        at = dip.began
-        dead = self.dead(h, dip.contact, dip.kind, path.t + (dip.below if at is None else at))
+        dead = self.dead(h, dip.contact, dip.kind, path.t + dip.began)
         weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
         if weight < enough:
             return
-        if at is None:
-            at = self.forecast(path.t, h.state, h.acceleration_error).root(dip)
-        yield _Missed(path, dip, at, weight, dead > DEAD)
+        yield _Missed(path, dip, weight, dead > DEAD)
 
     def _inserted(self, missed: Sequence[_Missed]) -> list[_Path]:
         """Paths after missed switches."""
-        before = self._priors([each.path._replace(left=each.at) for each in missed])
-        t = [each.path.t + each.at for each in missed]
+        before = self._priors([each.path._replace(left=each.dip.began) for each in missed])
+        t = [each.path.t + each.dip.began for each in missed]
         found = []
-        for (path, dip, at, weight, is_dead), at_, prior in zip(missed, t, before, strict=True):
-            state, kind, flight = insert_switch(self.filter, at_, prior, dip)
-            h, left = path.h, path.left - at
+        for (path, dip, weight, is_dead), at, prior in zip(missed, t, before, strict=True):
+            state, kind, flight = insert_switch(self.filter, at, prior, dip)
+            h, left = path.h, path.left - dip.began
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)
             h = h._replace(state=state, weight=weight, missed=switches)
             if kind is Kind.CLOSE:
-                rest = rest_after(self.filter, dip.contact, at_, flight, h.clock)
+                rest = rest_after(self.filter, dip.contact, at, flight, h.clock)
                 h = h._replace(settled={**h.settled, dip.contact: rest})
             if self.errors is not None:
                 hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
                 h = self.errors.kicked(h, prior.x, hit)
-            found.append(_Path(at_, left, h))
+            found.append(_Path(at, left, h))
         return found
 
     def _is_now(self, dip: Dip, now: float, clock: float) -> bool:
@@ -265,7 +260,7 @@ class BetweenEvents:
         Parameters in doubt leave its instant in doubt: there a dip is now that has just been seen.
         """
         estimates = self.filter.members.family.size > 0
-        began = dip.below if dip.began is None or estimates else dip.began
+        began = dip.below if estimates else dip.began
         return not dip.over and now - began <= LATE * clock
 
     def dead(self, h: Hypothesis, contact: int, kind: Kind, t: float) -> float:

@@ -63,7 +63,7 @@ class Dip(NamedTuple):
         depth: there, in standard deviations.
         unlikely: logarithm of the probability that an error of the estimate is so large.
         over: whether it becomes positive again.
-        began: where it becomes negative, s, if that was found with it.
+        began: where it becomes negative, s; the first sample where it is so from the start.
     """
 
     contact: int
@@ -75,7 +75,7 @@ class Dip(NamedTuple):
     depth: float
     unlikely: float
     over: bool
-    began: float | None = None
+    began: float
 
 
 class Flight:
@@ -216,9 +216,7 @@ class Forecast:
         along = dips_along(s, values, self._value, self._rounding, self._spread)
         contacts, gaps = self._flight.contacts, self._flight.gaps
         kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]
-        return [
-            Dip(contacts[dip[0]], kind, *dip[:7]) for dip, kind in zip(along, kinds, strict=True)
-        ]
+        return [Dip(contacts[dip[0]], kind, *dip) for dip, kind in zip(along, kinds, strict=True)]
 
     def _rounding(self, j: int, s: float) -> float:
         return self._flight.rounding(j, s, self._state.x)
@@ -249,14 +247,6 @@ class Forecast:
             x, closed = self.prediction.state(s), self._state.closed
             sensitivity = self._members.load_sensitivity(member, closed, which, x, self._t + s)
         return np.append(self._flight.c[j], sensitivity)
-
-    def root(self, dip: Dip) -> float:
-        """Where the function of a dip falls through zero, s."""
-        above, below = dip.above, dip.below
-        if dip.began is not None:
-            return dip.began
-        # The end itself where it is negative from the start, or rounded otherwise when alone.
-        return falls_at(lambda at: self._value(dip.which, at), above, below)
 
     def confident_from(self, dip: Dip, depth: float) -> float:
         """From when on a dip is deeper than ``depth`` standard deviations, s."""

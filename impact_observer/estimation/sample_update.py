@@ -338,7 +338,7 @@ class SampleUpdate:
             missed = between.log_missed(dead)
             if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
                 continue
-            dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, over=False)
+            dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, False, 0.0)
             state, kind, flight = insert_switch(self.bank.filter, reading.t, h.state, dip)
             weight = h.weight + missed + float(special.log_ndtr(depth)) + error - unlikely
             inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))

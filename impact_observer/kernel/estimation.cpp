@@ -303,7 +303,7 @@ std::vector<Posterior> flown(const Gaps& gaps, const Array& t, const Array& s,
 }
 
 // Where functions of time are negative, of their values at the samples s, and of what the last
-// arguments find for a function and an instant. Where that began is not found.
+// arguments find for a function and an instant.
 std::vector<Dip> dips_along(const Array& s, const Array& values, const Place& value,
                             const Place& rounding, const Place& deviation) {
     const Vector at = checked(s, "s", ANY);
@@ -316,6 +316,9 @@ std::vector<Dip> dips_along(const Array& s, const Array& values, const Place& va
         const auto near = [&](std::size_t, double t) { return value(j, t); };
         add_dips(found, j, at, rows.row(j), near, of(rounding), of(deviation));
     }
+    for (Dip& dip : found)
+        dip.began = falls_at([&](double t) { return value(dip.contact, t); }, dip.above, dip.below,
+                             4 * EPS);
     in_order(found);
     return found;
 }

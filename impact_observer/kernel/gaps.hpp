@@ -135,9 +135,10 @@ void add_dips(std::vector<Dip>& found, std::size_t which, Vector s, Vector value
     }
 }
 
+// By where they begin: samples may be too far apart to tell.
 inline void in_order(std::vector<Dip>& dips) {
     std::stable_sort(dips.begin(), dips.end(),
-                     [](const Dip& a, const Dip& b) { return a.below < b.below; });
+                     [](const Dip& a, const Dip& b) { return a.began < b.began; });
 }
 
 // A state and its flight: t, s, and the level of white accelerations, m/s^1.5.

@@ -125,7 +125,7 @@ def check(dips: list[Dip], found: Forecast, s: Array, each: GuardValues) -> None
         depth = -float(np.min(each.values[first : last + 1]))
         if depth < DEEP * size or first == 0 or last - first < 2:
             continue
-        near = [dip for dip in mine if abs(found.root(dip) - s[first] + h / 2) <= h]
+        near = [dip for dip in mine if abs(dip.began - s[first] + h / 2) <= h]
         assert len(near) == 1
         (dip,) = near
         assert dip.above < dip.below <= dip.deepest
@@ -206,7 +206,7 @@ def test_shallow_dips_between_samples_are_found(depth: float, phase: float) -> N
         for k, dip in enumerate(dips):
             half = math.acos(0.9 / (0.9 + depth))
             first = (2 * k + 1) * np.pi - phase - half
-            assert found.root(dip) == pytest.approx(first, abs=1e-9)
+            assert dip.began == pytest.approx(first, abs=1e-9)
             assert 0 < dip.depth <= 1.001 * depth / 0.1
             assert dip.over
 
@@ -216,7 +216,7 @@ def test_confident_from_is_where_the_dip_is_deep_enough() -> None:
     found = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), 0.01 * np.eye(4), ())
     dip = found.dips(4.0)[0]
     at = found.confident_from(dip, 3.0)
-    assert at > found.root(dip)
+    assert at > dip.began
     assert 1.5 * math.cos(at) + 0.9 == pytest.approx(-0.03, abs=1e-12)
     shallow = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), np.eye(4), ()).dips(4.0)[0]
     assert shallow.depth < 3

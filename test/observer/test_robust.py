@@ -42,6 +42,7 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer import Observer
+from impact_observer.observer.laws import kalman_predictions
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.options import Options
 from impact_observer.plant import (
@@ -216,6 +217,53 @@ def test_missed_impact_is_inserted_before_the_next_event(spurious: tuple[float, 
         assert np.all(np.abs(differences) <= 5 * deviations + 1e-13)
         if not spurious:
             assert np.max(deviations) < 1e-7
+
+
+def between_stops() -> tuple[System, Run]:
+    """Four masses in a row, each between two stops, and what they do in 21 s."""
+    way, n = np.arange(1, 5) / 10, 4
+    sides = [(-sign * np.eye(n)[i], way[i], 0.6) for i in range(n) for sign in (1, -1)]
+    row = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    row[-1, -1] = 1.0
+    push = forcing(n, 0.0, [Harmonic(2.5, [0.0, 10.0, 0, 0], [0.0] * n)])
+    model = system(np.eye(n), 0.1 * row, 10 * row, contacts=sides, force=push)
+    return model, run(model, np.zeros(n), np.zeros(n), seconds=21.0, rate=1000.0)
+
+
+def test_impacts_of_two_contacts_that_are_missed_come_in_their_order() -> None:
+    """Closer to each other than the samples in which gaps are searched."""
+    model, whole = between_stops()
+    stamps = [each.stamp for each in whole.events]
+    close = [i for i in range(60, len(stamps) - 2) if stamps[i + 1] - stamps[i] < NS_PER_S // 25]
+    for i in close:
+        watcher = watching(model, np.zeros(8), EXACT, ensemble=10)
+        for each in whole.events[:i]:
+            watcher.receive(each)
+        k = int(np.searchsorted(whole.stamps, (stamps[i + 1] + stamps[i + 2]) // 2))
+        assert watcher.estimate(stamps[i] - 1).synchronized
+        found = estimates(watcher, whole.stamps[[k]])[0]
+        np.testing.assert_allclose(found, whole.states[k], atol=1e-6)
+    assert len(close) > 5
+
+
+def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronized(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From then on deviations are as large as the motion, however long it lasts."""
+    monkeypatch.setattr(kalman_predictions, "_MOST_MISSED", 5)
+    model, start, whole = truth("two_mass", 30.0)
+    watcher, size = (
+        watching(model, start, EXACT, ensemble=10),
+        np.max(np.abs(whole.states), axis=0),
+    )
+    for each in whole.events[:13]:
+        watcher.receive(each)
+    assert watcher.estimate(whole.events[16].stamp).synchronized
+    for seconds in (40, 100, 1e4, 1e6):
+        now = watcher.estimate(EPOCH + round(seconds * NS_PER_S))
+        assert not now.synchronized
+        assert np.all(np.sqrt(np.diag(now.covariance)) > size / 2)
+        assert "covariance too wide" in watcher.obstacle(now.stamp)
 
 
 def test_estimates_do_not_depend_on_the_stamps_of_earlier_estimates() -> None:

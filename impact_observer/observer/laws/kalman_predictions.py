@@ -108,6 +108,7 @@ class _Stretch(NamedTuple):
         forecast: its prediction and penetrations.
         closed: contacts that it holds closed.
         spread: the prediction whose covariance is that of the whole mixture.
+        lost: instead, a root of the covariance where no more is inserted, shape (2n, 2n).
     """
 
     since: float
@@ -115,6 +116,7 @@ class _Stretch(NamedTuple):
     forecast: Forecast
     closed: Contacts
     spread: LinearPrediction
+    lost: Matrix | None = None
 
 
 class MissedSwitchPrediction(MixturePrediction):
@@ -142,7 +144,7 @@ class MissedSwitchPrediction(MixturePrediction):
 
     def root(self, s: float) -> Matrix:
         stretch = self._stretch(s)
-        return stretch.spread.root(s - stretch.start)
+        return stretch.spread.root(s - stretch.start) if stretch.lost is None else stretch.lost
 
     def closed(self, s: float) -> Contacts:
         return self._stretch(s).closed
@@ -169,15 +171,15 @@ class MissedSwitchPrediction(MixturePrediction):
     def _search(self) -> None:
         """Search to the end of a window, twice as long as the last, or to a missed switch."""
         if len(self._stretches) > _MOST_MISSED:
-            self._searched = math.inf
+            self._give_up()
             return
-        _, start, forecast, _, spread = self._stretches[-1]
+        _, start, forecast, _, spread, _ = self._stretches[-1]
         confident = (dip for dip in forecast.dips(self._window) if dip.depth >= CONFIDENT)
         dip = next(confident, None)
         if dip is None:
             self._searched, self._window = start + self._window, 2 * self._window
             return
-        at, since = forecast.root(dip), start + forecast.confident_from(dip, CONFIDENT)
+        at, since = dip.began, start + forecast.confident_from(dip, CONFIDENT)
         t, before = self._t + start + at, forecast.prediction.prior(at)
         state, kind, _ = insert_switch(self._filter, t, before, dip)
         # The other hypotheses jump with it, so their differences are reversed in the same way.
@@ -195,3 +197,13 @@ class MissedSwitchPrediction(MixturePrediction):
         root = triangular(np.hstack(parts))
         self._stretches.append(self._begun(since, start + at, state, root))
         self._searched, self._window = since, self._first
+
+    def _give_up(self) -> None:
+        """Insert no more: the motion passes through stops, and the plant may be anywhere.
+
+        Deviations stay the largest that the modes of the motion so far can give.
+        """
+        starts = [each.forecast.prediction.prior(0.0).x for each in self._stretches]
+        largest = self._filter.phases.scales.sizes(np.max(np.abs(starts), axis=0))
+        self._stretches[-1] = self._stretches[-1]._replace(lost=np.diag(largest))
+        self._searched = math.inf
