@@ -42,10 +42,20 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Switch:
-    """One contact that switches."""
+    """One contact that switches.
+
+    Raises:
+        UsageError: a kind that is none.
+    """
 
     contact: str
     kind: Kind = Kind.IMPACT
+
+    def __post_init__(self) -> None:
+        """Check the kind: a caller of one's own may give its name."""
+        if type(self.kind) is not Kind:
+            names = ", ".join(f"Kind.{each.name}" for each in Kind)
+            raise UsageError(f"kind: {self.kind!r} found; expected one of {names}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ A *stamp* is an ``int`` of nanoseconds, as in ROS messages and bags. The plant's
 times are more precise, so it keeps an :class:`Instant`: a stamp and a float remainder.
 """
 
+import math
 from operator import index
 from typing import NamedTuple
 
@@ -150,8 +151,10 @@ def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
 
     Raises:
         UsageError: more samples than memory holds, stamps that no message can carry, or that are
-            no integers.
+            no integers, or a rate that is not above 0.
     """
+    if not 0 < rate < math.inf:
+        raise UsageError(f"rate: {rate:g} found; expected a number of Hz above 0")
     start, stop = whole_stamp(start, "start"), whole_stamp(stop, "stop")
     if stop < start:
         return np.empty(0, dtype=np.int64)

@@ -111,3 +111,23 @@ def test_seconds_given_as_stamps_are_one_line_that_says_what_is_expected() -> No
     with pytest.raises(UsageError, match=r"expected a tuple of Switch"):
         ImpactEvent(NS_PER_S, ("stop",))  # type: ignore[arg-type]
     assert type(ImpactEvent(np.int64(NS_PER_S), stop).stamp) is int
+    with pytest.raises(UsageError, match=r"kind: 'CLOSE' found; expected one of Kind\.IMPACT"):
+        Switch("stop", "CLOSE")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf])
+def test_a_grid_needs_a_rate(rate: float) -> None:
+    """Above zero, and finite."""
+    with pytest.raises(UsageError, match=r"rate: .* found; expected a number of Hz above 0"):
+        grid(0, NS_PER_S, rate)
+
+
+def test_stamps_of_a_run_ascend() -> None:
+    """A plant does not go back; two may be equal."""
+    model = read_model("two_mass")
+    plant = Plant(model.system, *model.initial_state(), epoch=NS_PER_S)
+    with pytest.raises(UsageError, match="stamps: they fall"):
+        simulate(plant, grid(NS_PER_S, 2 * NS_PER_S, 10.0)[::-1])
+    first = NS_PER_S + 1_000_000
+    states = simulate(plant, np.array([first, first, 2 * NS_PER_S])).states
+    np.testing.assert_array_equal(states[0], states[1])

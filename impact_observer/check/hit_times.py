@@ -128,8 +128,9 @@ def settling(times: HitTimes) -> str:
     if times.fast < _MANY or times.fast <= _SHARE * times.hits:
         return ""
     return (
-        f"{times.fast} of {times.hits} hits follow another in less than {FAST / 1e6:g} ms, as"
-        " bounces that settle: where stamps have errors, minimum-variance takes milliseconds each."
+        f"{times.fast} of the first {times.hits} hits follow another in less than"
+        f" {FAST / 1e6:g} ms, as bounces that settle: where stamps have errors, minimum-variance"
+        " takes milliseconds each."
         " geometric is fast. So is keeping the first of each row (dead_time of the detector,"
         f" --dead-time {FAST / NS_PER_S:g} of simulate), if the observer"
         " is given that dead time too (--dead-time)"

@@ -60,7 +60,7 @@ def add_observer_arguments(
         add_option(
             parser,
             each,
-            flag=f"--observer-{each.name}" if clash else each.long_flag,
+            flag=f"--observer-{each.name.replace('_', '-')}" if clash else each.long_flag,
             default=defaults.get(each.name),
         )
 
@@ -88,7 +88,7 @@ def add_option(
         return
     unit = "s" if option.unit == "ns" else option.unit
     shown = option.default if option.default not in ("", ()) else "none"
-    allowed = f", {option.limits}" if option.high is not None else ""
+    allowed = f", {_limits(option)}" if option.high is not None else ""
     parser.add_argument(
         flag,
         dest=option.name,
@@ -106,12 +106,23 @@ def metavar(option: Option) -> str:
     return units.get(option.unit, option.unit.upper())
 
 
+def _limits(option: Option) -> str:
+    """The values allowed, in the unit of the command line."""
+    if option.unit != "ns" or option.high is None:
+        return option.limits
+    whole, part = divmod(int(option.high), 10**_DECIMALS)
+    return f"0 to {whole}.{part:0{_DECIMALS}d}"
+
+
 def value_of(option: Option) -> Callable[[str], Value]:
     """The argparse type of an option: reads a value and checks its range."""
 
     def value(text: str) -> Value:
         if option.unit == "ns":
-            return stamp(text) if text != "0" else 0
+            nanoseconds = stamp(text) if text != "0" else 0
+            if option.high is not None and nanoseconds > option.high:
+                raise argparse.ArgumentTypeError(f"{text} found; expected {_limits(option)} s")
+            return nanoseconds
         try:
             found = parsed(option, text)
             option.check(found)

@@ -341,7 +341,8 @@ def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
     except (TypeError, ValueError):
         raise UsageError(f"{name}: is not made of numbers only; expected {n} numbers") from None
     if array.shape != (n,):
-        raise UsageError(f"{name}: {array.size} values, expected {n}, one a coordinate")
+        found = f"{array.size} values" if array.ndim == 1 else f"shape {array.shape}"
+        raise UsageError(f"{name}: {found}, expected {n}, one a coordinate")
     largest = np.abs(array).max()
     if not np.isfinite(largest):
         raise UsageError(f"{name}: {array.tolist()} is not finite; every value must be a number")

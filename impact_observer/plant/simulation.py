@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.plant.master import Master
@@ -74,8 +75,11 @@ def simulate(
     Raises:
         ImpactLawError: the impact law has no solution.
         DynamicsError: the forcing ends before the last stamp.
+        UsageError: stamps that do not ascend, or are no integers.
     """
     stamps = whole_stamps(stamps)
+    if np.any(stamps[1:] < stamps[:-1]):
+        raise UsageError("stamps: they fall; expected an ascending array, such as one of grid")
     states = np.empty((stamps.size, 2 * plant.system.n))
     switchings: list[Switching] = []
     events: list[ImpactEvent] = []

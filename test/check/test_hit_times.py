@@ -56,7 +56,7 @@ def test_bounces_that_settle_are_named_with_the_dead_time_that_leaves_them_out()
     row = np.cumsum(0.05 * 0.6 ** np.arange(30))
     rows = np.concatenate([row + k for k in range(10)]).tolist()
     said = settling(times_of(rows))
-    assert "250 of 300 hits follow another in less than 5 ms" in said
+    assert "250 of the first 300 hits follow another in less than 5 ms" in said
     assert "--dead-time 0.005 of simulate" in said
     assert settling(times_of(row.tolist())) == ""
     assert settling(times_of((0.006 * np.arange(500)).tolist())) == ""

@@ -66,6 +66,20 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_options_of_observers_that_have_the_name_of_a_fault_have_a_flag_of_their_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As docs/sweep.md writes them; and an epoch is in seconds, also where it is refused."""
+    with pytest.raises(SystemExit):
+        main(["sweep", "--help"])
+    said = capsys.readouterr().out
+    for name in ("missed", "spurious", "mislabelled", "dead-time"):
+        assert f"--observer-{name} " in said
+    with pytest.raises(SystemExit):
+        main(["observe", "bag", "-o", "out", "--epoch", "5000000000"])
+    assert "5000000000 found; expected 0 to 2147483647.999999999 s" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_rows_have_labels_and_metrics_of_the_cases(serial: Path) -> None:
     """In the order of the cases."""

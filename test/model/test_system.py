@@ -146,6 +146,8 @@ def test_states_are_checked_and_frozen() -> None:
     assert not q.flags.writeable
     with pytest.raises(UsageError, match="position: 1 values, expected 2, one a coordinate"):
         example().checked_state([1], [1, 2])
+    with pytest.raises(UsageError, match=r"position: shape \(1, 2\), expected 2"):
+        example().checked_state([[1, 2]], [1, 2])
     with pytest.raises(UsageError, match=r"velocity: .* is not finite"):
         example().checked_state([1, 2], [1, np.inf])
     with pytest.raises(UsageError, match="position: is not made of numbers only"):
