@@ -329,7 +329,7 @@ class SeriesFunctions : public Functions {
     double s = 0.0;
 
     // The functions of a stride, and how large what they are made of is within the time scale, but
-    // not longer than since the start.
+    // not longer than since the start; what grows faster than an acceleration, within the stride.
     void enter() {
         const double rate = walk.flow->rate, ended = walk.begin + walk.length;
         const double h = rate > 0 ? std::min(1 / rate, ended) : ended;
@@ -341,9 +341,15 @@ class SeriesFunctions : public Functions {
                               (k < JETS ? dot(rows.force.row(i), walk.force.row(k)) : 0);
             there(0, i) += added[i];
             scales[i] = std::abs(constant(i));
-            for (std::size_t j = 0; j < walk.y.columns; ++j)
-                scales[i] += reach[j] * (std::abs(walk.y(0, j)) + std::abs(walk.y(1, j)) * h +
-                                         std::abs(walk.y(2, j)) * h * h / 2);
+            for (std::size_t j = 0; j < walk.y.columns; ++j) {
+                double size = 0.0, factor = 1.0;
+                for (std::size_t k = 0; k < walk.terms; ++k) {
+                    if (k == 3) factor = std::pow(walk.length, 3) / 6;
+                    size += factor * std::abs(walk.y(k, j));
+                    factor *= (k < 3 ? h : walk.length) / double(k + 1);
+                }
+                scales[i] += reach[j] * size;
+            }
             for (std::size_t j = 1; j < walk.waves.columns; ++j)
                 scales[i] += std::abs(rows.waves(i, j));
             for (std::size_t j = 0; j < walk.force.columns; ++j) {

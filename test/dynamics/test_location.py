@@ -450,6 +450,15 @@ def test_derivatives_and_bounds_hold_in_strides(hold: str | None, data: st.DataO
     assert_known(phase, phase.start(data.draw(numbers(0, 4)), x), watched)
 
 
+def test_scales_are_those_of_what_a_sampled_force_alone_has_moved() -> None:
+    """From rest, by a force that starts near zero: the third derivative is all there is."""
+    rows = np.random.default_rng(8).normal(size=(40, 1))
+    forces = Forcing.of_samples(Samples(np.linspace(-0.5, 16.0, 40), rows, "linear"))
+    model = replace(system(0.5, 0, 0, contacts=[([1], 0.0, 0.0)]), forcing=forces)
+    phase, watched = Phases(model).phase(), Watched.gaps(model, [0])
+    assert_known(phase, phase.start(0.703125, np.zeros(2)), watched)
+
+
 BEATEN = forcing(1, 0.5, [Harmonic(2.0, [3.0], [0.0])])
 
 
