@@ -60,7 +60,7 @@ def add_observer_arguments(
         add_option(
             parser,
             each,
-            flag=f"--observer-{each.name.replace('_', '-')}" if clash else each.long_flag,
+            flag=f"--observer{each.long_flag[1:]}" if clash else each.long_flag,
             default=defaults.get(each.name),
         )
 
@@ -118,16 +118,13 @@ def value_of(option: Option) -> Callable[[str], Value]:
     """The argparse type of an option: reads a value and checks its range."""
 
     def value(text: str) -> Value:
-        if option.unit == "ns":
-            nanoseconds = stamp(text) if text != "0" else 0
-            if option.high is not None and nanoseconds > option.high:
-                raise argparse.ArgumentTypeError(f"{text} found; expected {_limits(option)} s")
-            return nanoseconds
+        is_stamp = option.unit == "ns"
         try:
-            found = parsed(option, text)
+            found = parsed(option, text) if not is_stamp else stamp(text) if text != "0" else 0
             option.check(found)
         except ValueError:
             expected = option.metavar if option.type == "string[]" else option.expected
+            expected = f"{_limits(option)} s" if is_stamp else expected
             raise argparse.ArgumentTypeError(f"{text} found; expected {expected}") from None
         return found
 

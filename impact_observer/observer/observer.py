@@ -319,10 +319,10 @@ class Observer:
         Yields:
             Each event with its verdicts; None after each step of work in between.
         """
-        late, others = list[ImpactEvent](), list[ImpactEvent]()
         if len(events) == 1 and not self._is_late(events[0]):  # as nearly always
             yield events[0], self._receive_or_reject(events[0])
             return
+        late, others = list[ImpactEvent](), list[ImpactEvent]()
         for event in events:
             (late if self._is_late(event) else others).append(event)
         if len({(each.epoch, each.episode) for each in others}) == 1:

@@ -20,7 +20,6 @@ file follows.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -35,11 +34,11 @@ from impact_observer.io.simulated_samples import (
     SampleSimulation,
     samples_of_run,
 )
-from impact_observer.model import Model, System, parse_model
+from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, initial_state, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run, simulate_sensor
-from impact_observer.sweep.plan import Case, plant_run
+from impact_observer.sweep.plan import Case, parsed, plant_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +108,6 @@ def run_batch(cases: Sequence[Case]) -> list[Outcome]:
     return [run_case(case) for case in cases]
 
 
-@lru_cache(maxsize=64)
-def _parsed(text: str) -> Model:
-    return parse_model(text, "model")
-
-
 def _outcome(case: Case) -> Outcome:
     """The metrics; V is computed with the energy of the plant, also for another model."""
     run, system, events = _sensed(case)
@@ -122,7 +116,7 @@ def _outcome(case: Case) -> Outcome:
         faults = SampleFaults(rate=case.plant.rate)
         samples = samples_of_run(SampleSimulation(measurements, system, faults, case.seed), run)
     comparison = compare_observer(
-        make_observer(_parsed(case.variant.text).system, case.options, measurements=measurements),
+        make_observer(parsed(case.variant.text).system, case.options, measurements=measurements),
         events,
         lambda: [samples_of(run.stamps, run.states)],
         system=system,
@@ -137,7 +131,7 @@ def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
     """The same for cases with equal events."""
     first = cases[0]
     run, system, events = _sensed(first)
-    model = _parsed(first.variant.text).system
+    model = parsed(first.variant.text).system
     deviation = first.options.initial_deviation
     starts = (initial_state(each.initial_state, model, deviation) for each in cases[1:])
     others = [np.concatenate(each) for each in starts]
@@ -153,7 +147,7 @@ def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
 
 def _sensed(case: Case) -> tuple[Run, System, list[ImpactEvent]]:
     """The plant's run, the plant, and what its sensor reports."""
-    run, system = plant_run(case.plant), _parsed(case.plant.text).system
+    run, system = plant_run(case.plant), parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,
         system,

@@ -30,7 +30,7 @@ from impact_observer.compare.comparison import SETTLED
 from impact_observer.compare.error_curve import MOST_ROWS
 from impact_observer.errors import UsageError
 from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation
-from impact_observer.model import parse_model
+from impact_observer.model import Model, parse_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import (
     Options,
@@ -85,6 +85,16 @@ class PlantSetup:
         return grid(self.epoch, self.epoch + from_seconds(self.duration), self.rate)
 
 
+@lru_cache(maxsize=64)
+def parsed(text: str) -> Model:
+    """The model in a text, which many cases share.
+
+    Raises:
+        ModelError: it is invalid.
+    """
+    return parse_model(text, "model")
+
+
 @lru_cache(maxsize=4)
 def plant_run(plant: PlantSetup) -> Run:
     """The run of the plant, which all cases of a sweep share.
@@ -93,7 +103,7 @@ def plant_run(plant: PlantSetup) -> Run:
         ModelError: the model is invalid, or has no initial state.
         ImpactLawError, DynamicsError: its motion has no solution.
     """
-    model = parse_model(plant.text, "model")
+    model = parsed(plant.text)
     return simulate(Plant(model.system, *model.initial_state(), epoch=plant.epoch), plant.stamps)
 
 
@@ -318,7 +328,7 @@ def _differ_in_start(case: Case) -> bool:
     together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase
     if not together or case.sensor.is_random or case.measurements:
         return False
-    return not parse_model(case.variant.text, "replica").system.contact_time.any()
+    return not parsed(case.variant.text).system.contact_time.any()
 
 
 def sensors_of(faults: Mapping[str, Sequence[float | bool]]) -> tuple[SensorModel, ...]:

@@ -203,7 +203,7 @@ class MissedSwitchPrediction(MixturePrediction):
 
         Deviations stay the largest that the modes of the motion so far can give.
         """
-        starts = [each.forecast.prediction.prior(0.0).x for each in self._stretches]
+        starts = [each.forecast.prediction.state(0.0) for each in self._stretches]
         largest = self._filter.phases.scales.sizes(np.max(np.abs(starts), axis=0))
         self._stretches[-1] = self._stretches[-1]._replace(lost=np.diag(largest))
         self._searched = math.inf
