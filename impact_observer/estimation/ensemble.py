@@ -21,9 +21,6 @@ import numpy as np
 from impact_observer.kernel import sizes_by
 from impact_observer.states import Matrix, Vector
 
-_SAME = 1e-200
-"""Squared size of a map after which all differences count as zero."""
-
 
 class Ensemble(NamedTuple):
     """The estimate and, for each other replica, by how much it differs.
@@ -67,12 +64,6 @@ class Ensemble(NamedTuple):
         due = functions if self.due is None else functions.dot(self.due)
         return np.asarray(due.dot(self.columns))
 
-    def maximum(self, function: Vector) -> float:
-        """The largest value of a linear ``function``, shape (2n,), of the differences."""
-        due = function if self.due is None else function.dot(self.due)
-        values = due.dot(self.columns)
-        return float(values[values.argmax()])
-
     def sizes_by(self, metric: Matrix) -> tuple[float, float]:
         """``x^T metric x``, and the largest ``d^T metric d`` between two replicas; (2n, 2n)."""
         return sizes_by(metric, self.x, self.differences)
@@ -80,9 +71,3 @@ class Ensemble(NamedTuple):
     def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), propagates all differences."""
         return Ensemble(x, self.columns, map_ if self.due is None else map_.dot(self.due))
-
-    def without_faded(self) -> "Ensemble":
-        """The same with differences set to zero that have faded: denormal numbers are slow."""
-        if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
-            return self
-        return Ensemble(self.x, np.zeros_like(self.columns))

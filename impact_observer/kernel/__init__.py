@@ -43,6 +43,7 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     dots,
     product,
     sizes_by,
+    struck,
 )
 
 __all__ = [
@@ -62,4 +63,5 @@ __all__ = [
     "dots",
     "product",
     "sizes_by",
+    "struck",
 ]

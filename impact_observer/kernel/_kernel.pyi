@@ -261,6 +261,10 @@ class Arena:
         lag: Vector,
     ) -> tuple[Vector, Matrix, float, float]: ...
 
+def struck(
+    w: Vector, q_r: float, kick: Vector, Z: Vector, x: Vector, differences: Matrix
+) -> tuple[Vector, Matrix]: ...
+
 class Flights:
     def advance(
         self, limit: int, most: int

@@ -321,19 +321,27 @@ std::optional<std::tuple<Vector, Matrix, Matrix>> flown(const Arena& arena, cons
     return std::tuple(after.x, after.carried(s, own), after.carried(s, others));
 }
 
+// A replica after an impact of a contact with these numbers, and its differences.
+std::pair<Vector, Matrix> struck(const Array& w, double q_r, const Array& kick, const Array& Z,
+                                 const Array& x, const Array& differences) {
+    const View row = checked(w, "w", ANY);
+    const std::size_t n = row.size();
+    const Contact stop{row, checked(kick, "kick", n), checked(Z, "Z", n), finite(q_r, "q_r"), 0.0};
+    std::pair<Vector, Matrix> found(checked(x, "x", 2 * n),
+                                    checked(differences, "differences", 2 * n, ANY));
+    stop.strike(found.first, found.second);
+    return found;
+}
+
 // A replica s seconds after t, the same after an impact then, its differences, and the gap then.
 std::tuple<Vector, Vector, Matrix, double> rebounded(const Arena& arena, std::size_t contact,
                                                      const Time& t, double s, const Array& x,
                                                      const Array& differences) {
-    constexpr double faded = 1e-100;  // as good as zero: denormal numbers are slow
     Estimate after(arena, t, s, x);
     const Vector before = after.x;
     Matrix columns = after.carried(s, checked(differences, "differences", before.size(), ANY));
     const Contact& stop = known_contact(arena, contact);
-    stop.strike(after.x, columns, 1.0);
-    const auto has_faded = [](double each) { return std::abs(each) < faded; };
-    if (std::all_of(columns.data.begin(), columns.data.end(), has_faded))
-        std::fill(columns.data.begin(), columns.data.end(), 0.0);
+    stop.strike(after.x, columns);
     return {before, after.x, columns, stop.gap(before)};
 }
 
@@ -414,6 +422,7 @@ void bind_dynamics(py::module_& module) {
         .def("rebounded", &rebounded, "contact"_a, "t"_a, "s"_a, "x"_a, "differences"_a)
         .def("fallback", &fallback, "noise"_a, "contact"_a, "t"_a, "s"_a, "x"_a, "errors"_a,
              "lag"_a);
+    module.def("struck", &struck, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a, "differences"_a);
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, "limit"_a, "most"_a, Released());
 }

@@ -45,7 +45,8 @@ struct Contact {
     // A replica through an impact by switched geometric constraints (Baumann and Leine, ENOC 2014,
     // equations (2) to (5)), and others, which differ from it by columns times `scale`. Those that
     // separate keep their velocities.
-    void strike(Vector& x, Matrix& columns, double scale) const {
+    void strike(Vector& x, Matrix& columns, double scale = 1.0) const {
+        constexpr double faded = 1e-100;  // as good as zero: denormal numbers are slow
         const std::size_t n = W.size();
         const double gamma = speed(x), g = gap(x);
         const Vector gaps = product(W, columns.part(0, n));
@@ -61,6 +62,9 @@ struct Contact {
             add(-Z[i], gaps, columns.row(i));
             add(-kick[i], speeds, columns.row(n + i));
         }
+        const auto has_faded = [](double each) { return std::abs(each) < faded; };
+        if (std::all_of(columns.data.begin(), columns.data.end(), has_faded))
+            std::fill(columns.data.begin(), columns.data.end(), 0.0);
     }
 };
 
@@ -140,10 +144,9 @@ class Flights {
         flight.motion->states(&crossing->s, 1, hit.before.data());
         hit.after = hit.before;
         const Row u = Row(hit.before).part(n, n);
-        const double gamma = contact.speed(hit.before);
-        if (!(gamma < 0)) return {};
-        add(-gamma, contact.kick, &hit.after[n]);
-        add(-contact.gap(hit.before), contact.Z, &hit.after[0]);
+        if (!(contact.speed(hit.before) < 0)) return {};
+        Matrix no_others(2 * n, 0);
+        contact.strike(hit.after, no_others);
         for (std::size_t k = 0; k < n; ++k) hit.energy += u[k] * dot(arena->M.row(k), u) / 2;
         const double away = contact.speed(hit.after);
         if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return {};

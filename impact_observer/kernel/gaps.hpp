@@ -19,6 +19,7 @@
 #pragma once
 
 #include "kalman.hpp"
+#include "search.hpp"
 
 namespace kernel::kalman {
 
@@ -63,30 +64,6 @@ struct Followed {
         return std::tuple_cat(state.fields(), rest);
     }
 };
-
-// Where a function of time that is positive at `above` falls through zero on the way to `below`,
-// forwards or back; `below` where it does not change its sign. Regula falsi in which the end that
-// stays counts half (Illinois), and halves where that is slow.
-template <class Function>
-double falls_at(const Function& value, double above, double below, double enough) {
-    double low = above, high = below, at_low = value(low), at_high = value(high);
-    if (!(at_low > 0 && 0 > at_high)) return below;
-    for (int turn = 0; std::abs(high - low) > enough * std::abs(high) + 1e-15; ++turn) {
-        const auto is_between = [&](double s) {
-            return (low < s && s < high) || (high < s && s < low);
-        };
-        double s = low + (high - low) * (turn < 40 ? at_low / (at_low - at_high) : 0.5);
-        if (!is_between(s)) s = low + (high - low) / 2;
-        if (!is_between(s)) break;
-        const double now = value(s);
-        if (now > 0)
-            low = s, at_low = now, at_high /= 2;
-        else
-            high = s, at_high = now, at_low /= 2;
-        if (now == 0) break;
-    }
-    return high;
-}
 
 // Adds the minima between samples of a function that are, or may be, below zero. `near` evaluates
 // it, after a sample of which it is told the number.

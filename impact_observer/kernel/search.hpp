@@ -41,6 +41,30 @@ struct Crossing {
     auto fields() const { return std::tie(s, which); }
 };
 
+// Where a function of time that is positive at `above` falls through zero on the way to `below`,
+// forwards or back; `below` where it does not change its sign. Regula falsi in which the end that
+// stays counts half (Illinois), and halves where that is slow.
+template <class Function>
+double falls_at(const Function& value, double above, double below, double enough) {
+    double low = above, high = below, at_low = value(low), at_high = value(high);
+    if (!(at_low > 0 && 0 > at_high)) return below;
+    for (int turn = 0; std::abs(high - low) > enough * std::abs(high) + 1e-15; ++turn) {
+        const auto is_between = [&](double s) {
+            return (low < s && s < high) || (high < s && s < low);
+        };
+        double s = low + (high - low) * (turn < 40 ? at_low / (at_low - at_high) : 0.5);
+        if (!is_between(s)) s = low + (high - low) / 2;
+        if (!is_between(s)) break;
+        const double now = value(s);
+        if (now > 0)
+            low = s, at_low = now, at_high /= 2;
+        else
+            high = s, at_high = now, at_low /= 2;
+        if (now == 0) break;
+    }
+    return high;
+}
+
 // A search along one motion that goes on where it has stopped. From s, where a function has value
 // g and slope v and |g''| <= b from there on, it is above -delta at least until the root of
 // g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions. Nothing can
@@ -154,22 +178,13 @@ class Hunt {
 
     // Just before a root between `least` and 1, if it finds one.
     static double before_root(const double* taylor, double least) {
-        double low = std::max(least, 1e-9), high = low, at_low = polynomial(taylor, low), at_high;
+        double low = std::max(least, 1e-9), high = low;
         do {
             if (!(high < 1)) return 1;
-            high = std::min(2 * high, 1.0), at_high = polynomial(taylor, high);
-        } while (at_high >= 0);
-        // Regula falsi, where the end that stays counts half (Illinois).
-        for (int turn = 0; turn < 30 && high - low > CLOSE * high; ++turn) {
-            const double x = low + (high - low) * (at_low / (at_low - at_high));
-            const double now = polynomial(taylor, x);
-            if (!(x > low && x < high)) break;
-            if (now >= 0)
-                low = x, at_low = now, at_high /= 2;
-            else
-                high = x, at_high = now, at_low /= 2;
-        }
-        return low;
+            high = std::min(2 * high, 1.0);
+        } while (polynomial(taylor, high) >= 0);
+        const auto negated = [&](double x) { return -polynomial(taylor, x); };
+        return falls_at(negated, high, low, CLOSE);
     }
 
     // The least Bernstein coefficient of a polynomial on [0, h].

@@ -14,11 +14,10 @@
 
 """Switched geometric unilateral constraints: the contribution of the ENOC paper."""
 
-from functools import cache, cached_property
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
 from impact_observer.estimation.contact_change import ContactChange
@@ -26,6 +25,7 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.kernel import struck
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.replica_law import ReplicaLaw
@@ -33,42 +33,6 @@ from impact_observer.states import Matrix, Vector
 
 _MOST_TOGETHER = 256
 """Replicas beyond which products of large matrices cost less than the kernel."""
-
-
-class _SingleJump:
-    """The jump at a single contact, prepared for speed: nearly every event is one.
-
-    With the gap ``g = w^T q + q_r`` and the contact speed ``gamma = w^T u``, a state jumps to
-    ``q+ = q- - z g`` and ``u+ = u- - kick min(gamma, 0)``.
-
-    Attributes:
-        kick: velocity that is lost per speed of approach, shape (n,).
-        gamma: row that maps a state to the contact speed, shape (2n,).
-    """
-
-    def __init__(self, system: System, contact: int, z: Vector, kick: Vector) -> None:
-        """Prepare ``contact``, whose gap a displacement ``-z g`` closes; ``z`` of shape (n,)."""
-        n, w = system.n, system.W[:, contact]
-        self.kick = kick
-        self._rows = linalg.block_diag(w, w)
-        self._offset = np.array([system.q_r[contact], 0.0])
-        self._columns = np.zeros((2 * n, 2))
-        self._columns[:n, 0], self._columns[n:, 1] = z, kick
-        self.gamma = self._rows[1]
-
-    def after(self, x: Vector) -> Vector:
-        """The state after the jump, shape (2n,); a separating one keeps its velocities."""
-        gap_and_speed = self._rows.dot(x)
-        gap_and_speed += self._offset
-        if gap_and_speed[1] > 0:
-            gap_and_speed[1] = 0.0
-        after: Vector = x - self._columns.dot(gap_and_speed)
-        return after
-
-    @cached_property
-    def map(self) -> Matrix:
-        """The jump of differences between approaching states, shape (2n, 2n)."""
-        return np.asarray(np.eye(len(self._columns)) - self._columns @ self._rows)
 
 
 class Geometric(ReplicaLaw):
@@ -94,17 +58,13 @@ class Geometric(ReplicaLaw):
         super().__init__(system, uncertainty, moving)
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
-        self._jump = cache(self._jump_of)
         self._stiffness = cache(self._projection.stiffness)
-
-    def _jump_of(self, contact: int) -> _SingleJump:
-        z = self._projection.jump((contact,))[:, 0]
-        return _SingleJump(self.system, contact, z, self._newton.kick(contact))
+        self._none = np.zeros((2 * system.n, 0))
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
-        if len(active) == 1 and not closed and active[0] not in self.system.curved:
-            return self._jump(active[0]).after(x)
+        if self._is_single(active, closed):
+            return self._struck(active[0], x, self._none)[0]
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
         if closed and closed != active:  # where not all gaps can be zero, these are
@@ -123,17 +83,20 @@ class Geometric(ReplicaLaw):
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
-        """At a single contact one map for those that approach; the others keep their speeds."""
-        if len(active) > 1 or closed or active[0] in self.system.curved:
+        """At a single contact each difference by itself, however small it is."""
+        if not self._is_single(active, closed):
             return super().impact_ensemble(before, x, active, closed)
-        jump = self._jump(active[0])
-        gamma = float(jump.gamma.dot(before.x))
-        if gamma <= 0 and before.maximum(jump.gamma) <= -gamma:
-            return before.propagated(x, jump.map).without_faded()
-        differences, speeds = before.mapped(jump.map), before.mapped(jump.gamma)
-        kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
-        differences[self.system.n :] += jump.kick[:, None] * kept
-        return Ensemble(x, differences)
+        return Ensemble(x, self._struck(active[0], before.x, before.differences)[1])
+
+    def _is_single(self, active: Contacts, closed: Contacts) -> bool:
+        """Whether the kernel knows the jump: one contact impacts, none is closed after it."""
+        return len(active) == 1 and not closed and active[0] not in self.system.curved
+
+    def _struck(self, contact: int, x: Vector, differences: Matrix) -> tuple[Vector, Matrix]:
+        """A replica and its differences, one a column, after the impact of one contact."""
+        system, z = self.system, self._projection.jump((contact,))[:, 0]
+        w, kick = system.W[:, contact], self._newton.kick(contact)
+        return struck(w, float(system.q_r[contact]), kick, z, x, differences)
 
     def struck(
         self, change: ContactChange, posterior: Belief, since: float, s: float
