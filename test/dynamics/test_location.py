@@ -86,19 +86,21 @@ def first_crossing(
     return None if found is None or found[0] > horizon else Crossing(*found)
 
 
-def derivatives(phase: Phase, motion: PhaseMotion, watched: Watched, s: float) -> Array:
-    """The functions and their derivatives by the equations of motion, shape (9, w)."""
+def derivatives(phase: Phase, motion: PhaseMotion, watched: Watched, s: Array) -> Array:
+    """The functions and their derivatives by the equations of motion, shape (9, samples, w)."""
     equations, n = phase.equations, phase.equations.n
-    x, f = motion.state(s), equations.forcing.derivatives(np.array([motion.t + s]), 9)[:, 0]
-    p = [x[:n], x[n:]]
+    x, f = motion.states(s), equations.forcing.derivatives(motion.t + s, 9)
+    p = [x[:, :n], x[:, n:]]
     for k in range(8):
-        p.append(phase.inverse @ (f[k] - equations.C @ p[-1] - equations.K @ p[-2]))
-    rows = [
-        watched.position @ p[k] + watched.velocity @ p[k + 1] + watched.force @ f[k]
-        for k in range(9)
-    ]
-    rows[0] = rows[0] + watched.constant
-    return np.array(rows)
+        p.append((f[k] - p[-1] @ equations.C.T - p[-2] @ equations.K.T) @ phase.inverse.T)
+    found = np.array(
+        [
+            p[k] @ watched.position.T + p[k + 1] @ watched.velocity.T + f[k] @ watched.force.T
+            for k in range(9)
+        ]
+    )
+    found[0] += watched.constant
+    return found
 
 
 def assert_known(phase: Phase, motion: PhaseMotion, watched: Watched) -> None:
@@ -107,16 +109,17 @@ def assert_known(phase: Phase, motion: PhaseMotion, watched: Watched) -> None:
     for start, stop in ((0.0, 0.01), (0.01, 0.4), (0.4, 2.0), (2.0, 10.0)):
         found, bounds, scale, smooth = guards.known(motion, start, stop)
         assert np.all(scale >= np.abs(found[0]) * (1 - 1e-12))
-        expected = derivatives(phase, motion, watched, start)
-        size = 1 + np.abs(expected).max(axis=1, keepdims=True)
+        s = np.linspace(start, max(min(stop, smooth - 1e-9), start), 57)
+        expected = derivatives(phase, motion, watched, s)
+        size = 1 + np.abs(expected[:, 0]).max(axis=1, keepdims=True)
         # A stride's polynomial drops terms that change no value in it: derivative k is exact to
         # rounding times k!/h^k, with h the length of the stride.
         h = min(smooth - start, 1.0)
         within = 1e-9 + 1e-14 * np.array([math.factorial(k) / h**k for k in range(9)])
-        assert np.all(np.abs(found - expected) <= within[:, None] * size)
-        for at in np.linspace(start, max(min(stop, smooth - 1e-9), start), 57).tolist():
-            inside = np.abs(derivatives(phase, motion, watched, at))
-            assert np.all(inside <= bounds + 1e-9 * (size + inside.max()))
+        assert np.all(np.abs(found - expected[:, 0]) <= within[:, None] * size)
+        inside = np.abs(expected)
+        rounded = 1e-9 * (size[:, None] + inside.max(axis=(0, 2), keepdims=True))
+        assert np.all(inside <= bounds[:, None] + rounded)
 
 
 def search(

@@ -99,7 +99,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
     Z = PositionProjection(model).jump(closed.contacts) if closed.fix else np.zeros(W.shape)
 
     def rates(s: Array, x: Array) -> Array:
-        force = np.array([model.forcing(closed.motion.t + at) for at in s])
+        force = model.forcing.derivatives(closed.motion.t + s, 0)[0]
         force -= x[:, n:] @ model.C.T + x[:, :n] @ model.K.T
         return np.hstack([x[:, n:] - x[:, n:] @ W @ Z.T, force])
 
