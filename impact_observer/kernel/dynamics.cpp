@@ -12,10 +12,11 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-// Flow, guards and event location for Python.
+// The module impact_observer.kernel._kernel: flow, guards and event location for Python.
 #include <pybind11/functional.h>
 
 #include "arrays.hpp"
+#include "doubled.hpp"
 #include "flights.hpp"
 #include "free_motion.hpp"
 #include "guards.hpp"
@@ -371,9 +372,35 @@ std::tuple<Vector, Matrix, double, double> fallback(const Arena& arena,
     return {after.x, found, gap, deviation};
 }
 
+using Parts = std::pair<Array, Array>;  // both parts of numbers, see doubled.hpp
+
+DoubledMatrix checked_product(const Array& A, const Array& B) {
+    const View left = checked(A, "A", ANY, ANY);
+    return doubled_product(left, checked(B, "B", left.columns, ANY));
+}
+
+DoubledMatrix checked_dots(const Array& X, const Parts& Y) {
+    const View x = checked(X, "X", ANY, ANY);
+    return doubled_dots(x, checked(Y.first, "Y", x.rows, x.columns),
+                        checked(Y.second, "Y", x.rows, x.columns));
+}
+
+Matrix checked_difference(const Parts& Y, const Parts& Z, const Array& factors) {
+    const View y = checked(Y.first, "Y", ANY, ANY);
+    const auto same = [&](const Array& a, const char* name) {
+        return checked(a, name, y.rows, y.columns);
+    };
+    return doubled_difference(y, same(Y.second, "Y"), same(Z.first, "Z"), same(Z.second, "Z"),
+                              checked(factors, "factors", y.columns));
+}
+
 }  // namespace
 
-void bind_dynamics(py::module_& module) {
+void bind_estimation(py::module_& module);
+
+PYBIND11_MODULE(_kernel, module) {
+    module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
+    bind_estimation(module);
     py::register_exception_translator([](std::exception_ptr thrown) {
         try {
             if (thrown) std::rethrow_exception(thrown);
@@ -422,6 +449,9 @@ void bind_dynamics(py::module_& module) {
         .def("rebounded", &rebounded, "contact"_a, "t"_a, "s"_a, "x"_a, "differences"_a)
         .def("fallback", &fallback, "noise"_a, "contact"_a, "t"_a, "s"_a, "x"_a, "errors"_a,
              "lag"_a);
+    module.def("product", &checked_product, "A"_a, "B"_a);
+    module.def("dots", &checked_dots, "X"_a, "Y"_a);
+    module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a);
     module.def("struck", &struck, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a, "differences"_a);
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, "limit"_a, "most"_a, Released());

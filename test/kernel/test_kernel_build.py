@@ -45,7 +45,7 @@ def delete_sources(folder: Path) -> None:
 
 def change_sources(folder: Path) -> None:
     """A comment more."""
-    with (folder / "kernel.cpp").open("a", encoding="utf-8") as file:
+    with (folder / "dynamics.cpp").open("a", encoding="utf-8") as file:
         file.write("// changed\n")
 
 
