@@ -46,6 +46,7 @@ def rig(*parts: tuple[PartKind, str]) -> NewRig:
     return made
 
 
+@pytest.mark.slow
 @examples(30)
 @given(NAMES, st.tuples(*[NUMBERS] * 5), st.floats(-1e9, 1e9), st.floats(0, 1))
 def test_the_model_has_the_numbers_that_were_given(

@@ -230,6 +230,7 @@ def between_stops() -> tuple[System, Run]:
     return model, run(model, np.zeros(n), np.zeros(n), seconds=21.0, rate=1000.0)
 
 
+@pytest.mark.slow
 def test_impacts_of_two_contacts_that_are_missed_come_in_their_order() -> None:
     """Closer to each other than the samples in which gaps are searched."""
     model, whole = between_stops()

@@ -127,7 +127,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
 
 @pytest.mark.slow
 @BOTH
-@examples(400)
+@examples(150)
 @given(st.data())
 def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
     fix: bool, data: st.DataObject
@@ -138,7 +138,7 @@ def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
 
 
 @pytest.mark.slow
-@examples(400)
+@examples(150)
 @given(st.data())
 def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     """Loads and speeds that are zero together, equal and opposite contacts."""
@@ -244,7 +244,7 @@ def test_motion_does_not_depend_on_when_it_is_requested(fix: bool, data: st.Data
 
 @pytest.mark.slow
 @BOTH
-@examples(150)
+@examples(100)
 @given(st.data())
 def test_distance_of_two_replicas_never_grows_where_contacts_are_redundant(
     fix: bool, data: st.DataObject

@@ -124,7 +124,7 @@ whole = st.integers(-1, 1)
 
 
 @pytest.mark.slow
-@examples(300)
+@examples(150)
 @given(st.data())
 def test_decision_is_the_one_consistent_set_of_all(data: st.DataObject) -> None:
     """Integers between -1 and 1 give many zero loads and redundant contacts."""

@@ -254,7 +254,7 @@ def assert_stops_only_push(held: Held, seconds: float) -> None:
 
 
 @pytest.mark.slow
-@examples(250)
+@examples(150)
 @given(st.data())
 def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
     data: st.DataObject,
@@ -267,7 +267,7 @@ def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
 
 
 @pytest.mark.slow
-@examples(250)
+@examples(150)
 @given(st.data())
 def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     """Gaps, rates and reactions that are zero together; equal and opposite stops."""
