@@ -354,7 +354,10 @@ def compare_observer(
         if verdicts and not outcomes.instants.size and (needs_event or not made):
             raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
         if not made:
-            raise BagError(f"{law}: no impact was received, so there is no estimate to compare")
+            raise BagError(
+                f"{law}: no impact was received, so there is no estimate to compare; expected"
+                " impacts, or a bag of observe with the --epoch at which the initial state holds"
+            )
         file.seek(0)
         estimates = iter(lambda: file.read(4096 * row.itemsize), b"")
         comparator = Comparator(system or observer.system, outcomes, law, settled, begin=begin)

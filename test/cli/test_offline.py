@@ -83,7 +83,11 @@ def test_a_bag_without_impacts_gives_no_estimate_and_says_so(
     assert main(["observe", str(bag), "-o", str(out)]) == 2
     assert "no impact in it, so that nothing is estimated" in capsys.readouterr().err
     assert not out.exists()
-    assert main(["observe", str(bag), "--epoch", "1", "-o", str(tmp_path / "falling")]) == 0
+    assert main(["compare", str(bag), "--laws", "geometric"]) == 1
+    assert "expected impacts, or a bag of observe with the --epoch" in capsys.readouterr().err
+    falling = tmp_path / "falling"
+    assert main(["observe", str(bag), "--epoch", "1", "-o", str(falling)]) == 0
+    assert main(["compare", str(falling)]) == 0
 
 
 def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
