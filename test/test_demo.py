@@ -27,6 +27,7 @@ from systems import jammed
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
+from impact_observer.cli.demo import check_result
 from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.io.reader import BagReader
@@ -120,14 +121,15 @@ def assert_live_is_offline(bag: Path, law: str) -> None:
 
 
 def test_a_demonstration_that_falls_short_says_so(
-    tmp_path: Path, ros_environment: dict[str, str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """After two seconds the goal is not reached: exit code 1, and the ratio is named."""
-    run = run_demo(
-        tmp_path / "short", ros_environment, "--duration", "2", "--realtime-factor", "2"
-    )
-    assert run.code == 1
-    assert "too much: the goal is 0.01" in run.out
+    run, bag = str(tmp_path / "run"), tmp_path / "bag"
+    assert main(["simulate", "two_mass", "--duration", "2", "-o", run]) == 0
+    law = ["--law", "geometric", "--initial", "random:1"]
+    assert main(["observe", run, *law, "-o", str(bag)]) == 0
+    assert check_result(bag, tmp_path / "lyapunov.png") == 1
+    assert "too much: the goal is 0.01" in capsys.readouterr().out
 
 
 def test_a_model_that_the_plant_cannot_follow_ends_the_demonstration(

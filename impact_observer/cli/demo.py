@@ -128,11 +128,11 @@ def demo(
             progress.show(f"{now.time:5.1f}/{duration:g} s {now.impacts:4d} impacts  V [J]: {v}")
 
         bag = demonstration.run(setup, folder, show, flush=flush)
-    return _check_result(bag, folder / "lyapunov.png")
+    return check_result(bag, folder / "lyapunov.png")
 
 
-def _check_result(bag: Path, picture: Path) -> int:
-    """Compare, draw, and check the geometric law."""
+def check_result(bag: Path, picture: Path) -> int:
+    """Compare, draw, and check the geometric law: the exit code of the demonstration."""
     from impact_observer.compare.bag_comparison import compare_bag, labelled_by_law
     from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables
