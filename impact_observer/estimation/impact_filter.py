@@ -361,6 +361,18 @@ class ImpactFilter:
                 break
         return found
 
+    def before(
+        self, change: ContactChange, state: GaussianState, clock: float
+    ) -> tuple[Vector, Matrix]:
+        """The state at the stamp of an event, corrected by it, if it had not happened yet.
+
+        (q, u), shape (2n,), and a root of its covariance, shape (2n, any).
+        """
+        found = self.joint_posterior(change, self.joint_prior(change, state, clock))
+        s = change.t - found.t
+        found = self._propagated(self.member(found), change.before, found, s)
+        return found.x, found.own[1:]
+
     def posterior(
         self, change: ContactChange, joint: Joint, leftover: float = 0.0
     ) -> GaussianState:

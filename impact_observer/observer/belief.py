@@ -89,11 +89,13 @@ class Onset(NamedTuple):
     """A state before an impact that lasts, until its velocities jump.
 
     Attributes:
-        x: (q, u) when the gap is zero, shape (2n,).
+        x: (q, u) when the gap is zero, shape (2n,), as the impact has corrected it.
+        root: of its covariance, shape (2n, any); None for a law without covariance.
         lasts: until the velocities jump, s.
     """
 
     x: Vector
+    root: Matrix | None
     lasts: float
 
 

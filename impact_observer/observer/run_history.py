@@ -248,7 +248,7 @@ class RunHistory:
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         if root is None and law.has_covariance:  # after a sample it is found when it is asked for
             root = prediction.root(0.0)
-        x = self._before_jump(entry, s, x)
+        x, root = self._before_jump(entry, s, x, root)
         closed = prediction.closed(s)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
         if self._system.frame is not None:
@@ -299,13 +299,16 @@ class RunHistory:
             root = self.update.prediction(entry).root(after)
         return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
 
-    def _before_jump(self, entry: Entry, s: float, x: Vector) -> Vector:
-        """The state ``s`` seconds after an entry: ``x``, or that before its velocities jump."""
+    def _before_jump(
+        self, entry: Entry, s: float, x: Vector, root: Matrix | None
+    ) -> tuple[Vector, Matrix | None]:
+        """State and root ``s`` seconds after an entry: these, or those before velocities jump."""
         onset, epoch = entry.belief.onset, self.update.epoch
         if onset is None or s >= onset.lasts:
-            return x
+            return x, root
         t = Elapsed(entry.since - (epoch or entry.since))
-        return self.update.law.moving.moved(t, onset.x, s, ())[0]
+        x, map_ = self.update.law.moving.moved(t, onset.x, s, ())
+        return x, root if onset.root is None else map_ @ onset.root
 
     def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
         """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
@@ -327,7 +330,7 @@ class RunHistory:
                 states = prediction.states(s)
                 if entry.belief.onset is not None:
                     for k in np.flatnonzero(s < entry.belief.onset.lasts).tolist():
-                        states[k] = self._before_jump(entry, float(s[k]), states[k])
+                        states[k] = self._before_jump(entry, float(s[k]), states[k], None)[0]
                 later = self._from_frame(stamps[1:count], states)
                 x = np.concatenate([x, np.where(s[:, None] > 0, later, x)])
             yield Estimates(first, stamps[:count], x)

@@ -114,6 +114,28 @@ def test_filter_finds_the_state_from_exact_times() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("everything_is_declared", [False, True])
+def test_covariance_is_honest_between_onset_and_jump(
+    everything_is_declared: bool,
+) -> None:
+    """What the onset says of the state is known at once, not only after the velocities jump."""
+    errors = ("clock_error", "model_error", "missed", "spurious", "mislabelled")
+    made, options = recorded(), dict.fromkeys(errors, 0.0) if everything_is_declared else {}
+    observer = followed(softened(), "minimum-variance", "random:1", EPOCH, **options)
+    for each in made.events[:20]:
+        observer.receive(each)
+    last, within = made.events[19].stamp, made.states[:, 1] > 0.5
+    checked = 0
+    for stamp, true in zip(made.stamps[within], made.states[within], strict=True):
+        if stamp <= last:
+            found = observer.estimate(int(stamp))
+            error = np.concatenate([found.q, found.u]) - true
+            assert np.all(np.abs(error) <= 6 * np.sqrt(np.diag(found.covariance)))
+            checked += 1
+    assert checked > 15
+
+
+@pytest.mark.slow
 def test_filter_learns_how_much_longer_hits_last() -> None:
     """Than the model says, to first order: the parameter is the whole contact time."""
     learn: tuple[str, ...] = ("contact-time=0.001",)

@@ -150,14 +150,38 @@ class MinimumVariance(Law):
             return belief
         corrected = self._corrected(change, belief)
         if late := change.delay(self.system):
-            return corrected._replace(onset=Onset(belief.x, late))
+            return corrected._replace(onset=self._onset(change, belief, corrected, late))
         return corrected
+
+    def _onset(
+        self, change: ContactChange, prior: Belief, corrected: Belief, late: float
+    ) -> Onset | None:
+        """The state until the velocities jump, with the clock that is the likeliest after it.
+
+        None where the event is rejected. A fallback that is published is not corrected.
+        """
+        if self._single:
+            state, clock = self._prior_of(prior, change.before), self.clocks[0]
+        elif not corrected.accepted:
+            return None
+        elif prior.fit.is_compared or not prior.hypotheses:
+            return Onset(prior.x, corrected.root, late)
+        else:
+            clock = corrected.hypotheses[0].clock
+            same = (h for h in prior.hypotheses if h.clock == clock)
+            state = next(same, prior.hypotheses[0]).state
+        here = change.from_closed(state.closed)
+        return Onset(*self._bank.filter.before(here, state, clock), late)
+
+    @staticmethod
+    def _prior_of(belief: Belief, closed: Contacts) -> GaussianState:
+        """The state of a belief without hypotheses."""
+        assert belief.root is not None, "a belief of another law"
+        return GaussianState(belief.x, _NOTHING, belief.root, belief.ensemble.differences, closed)
 
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         if self._single:
-            assert belief.root is not None, "a belief of another law"
-            x, differences = belief.x, belief.ensemble.differences
-            prior = GaussianState(x, np.zeros(0), belief.root, differences, change.before)
+            prior = self._prior_of(belief, change.before)
             likelihood, state = self._bank.filter.correct(change, prior, self.clocks[0])
             innovations = likelihood.innovations
             fit = belief.fit.after(likelihood.normalised if innovations else None)
@@ -223,9 +247,7 @@ class MinimumVariance(Law):
         """Each hypothesis is corrected and weighed; those with other parameters too."""
         closed, account = reading.closed, prior.account
         if self._single:
-            assert prior.root is not None, "a belief of another law"
-            differences = prior.ensemble.differences
-            state = GaussianState(prior.x, _NOTHING, prior.root, differences, closed)
+            state = self._prior_of(prior, closed)
             (h,), outcome, known = self._samples.after(
                 reading, [Hypothesis(state, self.clocks[0])]
             )
@@ -254,10 +276,7 @@ class MinimumVariance(Law):
         """By one call of the kernel, where nothing is in doubt and the model fits."""
         fit = posterior.fit
         if self._single:
-            assert posterior.root is not None, "a belief of another law"
-            differences, x = posterior.ensemble.differences, posterior.x
-            state = GaussianState(x, _NOTHING, posterior.root, differences, reading.closed)
-            alone = Hypothesis(state, self.clocks[0])
+            alone = Hypothesis(self._prior_of(posterior, reading.closed), self.clocks[0])
             made = self._samples.followed(reading, [alone], since, s)
             if made is None:
                 return None

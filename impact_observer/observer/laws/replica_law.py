@@ -186,7 +186,7 @@ class ReplicaLaw(Law):
         same = np.concatenate([on_stop[:n], before[n:]])
         after = np.concatenate([before[:n], self.impact(same, active, ())[n:]])
         back = self.moving.moved(change.t + late, after, -late, ())[0]
-        return back, Onset(on_stop, late)
+        return back, Onset(on_stop, None, late)
 
     def measure(
         self, reading: Reading, prior: Belief
