@@ -14,7 +14,6 @@
 
 """How an observer node takes in events: in slices of time, so that estimates go on meanwhile."""
 
-import heapq
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
@@ -25,7 +24,7 @@ from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import MessageError, MessageLimits
 from impact_observer.observer import Observer
 from impact_observer.ros.serialized import read_impact
-from impact_observer.ros.subscribing import SLICE
+from impact_observer.ros.subscribing import SLICE, Ahead
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
@@ -85,10 +84,9 @@ class EventIntake:
         self._waiting: deque[Waiting] = deque()
         self._taken: list[Waiting] = []
         self._batch, self._begun = _FEW, 0
-        self._ahead: list[tuple[int, int, ImpactEvent]] = []
+        self._ahead = Ahead[ImpactEvent](MOST_WAITING)
         self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
         self._work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None] | None = None
-        self._number = 0
 
     @property
     def room(self) -> int:
@@ -123,10 +121,7 @@ class EventIntake:
             return str(error)
         if reason := self._reason_to_wait(event):
             self.counts["future"] += 1
-            self._number += 1
-            heapq.heappush(self._ahead, (max(event.stamp, event.epoch), self._number, event))
-            if len(self._ahead) > MOST_WAITING:
-                self._ahead.remove(max(self._ahead))
+            self._ahead.add(max(event.stamp, event.epoch), event)
             verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
             self._refused.append((event, (verdict,)))
         elif self.room > 0:
@@ -206,8 +201,7 @@ class EventIntake:
 
     def _take_what_was_ahead(self) -> None:
         latest = self._now() + self._future
-        while self._ahead and self._ahead[0][0] <= latest and self.room > 0:
-            event = heapq.heappop(self._ahead)[2]
+        while self.room > 0 and (event := self._ahead.taken(latest)) is not None:
             self._waiting.append(Waiting(event, time.monotonic_ns(), was_refused=True))
 
     def _reason_to_wait(self, event: ImpactEvent) -> str:

@@ -17,6 +17,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -27,12 +28,24 @@ from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.subscribing import SLICE, Polled, slice_of_waiting, with_waiting
-from impact_observer.stamps import MAX_STAMP, NS_PER_S
+from impact_observer.ros.subscribing import (
+    SLICE,
+    Ahead,
+    Polled,
+    slice_of_waiting,
+    with_waiting,
+)
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+
+_MOST_AHEAD = 2000
+"""Messages that wait for the clock."""
 
 
 class LiveIntake:
     """Gives the samples that a node receives to the signals of its model.
+
+    What is too far ahead of the clock is used once that has come near enough: it may be the clock
+    that is late.
 
     Attributes:
         counts: ``samples``: those received; ``invalid samples``: those that cannot be used.
@@ -66,6 +79,8 @@ class LiveIntake:
         self._on_problem, self._on_samples, self._on_pulse = on_problem, on_samples, on_pulse
         self._now, self._future = clock
         self.counts: Counter[str] = Counter()
+        self._ahead = Ahead[Callable[[], int]](_MOST_AHEAD)
+        self._is_early = False
         self._polled: list[tuple[interfaces.Interface, Subscription]] = []
         self._subscriptions = [*self._subscribed(node, polled=polled)]
 
@@ -90,8 +105,10 @@ class LiveIntake:
         """A subscription that takes all that waits at once: the executor is slow."""
 
         def take(message: AnyMessage) -> None:
-            messages = with_waiting(message, subscription, interface.quality.depth)
-            self._on_samples(min(self._take(interface, each) for each in messages))
+            since = self._take_no_longer_ahead()
+            for each in with_waiting(message, subscription, interface.quality.depth):
+                since = min(since, self._take(interface, each))
+            self._on_samples(since)
 
         quality = qos_profile(interface.quality)
         subscription: Subscription = node.create_subscription(
@@ -101,7 +118,7 @@ class LiveIntake:
 
     def take_waiting(self) -> bool:
         """Take the samples that wait where subscriptions are polled; whether more may wait."""
-        end, since = time.monotonic_ns() + SLICE, MAX_STAMP
+        end, since = time.monotonic_ns() + SLICE, self._take_no_longer_ahead()
         for interface, subscription in self._polled:
             for message in slice_of_waiting(subscription, interface.quality.depth):
                 since = min(since, self._take(interface, message))
@@ -110,31 +127,71 @@ class LiveIntake:
         return time.monotonic_ns() >= end
 
     def _take(self, interface: interfaces.Interface, message: AnyMessage) -> int:
-        """Give the samples of a message; the stamp from which on they change something, ns."""
+        """Give what is in a message; the stamp from which on that changes something, ns."""
         if interface is interfaces.PHASE_REFERENCE:
-            return self._take_pulse(message)
-        assert self._live is not None, "there are signals"
-        stamp = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+            self.counts["samples"] += 1
+            try:
+                stamp = read_pulse(message)
+            except MessageError as error:
+                self._refuse(interface, [str(error)])
+                return MAX_STAMP
+            return self._now_or_later(interface, stamp, partial(self._give_pulse, stamp))
+        stamp = int(message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec)
         self.counts["samples"] += len(message.name)
-        self._refuse(interface, self._ahead(stamp) or give(self._live, interface, message))
-        return int(stamp)
+        return self._now_or_later(
+            interface, stamp, partial(self._give_samples, interface, message, stamp)
+        )
 
-    def _take_pulse(self, message: AnyMessage) -> int:
-        """Give a pulse; the stamp from which on the phase changes, ns."""
-        self.counts["samples"] += 1
-        try:
-            stamp = read_pulse(message)
-        except MessageError as error:
-            self._refuse(interfaces.PHASE_REFERENCE, [str(error)])
-            return MAX_STAMP
-        if problems := self._ahead(stamp):
-            self._refuse(interfaces.PHASE_REFERENCE, problems)
-            return MAX_STAMP
+    def _now_or_later(
+        self, interface: interfaces.Interface, stamp: int, gives: Callable[[], int]
+    ) -> int:
+        """Give what holds at ``stamp`` (ns) if the clock is near enough, else later."""
+        if self._live is None or stamp > max(self._live.newest):  # else no need to read the clock
+            now = self._now()
+            if now and (ahead := (stamp - now) / NS_PER_S) > self._future:
+                self._wait(interface, stamp, ahead, gives)
+                return MAX_STAMP
+        self._is_early = False
+        return gives()
+
+    def _wait(
+        self, interface: interfaces.Interface, stamp: int, ahead: float, gives: Callable[[], int]
+    ) -> None:
+        """Give it once the clock is near enough; the first of several is logged."""
+        what = f"{interface.name}: stamped {ahead:.3f} s after the clock"
+        if not self._is_early:
+            self._on_problem(f"{what}; future allows {self._future:g} s, and it waits")
+        self._is_early = True
+        if self._ahead.add(stamp, gives) is not None:
+            self._refuse(interface, [f"more than {_MOST_AHEAD} messages are ahead of the clock"])
+
+    def _take_no_longer_ahead(self) -> int:
+        """Give what the clock has come to; the stamp from which on it changes something, ns."""
+        since = MAX_STAMP
+        latest = self._now() + from_seconds(self._future) if self._ahead else 0
+        while (gives := self._ahead.taken(latest)) is not None:
+            since = min(since, gives())
+        return since
+
+    def clear(self) -> None:
+        """Forget what waits for the clock, as when that has jumped back."""
+        self._ahead.clear()
+
+    def _give_samples(
+        self, interface: interfaces.Interface, message: AnyMessage, stamp: int
+    ) -> int:
+        assert self._live is not None, "there are signals"
+        self._refuse(interface, give(self._live, interface, message))
+        return stamp
+
+    def _give_pulse(self, stamp: int) -> int:
+        """The stamp from which on the phase of the drive changes, ns."""
         if self._on_pulse is not None:
             self._on_pulse(stamp)
         if self._live is None or self._live.drive is None:
             return MAX_STAMP
-        self._refuse(interfaces.PHASE_REFERENCE, filter(None, [self._live.add_pulse(stamp)]))
+        problems = filter(None, [self._live.add_pulse(stamp)])
+        self._refuse(interfaces.PHASE_REFERENCE, problems)
         return self._live.turned_from
 
     def _refuse(self, interface: interfaces.Interface, problems: Iterable[str]) -> None:
@@ -142,16 +199,6 @@ class LiveIntake:
         for problem in problems:
             self.counts["invalid samples"] += 1
             self._on_problem(f"{interface.name}: {problem}")
-
-    def _ahead(self, stamp: int) -> list[str]:
-        """Why a stamp is too far ahead of the clock; nothing where it is not."""
-        if self._live is not None and stamp <= max(self._live.newest):
-            return []  # no need to read the clock
-        now = self._now()
-        ahead = (stamp - now) / NS_PER_S
-        if not now or ahead <= self._future:
-            return []
-        return [f"stamped {ahead:.3f} s after the clock; future allows {self._future:g} s"]
 
     def ages(self, now: int) -> dict[str, float]:
         """How old the newest sample of each signal is at ``now`` (ns), s; infinite without any."""

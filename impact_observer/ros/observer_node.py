@@ -397,6 +397,8 @@ class ObserverNode(Node):
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
         self._intake.clear()
         self._take_samples()
+        self._inputs.clear()
+        self._sensors.clear()
         if self._observer.live is not None:
             self._observer.live.clear()
         self._observer.restart("the clock jumped back")

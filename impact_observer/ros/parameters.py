@@ -91,7 +91,9 @@ PLANT = (
     ),
     Option("seed", 0, "of the random generator; recorded with the model", low=0),
     _INPUT_TIMEOUT,
-    replace(_FUTURE, meaning="how far ahead of the clock a sample may be stamped"),
+    replace(
+        _FUTURE, meaning="how far ahead of the clock a sample may be; those that are farther wait"
+    ),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
     *MEASUREMENT_FAULTS,

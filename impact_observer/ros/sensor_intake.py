@@ -15,7 +15,7 @@
 """Subscriptions of an observer node to what sensors measure beside the impacts."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -32,8 +32,8 @@ from impact_observer.options import AUTO, NONE
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import SLICE, Polled, slice_of_waiting
-from impact_observer.stamps import NS_PER_S
+from impact_observer.ros.subscribing import SLICE, Ahead, Polled, slice_of_waiting
+from impact_observer.stamps import NS_PER_S, from_seconds
 
 _DEPTH = 2000
 """Samples of a topic that may wait: those of 2 s at 1 kHz."""
@@ -45,7 +45,9 @@ class SensorIntake:
     """Gives the samples that a node receives to its observer.
 
     A topic is subscribed to once a publisher has given it a type. Messages wait for
-    ``take_waiting``, which costs a fraction of taking each when it arrives.
+    ``take_waiting``, which costs a fraction of taking each when it arrives. Samples that are too
+    far ahead of the clock are used once that has come near enough: it may be the clock that is
+    late.
 
     Attributes:
         problems: of each sensor, the last one; empty for none.
@@ -88,6 +90,7 @@ class SensorIntake:
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
         self._lost = [0] * len(self._sensors)
+        self._ahead = Ahead[SensorSample](_DEPTH)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -129,7 +132,7 @@ class SensorIntake:
 
     def take_waiting(self) -> bool:
         """Take the messages that have arrived; whether more may wait."""
-        end, samples = time.monotonic_ns() + SLICE, list[SensorSample]()
+        end, samples = time.monotonic_ns() + SLICE, [*self._no_longer_ahead()]
         for topic, subscription in self._subscriptions.items():
             for message in slice_of_waiting(subscription, _DEPTH):
                 samples += self._read(topic, message)
@@ -153,28 +156,49 @@ class SensorIntake:
                 self.problems[reader.index] = (
                     f"no {reader.measurement.quantity} of {reader.measurement.joint!r} on {topic}"
                 )
-            elif problem := self._off(sample.stamp, now):
-                self._refuse(reader.index, problem)
+            elif now and (ahead := (sample.stamp - now) / NS_PER_S) > self._future:
+                self._wait(sample, ahead)
+            elif now and ahead < -self._past:
+                what = f"stamped {-ahead:.3f} s before the clock"
+                self._refuse(reader.index, f"{what}; history allows {self._past:g} s")
             else:
-                self.problems[reader.index] = ""
-                self._first.setdefault(reader.index, (sample.stamp, self._samples(reader.index)))
+                self._note(sample)
                 found.append(sample)
         return found
 
-    def _off(self, stamp: int, now: int) -> str:
-        """Why a stamp is too far from the clock; empty where it is not."""
-        ahead = (stamp - now) / NS_PER_S
-        if not now or -self._past <= ahead <= self._future:
-            return ""
-        if ahead > 0:
-            return f"stamped {ahead:.3f} s after the clock; future allows {self._future:g} s"
-        return f"stamped {-ahead:.3f} s before the clock; history allows {self._past:g} s"
+    def _note(self, sample: SensorSample) -> None:
+        """Note that a sample is used."""
+        self.problems[sample.sensor] = ""
+        self._first.setdefault(sample.sensor, (sample.stamp, self._samples(sample.sensor)))
+
+    def _wait(self, sample: SensorSample, ahead: float) -> None:
+        """Keep a sample that is too far ahead of the clock (s); the first one is logged."""
+        limit = f"future allows {self._future:g} s"
+        problem = f"stamped {ahead:.3f} s after the clock; {limit}, and it waits"
+        if not self.problems[sample.sensor]:
+            self._tell(sample.sensor, problem)
+        self.problems[sample.sensor] = problem
+        if (last := self._ahead.add(sample.stamp, sample)) is not None:
+            self._refuse(last.sensor, f"more than {_DEPTH} samples are ahead of the clock")
+
+    def _no_longer_ahead(self) -> Iterator[SensorSample]:
+        """The samples to which the clock has come."""
+        latest = self._now() + from_seconds(self._future) if self._ahead else 0
+        while (sample := self._ahead.taken(latest)) is not None:
+            self._note(sample)
+            yield sample
+
+    def clear(self) -> None:
+        """Forget what waits for the clock, as when that has jumped back."""
+        self._ahead.clear()
 
     def _refuse(self, index: int, problem: str) -> None:
-        sensor = self._sensors[index]
         self._observer.samples.counts[index]["invalid"] += 1
         self.problems[index] = problem
-        self._on_problem(f"{sensor.name}: {problem}")
+        self._tell(index, problem)
+
+    def _tell(self, index: int, problem: str) -> None:
+        self._on_problem(f"{self._sensors[index].name}: {problem}")
 
     def _samples(self, index: int) -> int:
         return self._observer.samples.counts[index]["samples"]

@@ -14,9 +14,10 @@
 
 """Subscribing with the quality of service that publishers offer, and reading bursts."""
 
+import heapq
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import EventHandler
@@ -36,6 +37,44 @@ _MOMENT = 0.01
 """For how long it looks then, s."""
 MessageInfo: TypeAlias = Mapping[str, int]
 """What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
+
+
+_T = TypeVar("_T")
+
+
+class Ahead(Generic[_T]):
+    """What is stamped ahead of the clock, until that has come near enough."""
+
+    def __init__(self, most: int) -> None:
+        """Keep ``most`` of them at most, the nearest."""
+        self._most = most
+        self._items: list[tuple[int, int, _T]] = []
+        self._number = 0
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._items)
+
+    def add(self, stamp: int, item: _T) -> _T | None:
+        """Keep ``item`` for ``stamp`` (ns); the one that there is no room for, if any."""
+        self._number += 1
+        heapq.heappush(self._items, (stamp, self._number, item))
+        if len(self._items) <= self._most:
+            return None
+        last = max(self._items)
+        self._items.remove(last)
+        heapq.heapify(self._items)
+        return last[2]
+
+    def taken(self, latest: int) -> _T | None:
+        """The first one, if its stamp is ``latest`` (ns) at most."""
+        if self._items and self._items[0][0] <= latest:
+            return heapq.heappop(self._items)[2]
+        return None
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._items.clear()
 
 
 class Polled(CallbackGroup):

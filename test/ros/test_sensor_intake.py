@@ -203,15 +203,33 @@ def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
         assert status.level == DiagnosticStatus.WARN
         assert status.message == "no sample for 0.5 s; timeout is 0.2 s"
         rig.send_encoder(EPOCH + 3601 * NS_PER_S, 0.1)
-        rig.spinner.until(lambda: rig.counts(0)["invalid"] == 1)
-        expected = "stamped 3600.000 s after the clock; future allows 1 s"
-        assert rig.status("encoder").message == expected
+        expected = "stamped 3600.000 s after the clock; future allows 1 s, and it waits"
+        rig.spinner.until(lambda: rig.status("encoder").message == expected)
         rig.send_encoder(EPOCH + NS_PER_S, float("nan"))
-        rig.spinner.until(lambda: rig.counts(0)["invalid"] == 2)
+        rig.spinner.until(lambda: rig.counts(0)["invalid"] == 1)
         rig.send_encoder(EPOCH + NS_PER_S - 1, 0.1)
         rig.spinner.until(lambda: rig.counts(0)["accepted"] == 2)
         values = {each.key: each.value for each in rig.status("encoder").values}
-        assert (values["samples"], values["accepted"], values["invalid"]) == ("3", "2", "2")
+        assert (values["samples"], values["accepted"], values["invalid"]) == ("3", "2", "1")
+
+
+def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """In its place among others, so that estimates are those of a node that was in time."""
+    assert ros_environment
+    stamps = [EPOCH + k * NS_PER_S // 2 for k in range(1, 8)]
+    with rig_with(tmp_path, history=10.0) as rig:
+        rig.tick(EPOCH + NS_PER_S)
+        for k, stamp in enumerate(stamps):  # the last three are ahead by more than 1 s
+            rig.send_encoder(stamp, 0.1 * k)
+        rig.spinner.until(lambda: rig.counts(0)["accepted"] == 4)
+        rig.spinner.settle()
+        assert rig.counts(0)["accepted"] == 4
+        rig.tick(EPOCH + 3 * NS_PER_S)
+        rig.spinner.until(lambda: rig.counts(0)["accepted"] == 7)
+        assert rig.counts(0)["invalid"] == 0
+        assert rig.status("encoder").message == "7 samples accepted"
 
 
 def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
