@@ -19,7 +19,9 @@ estimate's own gap at an impact gives a lower bound of its error.
 """
 
 import math
+from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +43,7 @@ _MARGIN = 2.0
 """Assumed ratio of V between plant and estimate to the largest between replicas."""
 _RESTING = 1e-6
 """Energy below which a motion counts as rest, relative to its largest so far."""
+_NONE: Mapping[int, float] = MappingProxyType({})
 _MOST_COMPARED = 256
 """Replicas beyond which an upper bound replaces the distance of every pair."""
 
@@ -55,12 +58,14 @@ class Synchronization(NamedTuple):
             ``largest``.
         largest: energy after an event so far, J.
         agreed: events in a row at which they agreed, this one included.
+        hits: when each contact was hit last, s since the epoch; of laws without covariance.
     """
 
     convergence: float
     energy: float
     largest: float = 0.0
     agreed: int = 0
+    hits: Mapping[int, float] = _NONE
 
 
 class SynchronizationTest:
@@ -87,22 +92,40 @@ class SynchronizationTest:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         largest = max(previous.largest, energy)
+        is_at_rest = energy <= _RESTING * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
+        hits = previous.hits
+        if posterior.root is None:
+            hits = {**hits, **dict.fromkeys(change.hit, float(change.t))}
         limit = self.threshold * energy
         is_explained = not posterior.inconsistent and (
             not posterior.innovations or max(posterior.innovations.values()) <= LARGEST_INNOVATION
         )
         if not (0 <= _MARGIN * convergence <= limit and is_explained):
-            return Synchronization(convergence, energy, largest)
+            return Synchronization(convergence, energy, largest, hits=hits)
         is_impact = bool(change.hit) and posterior.accepted
         if posterior.root is not None:
+            # At rest on several stops a filter that has lost the track explains any event.
+            is_impact = is_impact and bool(change.closed or not is_at_rest)
             distance = self._expected(posterior.root)
-        elif is_impact:  # V before an impact was at least this: the plant's gaps were zero
-            distance = self._projection.strain(x[: self._n], change.active)
+        elif is_impact:
+            distance = self._least_distance(previous, change, x[: self._n])
         else:
             distance = 0.0
         agreed = previous.agreed + is_impact if distance <= limit else 0
-        return Synchronization(convergence, energy, largest, agreed)
+        return Synchronization(convergence, energy, largest, agreed, hits)
+
+    def _least_distance(
+        self, previous: Synchronization, change: ContactChange, q: Vector
+    ) -> float:
+        """What V was at least before an impact, J: the plant's gaps were zero, those of ``q`` not.
+
+        V does not see a rigid motion that is off; the speed does that would have made it since the
+        contact was hit before.
+        """
+        ago = float(change.t) - max(previous.hits.get(i, -math.inf) for i in change.hit)
+        drift = self._projection.drift(q, change.active) / (ago * ago) if ago > 0 else 0.0
+        return self._projection.strain(q, change.active) + drift
 
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""

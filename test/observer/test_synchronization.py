@@ -27,6 +27,8 @@ from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
@@ -36,8 +38,13 @@ from impact_observer.observer import (
     ReplicaLaw,
     law_named,
 )
+from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.observer.synchronization import REQUIRED_EVENTS
+from impact_observer.observer.synchronization import (
+    REQUIRED_EVENTS,
+    Synchronization,
+    SynchronizationTest,
+)
 from impact_observer.options import Options
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
@@ -318,6 +325,38 @@ def test_ball_at_rest_is_synchronized() -> None:
     last = watcher.estimate(int(plant.stamps[-1]))
     assert last.closed == ("floor",)
     assert last.synchronized
+
+
+@pytest.mark.parametrize(("law", "finds_the_height"), [("kinematic", False), ("geometric", True)])
+def test_a_rigid_motion_that_is_off_is_not_synchronized(law: str, finds_the_height: bool) -> None:
+    """A ball on a table that moves: V has no part of a wrong height, but gaps at impacts do."""
+    ball = sample("ball_on_table")
+    position, velocity = ball.initial_state()
+    plant = run(ball.system, position, velocity, seconds=20.0, rate=100.0)
+    start = np.concatenate([position + 0.1, velocity - 0.2])
+    watcher = started(ball.system, law, start, 0.3)
+    flags = []
+    for each in plant.events:
+        watcher.receive(each)
+        flags.append(watcher.estimate(each.stamp).synchronized)
+    last = watcher.estimate(int(plant.stamps[-1]))
+    error = abs(last.q[0] - plant.states[-1, 0])
+    assert (error < 1e-6) == finds_the_height
+    assert last.synchronized == finds_the_height
+    assert any(flags) == finds_the_height
+
+
+@pytest.mark.parametrize(("closed", "counts"), [((), False), ((0,), True)])
+def test_impacts_of_an_estimate_at_rest_are_no_agreement(
+    closed: tuple[int, ...], counts: bool
+) -> None:
+    """With a covariance however small, but for one that ends at rest on its stop."""
+    system = THREE_MASS.system
+    test, x = SynchronizationTest(system), np.zeros(6)
+    still = Belief(Ensemble.of(np.zeros((10, 6))), 1e-13 * np.eye(6))
+    known = Synchronization(0.0, 1.0, 1.0, REQUIRED_EVENTS - 1)
+    found = test.after(known, ContactChange(1.0, (), (0,), closed), x, still)
+    assert test.is_synchronized(found, still.root) == counts
 
 
 def test_large_innovations_end_synchronization() -> None:

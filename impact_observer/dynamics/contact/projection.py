@@ -78,6 +78,14 @@ class PositionProjection:
         stretch = elastic.dot(q.dot(W) + q_r)
         return float(stretch.dot(stretch)) / 2
 
+    def drift(self, q: Vector, active: tuple[int, ...]) -> float:
+        """Half the square of the rigid part of the jump from ``q`` in ``M``, kg m^2."""
+        if not self._rigid.shape[1]:
+            return 0.0
+        Z, _, W, q_r = self._jumps(active)
+        rigid = (Z @ (q.dot(W) + q_r)) @ self._system.M @ self._rigid
+        return float(rigid.dot(rigid)) / 2
+
     def stiffness(self, contact: int) -> float:
         """Of the jump onto one contact, N/m: twice the ``strain`` of a gap of 1 m."""
         elastic = self._jumps((contact,))[1][:, 0]
