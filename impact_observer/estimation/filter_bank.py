@@ -37,7 +37,7 @@ from impact_observer.estimation.hypotheses import (
     normalised,
 )
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
-from impact_observer.estimation.likelihood import CERTAIN, Likelihood
+from impact_observer.estimation.likelihood import CERTAIN, STILL, Likelihood
 from impact_observer.estimation.settling import Rest, settled
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Kind, Ruling
@@ -71,6 +71,8 @@ _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _NEVER = -1e3
 """Logarithm of a probability that is zero."""
+SLOW = 1e-3
+"""Speed of an impact, relative to the usual one, below which it is the less likely."""
 _SHORTLY = 50_000_000
 """Time since another event of the contact up to which a rejection names it, ns."""
 
@@ -162,6 +164,8 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
+        self._directions = np.abs(filter_.system.W.T)
+        self._usual = np.zeros(filter_.system.n)
         own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
         self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
@@ -190,12 +194,17 @@ class FilterBank:
         return LogPriors(self._reported, self._missed, self._spurious)
 
     def correct(
-        self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
+        self,
+        change: ContactChange,
+        hypotheses: Sequence[Hypothesis],
+        restarts: Restarts,
+        usual: Vector,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add to one.
 
-        ``restarts`` makes those of a restart.
+        ``restarts`` makes those of a restart; ``usual`` are velocities, shape (n,).
         """
+        self._usual = usual
         if not self._has_dead_time:
             return self._corrected(change, hypotheses, restarts)
         reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
@@ -246,7 +255,12 @@ class FilterBank:
                 yield from _restarted(change, own, restarts())
 
     def struck(
-        self, change: ContactChange, hypotheses: Sequence[Hypothesis], since: float, s: float
+        self,
+        change: ContactChange,
+        hypotheses: Sequence[Hypothesis],
+        since: float,
+        s: float,
+        usual: Vector,
     ) -> tuple[tuple[Hypothesis, ...], Vector] | None:
         """``correct`` of ``hypotheses`` ``s`` seconds after ``since`` (s), where that is quick.
 
@@ -264,6 +278,7 @@ class FilterBank:
         if prior is None:
             return None
         h = h._replace(state=prior, penetrating=NOTHING, since=h.since + s)
+        self._usual = usual
         found = self._clear(change, h)
         return (found, prior.x) if found else None
 
@@ -274,6 +289,8 @@ class FilterBank:
 
     def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
         """The one hypothesis after an event that it explains well, if no other one is likely."""
+        if self._slowness(change, h) < 0:
+            return ()
         impact = self.filter.members.free_impact(change.hit[0])
         clocks = self._clocks.get(h.clock)
         clocks = np.array([h.clock]) if clocks is None else clocks
@@ -331,11 +348,37 @@ class FilterBank:
         """Branches with the likelihoods of what the event was."""
         asked = [Asked(here, h.state, h.clock) for _, h, here, _ in drafts]
         return [
-            _Branch(weight + likelihood.density, h, here, reason, likelihood)
+            _Branch(
+                weight + likelihood.density + self._slowness(here, h), h, here, reason, likelihood
+            )
             for (weight, h, here, reason), likelihood in zip(
                 drafts, self.filter.likelihoods(asked), strict=True
             )
         ]
+
+    def _slowness(self, here: ContactChange, h: Hypothesis) -> float:
+        """Logarithm of the probability that an impact is so slow after the time since the last.
+
+        A body that rests on several stops has gaps of zero, which fit any event. It hits nothing.
+        """
+        if len(here.hit) != 1 or here.before:
+            return 0.0
+        i = here.hit[0]
+        usual = SLOW * float(self._directions[i].dot(self._usual))
+        if abs(self.filter.speed(i, h.state)) >= usual:
+            return 0.0
+        hits = (
+            n.stamp
+            for n in reversed(h.notes)
+            if n.switched == i and n.ruling is not Ruling.REJECTED
+        )
+        last = next(hits, None)
+        if last is not None:  # it may bounce: slower, but sooner
+            time = (here.stamp - last) / 2e9
+            usual *= min(time / self.filter.phases.scales.timescale, 1.0)
+        deviation = self.filter.speed_deviation(i, h.state)
+        speed = math.hypot(self.filter.speed(i, h.state), deviation)
+        return min(math.log(max(speed, STILL) / usual), 0.0) if usual > 0 else 0.0
 
     def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Draft]:
         """Alternatives to the branch in which the event is ``true``, but for other clocks."""

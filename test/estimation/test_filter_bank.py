@@ -118,7 +118,7 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     best = Hypothesis(state, clocks[0], 0.0, penetrating={penetrated: -50.0})
     other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
     change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
-    found = bank.correct(change, [best, other], lambda: ())
+    found = bank.correct(change, [best, other], lambda: (), np.ones(1))
     of_best = [h for h in found if np.linalg.norm(h.state.root[1]) < 1e-6]
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 

@@ -14,6 +14,7 @@
 
 """Faulty sensors: the error that is left in the end, and the covariance in between."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -41,7 +42,7 @@ from impact_observer.estimation import between_events
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
-from impact_observer.observer import Observer
+from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws import kalman_predictions
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.options import Options
@@ -228,6 +229,36 @@ def between_stops() -> tuple[System, Run]:
     push = forcing(n, 0.0, [Harmonic(2.5, [0.0, 10.0, 0, 0], [0.0] * n)])
     model = system(np.eye(n), 0.1 * row, 10 * row, contacts=sides, force=push)
     return model, run(model, np.zeros(n), np.zeros(n), seconds=21.0, rate=1000.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("spurious", "seed"), [(0.0, 3), (0.5, 3)])
+def test_masses_without_springs_do_not_come_to_rest_in_a_corner(
+    spurious: float, seed: int
+) -> None:
+    """Where all gaps are zero, and any event fits. Every fifth impact is missed, with jitter."""
+    free = system(
+        np.diag([1.0, 3.0]),
+        np.zeros((2, 2)),
+        np.zeros((2, 2)),
+        contacts=[([1, 0], 1.0, 1.0), ([0, -1], 1.0, 1.0), ([-1, 1], 0.5, 1.0)],
+    )
+    whole = run(free, [-0.2, 0.1], [1.0, -0.37], seconds=60.0, rate=20.0)
+    sensor = SensorModel(missed=0.2, spurious=spurious, jitter=3e-4)
+    messages = simulate_sensor(
+        sensor, free, whole.switchings, epoch=EPOCH, last=int(whole.stamps[-1]), seed=seed
+    )
+    options = Options("minimum-variance", f"random:{seed}", epoch=EPOCH, history=1e4)
+    watcher = make_observer(free, options)
+    events = deque(sorted((each.event for each in messages), key=lambda each: each.stamp))
+    off = []
+    for k in [k for k in beside(whole, 0.0015) if k > 400]:
+        while events and events[0].stamp <= whole.stamps[k]:
+            watcher.receive(events.popleft())
+        found = watcher.estimate(int(whole.stamps[k]))
+        error = np.concatenate([found.q, found.u]) - whole.states[k]
+        off.append(np.max(np.abs(error) / np.sqrt(np.diag(found.covariance))) > 10)
+    assert np.mean(off) < 0.05
 
 
 @pytest.mark.slow
