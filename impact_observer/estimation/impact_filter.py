@@ -33,7 +33,7 @@ from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
-from impact_observer.estimation.saltation import STATE_ROUNDING
+from impact_observer.estimation.saltation import STATE_ROUNDING, Measured
 from impact_observer.estimation.square_root import lengths, narrow, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
@@ -50,6 +50,8 @@ _LONGEST = 1e4
 """Longest flight that is followed step by step, in the inverse of the fastest rate."""
 _BACK = 8.0
 """Longest flow back from a stamp, in time constants of the fastest fading motion."""
+INSIDE = 4.0
+"""Depth of a contact inside its stop that no error of the estimate explains, in deviations."""
 ROUNDS = 6
 """Most linearisations of a measurement about its own posterior."""
 
@@ -385,7 +387,8 @@ class ImpactFilter:
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
-            new = new if math.isfinite(leftover) else ()
+            is_known = math.isinf(leftover) or self._is_turned(member, change, joint)
+            new = () if is_known else new
             short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
         s, sensitivity = change.t - joint.t, None
@@ -450,8 +453,12 @@ class ImpactFilter:
 
         ``member`` is the one of ``view``.
         """
-        hit = bool(change.hit)
-        rows, jet = member.guard_at(view.t, about.x, change.before, contacts, hit=hit)
+        if turned := self._is_turned(member, change, about):
+            rows = Measured.speeds(self.system, contacts)
+            jet = rows.along(member.moving.rates_at(view.t, about.x, change.before))
+        else:
+            hit = bool(change.hit)
+            rows, jet = member.guard_at(view.t, about.x, change.before, contacts, hit=hit)
         forces = member.moving.forces(view.t)
         expansion = jet.expanded(about.x, forces)
         mean, nonlinear = product(about.own, expansion.D, expansion.E)
@@ -459,14 +466,29 @@ class ImpactFilter:
         value = expansion.value if about is view else rows.value(x, forces[0])
         if e:
             value = value + expansion.H[:, 0] * e
+        sensitivity = self.measured_sensitivity(member, change, contacts, about.x, view.t)
         return Expected(
             about.x,
             expansion,
-            self.measured_sensitivity(member, change, contacts, about.x, view.t),
+            np.zeros_like(sensitivity) if turned else sensitivity,
             -(value + mean),
             nonlinear,
             rows.rounding(self.phases.scales.sizes(x) if change.hit else x, forces[0]),
         )
+
+    def _is_turned(self, member: Member, change: ContactChange, joint: Joint) -> bool:
+        """Whether a contact closes that has not reopened since a hit that lasted.
+
+        The plant puts it on its stop where its speed comes down to zero, so that its gap says
+        nothing of the instant. It is inside by more than the deviation explains.
+        """
+        if len(change.hit) != 1 or change.hit[0] not in change.closed:
+            return False
+        if not self.system.contact_time[change.hit[0]]:
+            return False
+        gap = member.gaps(change.hit)
+        (deviation,) = lengths(gap.c @ joint.root[1 : 1 + joint.size])
+        return float(gap.value(joint.x)[0]) < -INSIDE * deviation
 
     def _at_estimated_instant(
         self, change: ContactChange, joint: Joint, member: Member | None = None
@@ -509,7 +531,7 @@ class ImpactFilter:
         """The state after the jump, at the instant of ``joint``: saltation."""
         member, size = self.member(joint), joint.size
         pressed = self.pressed(member, change, joint.x)
-        soft = bool(change.delay(self.system))
+        soft = bool(change.delay(self.system)) or self._is_turned(member, change, joint)
         jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed, soft=soft)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)

@@ -41,6 +41,8 @@ _CORRELATED = 0.9
 """Correlation of two parameters above which it is printed."""
 _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
+_SPARE = 4
+"""Least number of stamps beyond the unknowns that tell of errors of a clock or a model."""
 _OTHER = 100.0
 """Shifts, in declared clock errors, above which the times may be another rig's or unit's."""
 _LARGEST_CLOCK = 0.1
@@ -249,9 +251,16 @@ def _about_fit(found: Identification) -> Iterator[str]:
     off = f"differ from the model's impacts by {found.rms:.3g} s rms"
     yield f"{len(found.shifts)} stamps {off}{declared}."
     yield from map(_about_sensor, found.sensors)
+    unknowns = 2 * found.family.system.n + found.family.size
+    is_short = not found.sensors and len(found.shifts) < unknowns + _SPARE
+    if is_short:
+        yield (
+            f"WARNING: {len(found.shifts)} stamps are few for {unknowns} unknowns, the start among"
+            " them: record more impacts, or free fewer parameters."
+        )
     impacts = len(found.shifts) + len(found.recording.rejected)
     many = found.doubted >= _MANY * impacts
-    if found.declared and many and _may_be_a_clock(found):
+    if found.declared and many and not is_short and _may_be_a_clock(found):
         yield (
             f"WARNING: --clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
             f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"

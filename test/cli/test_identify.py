@@ -148,6 +148,22 @@ def test_a_clock_error_that_makes_outliers_is_named(
 
 
 @pytest.mark.usefixtures("in_tmp_path")
+def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Eight impacts for a start of four numbers and three parameters."""
+    jitter, free = ["--jitter", "0.0005"], "restitution,stiffness-scale,damping-scale"
+    assert main(["simulate", "two_mass", "--duration", "12", *jitter, "-o", "rig"]) == 0
+    for clock, code in (("0.0005", 0), ("1e-5", None)):
+        capsys.readouterr()
+        found = main(["identify", "rig", "--free", free, "--clock-error", clock])
+        assert code in {None, found}
+        said = " ".join(capsys.readouterr().out.split())
+        assert "8 stamps are few for 7 unknowns" in said
+        assert "makes outliers" not in said
+
+
+@pytest.mark.usefixtures("in_tmp_path")
 def test_samples_of_sensors_make_standard_errors_smaller(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -14,6 +14,7 @@
 
 """Observers of plants whose hits last, in models that declare it."""
 
+from collections import deque
 from dataclasses import replace
 from functools import cache
 
@@ -24,6 +25,7 @@ from systems import EPOCH, estimates, event, run, sample
 
 from benchmarks.misfit_motion import EPOCH as SOFT_EPOCH
 from benchmarks.misfit_motion import Motion, Recording, Truth
+from impact_observer.events import Kind
 from impact_observer.identify.identification import identify
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parametric_family
@@ -133,6 +135,28 @@ def test_covariance_is_honest_between_onset_and_jump(
             assert np.all(np.abs(error) <= 6 * np.sqrt(np.diag(found.covariance)))
             checked += 1
     assert checked > 15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "restitution"), [(0.002, 0.1), (0.002, 0.3), (0.1, 0.5)])
+def test_filter_knows_that_a_body_has_turned_inside_its_stop(
+    seconds: float, restitution: float
+) -> None:
+    """The plant puts it on the stop where its speed vanishes: its gap there says nothing."""
+    soft = softened(seconds, restitution)
+    made = run(soft, np.zeros(2), np.zeros(2), seconds=40.0, rate=20.0)
+    assert sum(each.kind is Kind.CLOSE for e in made.events for each in e.switches) > 5
+    observer = followed(soft, "minimum-variance", "random:1", EPOCH)
+    events, errors = deque(made.events), list[float]()
+    for stamp, true in zip(made.stamps, made.states, strict=True):
+        while events and events[0].stamp <= stamp:
+            observer.receive(events.popleft())
+        found = observer.estimate(int(stamp))
+        error = np.concatenate([found.q, found.u]) - true
+        assert np.all(np.abs(error) <= 6 * np.sqrt(np.diag(found.covariance)) + 1e-12)
+        errors.append(np.max(np.abs(error)))
+    assert errors[-1] < 1e-9
+    assert observer.estimate(int(made.stamps[-1])).synchronized
 
 
 @pytest.mark.slow
