@@ -71,8 +71,9 @@ _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _NEVER = -1e3
 """Logarithm of a probability that is zero."""
-SLOW = 1e-3
-"""Speed of an impact, relative to the usual one, below which it is the less likely."""
+SLOW = 1e-4
+"""Speed of an impact below which it is less likely, relative to the fastest that the fallback's
+kinetic energy allows."""
 _SHORTLY = 50_000_000
 """Time since another event of the contact up to which a rejection names it, ns."""
 
@@ -164,8 +165,6 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
-        self._directions = np.abs(filter_.system.W.T)
-        self._usual = np.zeros(filter_.system.n)
         own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
         self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
@@ -202,25 +201,28 @@ class FilterBank:
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add to one.
 
-        ``restarts`` makes those of a restart; ``usual`` are velocities, shape (n,).
+        ``restarts`` makes those of a restart; ``usual`` are velocities of the fallback, (n,).
         """
-        self._usual = usual
         if not self._has_dead_time:
-            return self._corrected(change, hypotheses, restarts)
+            return self._corrected(change, hypotheses, restarts, usual)
         reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
-        found = self._corrected(change, hypotheses, restarts)
+        found = self._corrected(change, hypotheses, restarts, usual)
         return tuple([h._replace(reported=reported) for h in found])
 
     def _corrected(
-        self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
+        self,
+        change: ContactChange,
+        hypotheses: Sequence[Hypothesis],
+        restarts: Restarts,
+        usual: Vector,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, but for what has been reported."""
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
         may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
-        if may_be_clear and (clear := self._clear(change, *hypotheses)):
+        if may_be_clear and (clear := self._clear(change, hypotheses[0], usual)):
             return clear
-        branches = self._branches(change, hypotheses)
+        branches = self._branches(change, hypotheses, usual)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
         likely += self._unlikely_exact(branches, len(likely))
@@ -278,8 +280,7 @@ class FilterBank:
         if prior is None:
             return None
         h = h._replace(state=prior, penetrating=NOTHING, since=h.since + s)
-        self._usual = usual
-        found = self._clear(change, h)
+        found = self._clear(change, h, usual)
         return (found, prior.x) if found else None
 
     def _may_be_clear(self, change: ContactChange, h: Hypothesis) -> bool:
@@ -287,9 +288,11 @@ class FilterBank:
         in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
         return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
 
-    def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
+    def _clear(
+        self, change: ContactChange, h: Hypothesis, usual: Vector
+    ) -> tuple[Hypothesis, ...]:
         """The one hypothesis after an event that it explains well, if no other one is likely."""
-        if self._slowness(change, h) < 0:
+        if self._slowness(change, h, usual) < 0:
             return ()
         impact = self.filter.members.free_impact(change.hit[0])
         clocks = self._clocks.get(h.clock)
@@ -306,7 +309,9 @@ class FilterBank:
         after = self._accepted(change, branch, change, iter([self.filter.free_state(made)]))
         return (after,) if after.state.is_finite else ()
 
-    def _branches(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[_Branch]:
+    def _branches(
+        self, change: ContactChange, hypotheses: Sequence[Hypothesis], usual: Vector
+    ) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_before(change.contacts) for each in hypotheses]
         leading = max(weights) + LEADING
@@ -331,7 +336,7 @@ class FilterBank:
             clocks += [
                 (prior + CLOCK_CHANGE, h._replace(clock=clock), here, "") for clock in nexts
             ]
-        weighed = self._weighed([*true, *clocks])
+        weighed = self._weighed([*true, *clocks], usual)
         others = [
             other
             for each, leading_ in zip(weighed, leads, strict=False)
@@ -342,43 +347,42 @@ class FilterBank:
                 self._spurious_event(change, each.before, likelihood=each.likelihood)
                 for each in weighed[: len(true)]
             ]
-        return [*found, *weighed, *(self._weighed(others) if others else ())]
+        return [*found, *weighed, *(self._weighed(others, usual) if others else ())]
 
-    def _weighed(self, drafts: Sequence[_Draft]) -> list[_Branch]:
+    def _weighed(self, drafts: Sequence[_Draft], usual: Vector) -> list[_Branch]:
         """Branches with the likelihoods of what the event was."""
         asked = [Asked(here, h.state, h.clock) for _, h, here, _ in drafts]
         return [
             _Branch(
-                weight + likelihood.density + self._slowness(here, h), h, here, reason, likelihood
+                weight + likelihood.density + self._slowness(here, h, usual),
+                h,
+                here,
+                reason,
+                likelihood,
             )
             for (weight, h, here, reason), likelihood in zip(
                 drafts, self.filter.likelihoods(asked), strict=True
             )
         ]
 
-    def _slowness(self, here: ContactChange, h: Hypothesis) -> float:
+    def _slowness(self, here: ContactChange, h: Hypothesis, usual: Vector) -> float:
         """Logarithm of the probability that an impact is so slow after the time since the last.
 
         A body that rests on several stops has gaps of zero, which fit any event. It hits nothing.
         """
         if len(here.hit) != 1 or here.before:
             return 0.0
-        i = here.hit[0]
-        usual = SLOW * float(self._directions[i].dot(self._usual))
-        if abs(self.filter.speed(i, h.state)) >= usual:
+        i, phases = here.hit[0], self.filter.phases  # the fastest speed with as much energy
+        least = SLOW * float(phases.length[i]) * math.sqrt(usual.dot(phases.inertia(usual)))
+        mean = self.filter.speed(i, h.state)
+        if abs(mean) >= least:
             return 0.0
-        hits = (
-            n.stamp
-            for n in reversed(h.notes)
-            if n.switched == i and n.ruling is not Ruling.REJECTED
-        )
-        last = next(hits, None)
-        if last is not None:  # it may bounce: slower, but sooner
-            time = (here.stamp - last) / 2e9
-            usual *= min(time / self.filter.phases.scales.timescale, 1.0)
-        deviation = self.filter.speed_deviation(i, h.state)
-        speed = math.hypot(self.filter.speed(i, h.state), deviation)
-        return min(math.log(max(speed, STILL) / usual), 0.0) if usual > 0 else 0.0
+        applied = (n for n in reversed(h.notes) if n.ruling is not Ruling.REJECTED)
+        if (last := next((n.stamp for n in applied if n.switched == i), None)) is not None:
+            flight = (here.stamp - last) / 1e9  # it may bounce: slower, but sooner
+            least *= min(flight / (2 * phases.scales.timescale), 1.0)
+        speed = math.hypot(mean, self.filter.speed_deviation(i, h.state), STILL)
+        return min(math.log(speed / least), 0.0) if least > 0 else 0.0
 
     def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Draft]:
         """Alternatives to the branch in which the event is ``true``, but for other clocks."""

@@ -43,6 +43,8 @@ _MARGIN = 2.0
 """Assumed ratio of V between plant and estimate to the largest between replicas."""
 _RESTING = 1e-6
 """Energy below which a motion counts as rest, relative to its largest so far."""
+_STILL = 1e-16
+"""The same of a motion that hits nothing: a rig may move much less than its start is uncertain."""
 _NONE: Mapping[int, float] = MappingProxyType({})
 _MOST_COMPARED = 256
 """Replicas beyond which an upper bound replaces the distance of every pair."""
@@ -92,7 +94,7 @@ class SynchronizationTest:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         largest = max(previous.largest, energy)
-        is_at_rest = energy <= _RESTING * largest
+        is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         hits = previous.hits
         if posterior.root is None:

@@ -192,10 +192,8 @@ class MinimumVariance(Law):
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        corrected = (
-            self._bank.correct(change, hypotheses, restarts, fallback.largest[self.system.n :])
-            or restarts()
-        )
+        usual = fallback.x[self.system.n :]
+        corrected = self._bank.correct(change, hypotheses, restarts, usual) or restarts()
         return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
 
     def struck(
@@ -205,7 +203,7 @@ class MinimumVariance(Law):
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account or posterior.fit.is_misfit or change.disorder:
             return None
-        usual = fallback.largest[self.system.n :]
+        usual = fallback.x[self.system.n :]
         found = self._bank.struck(change, posterior.hypotheses, since, s, usual)
         if found is None:
             return None
