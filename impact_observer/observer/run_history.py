@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.estimation.impact_filter import INSIDE
 from impact_observer.estimation.readings import SampleOutcome
 from impact_observer.estimation.saltation import STATE_ROUNDING
-from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
@@ -75,6 +76,7 @@ class RunHistory:
         self._first_entry, self._history = first_entry, history
         self._system = update.law.system
         self._scales = Scales.of(self._system)
+        self._soft = np.flatnonzero(self._system.contact_time).tolist()
         self._names = self._system.contact_names
         self._issued = IssuedVerdicts(self._names)
         self._is_state_given = False
@@ -250,6 +252,7 @@ class RunHistory:
             root = prediction.root(0.0)
         x, root = self._before_jump(entry, s, x, root)
         closed = prediction.closed(s)
+        root = self._with_missed_rests(entry, s, x, root, closed)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
         if self._system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
@@ -296,7 +299,9 @@ class RunHistory:
             return f"{law.name} uses no events"
         if law.has_covariance:
             after = max(seconds_between(entry.since, stamp), 0.0)
-            root = self.update.prediction(entry).root(after)
+            prediction = self.update.prediction(entry)
+            root, x = prediction.root(after), prediction.state(after)
+            root = self._with_missed_rests(entry, after, x, root, prediction.closed(after))
         return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
 
     def _before_jump(
@@ -309,6 +314,31 @@ class RunHistory:
         t = Elapsed(entry.since - (epoch or entry.since))
         x, map_ = self.update.law.moving.moved(t, onset.x, s, ())
         return x, root if onset.root is None else map_ @ onset.root
+
+    def _with_missed_rests(
+        self, entry: Entry, s: float, x: Vector, root: Matrix | None, closed: Contacts | None
+    ) -> Matrix | None:
+        """``root``, and what is wrong where a contact has come to rest and no event says so.
+
+        After a hit that lasted a body leaves its stop, or rests on it. An estimate that moves
+        further inside, or stays there, by more than its deviation explains, differs from that by
+        as much as it would have to change.
+        """
+        onset, n, moving = entry.belief.onset, self._system.n, self.update.law.moving
+        if root is None or not self._soft or (onset is not None and s < onset.lasts):
+            return root
+        columns, closed = [root], entry.closed if closed is None else closed
+        for i in self._soft:
+            w = self._system.W[:, i]
+            gap, speed = float(w @ x[:n]) + float(self._system.q_r[i]), float(w @ x[n:])
+            leaves = self._system.contact_time[i] / max(self._system.eps[i], 1e-3)
+            is_leaving = speed >= 0 and s < leaves  # twice what it takes without forces
+            if i in closed or is_leaving or gap >= -INSIDE * np.linalg.norm(w @ root[:n]):
+                continue
+            shift = -gap * moving.phases.projection.jump((i,))[:, 0]
+            kick = -speed * moving.newton.stops((i,))[:, 0]
+            columns.append(np.concatenate([shift, kick])[:, None])
+        return np.hstack(columns) if len(columns) > 1 else root
 
     def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
         """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""

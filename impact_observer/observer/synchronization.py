@@ -43,7 +43,7 @@ _MARGIN = 2.0
 """Assumed ratio of V between plant and estimate to the largest between replicas."""
 _RESTING = 1e-6
 """Energy below which a motion counts as rest, relative to its largest so far."""
-_STILL = 1e-16
+_STILL = 1e-22
 """The same of a motion that hits nothing: a rig may move much less than its start is uncertain."""
 _NONE: Mapping[int, float] = MappingProxyType({})
 _MOST_COMPARED = 256

@@ -146,13 +146,15 @@ class LiveIntake:
         self, interface: interfaces.Interface, stamp: int, gives: Callable[[], int]
     ) -> int:
         """Give what holds at ``stamp`` (ns) if the clock is near enough, else later."""
+        since = MAX_STAMP
         if self._live is None or stamp > max(self._live.newest):  # else no need to read the clock
             now = self._now()
             if now and (ahead := (stamp - now) / NS_PER_S) > self._future:
                 self._wait(interface, stamp, ahead, gives)
                 return MAX_STAMP
+            since = self._take_no_longer_ahead(now)  # these come first
         self._is_early = False
-        return gives()
+        return min(since, gives())
 
     def _wait(
         self, interface: interfaces.Interface, stamp: int, ahead: float, gives: Callable[[], int]
@@ -165,10 +167,10 @@ class LiveIntake:
         if self._ahead.add(stamp, gives) is not None:
             self._refuse(interface, [f"more than {_MOST_AHEAD} messages are ahead of the clock"])
 
-    def _take_no_longer_ahead(self) -> int:
+    def _take_no_longer_ahead(self, now: int = 0) -> int:
         """Give what the clock has come to; the stamp from which on it changes something, ns."""
         since = MAX_STAMP
-        latest = self._now() + from_seconds(self._future) if self._ahead else 0
+        latest = (now or self._now()) + from_seconds(self._future) if self._ahead else 0
         while (gives := self._ahead.taken(latest)) is not None:
             since = min(since, gives())
         return since

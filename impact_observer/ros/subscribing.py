@@ -14,7 +14,7 @@
 
 """Subscribing with the quality of service that publishers offer, and reading bursts."""
 
-import heapq
+import bisect
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -48,7 +48,7 @@ class Ahead(Generic[_T]):
     def __init__(self, most: int) -> None:
         """Keep ``most`` of them at most, the nearest."""
         self._most = most
-        self._items: list[tuple[int, int, _T]] = []
+        self._items: list[tuple[int, int, _T]] = []  # in the order of stamps
         self._number = 0
 
     def __len__(self) -> int:
@@ -58,18 +58,13 @@ class Ahead(Generic[_T]):
     def add(self, stamp: int, item: _T) -> _T | None:
         """Keep ``item`` for ``stamp`` (ns); the one that there is no room for, if any."""
         self._number += 1
-        heapq.heappush(self._items, (stamp, self._number, item))
-        if len(self._items) <= self._most:
-            return None
-        last = max(self._items)
-        self._items.remove(last)
-        heapq.heapify(self._items)
-        return last[2]
+        bisect.insort(self._items, (stamp, self._number, item))
+        return self._items.pop()[2] if len(self._items) > self._most else None
 
     def taken(self, latest: int) -> _T | None:
         """The first one, if its stamp is ``latest`` (ns) at most."""
         if self._items and self._items[0][0] <= latest:
-            return heapq.heappop(self._items)[2]
+            return self._items.pop(0)[2]
         return None
 
     def clear(self) -> None:

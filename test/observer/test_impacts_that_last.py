@@ -160,6 +160,31 @@ def test_filter_knows_that_a_body_has_turned_inside_its_stop(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("restitution", [0.1, 0.3])
+def test_a_rest_inside_the_stop_that_is_not_reported_is_no_certainty(restitution: float) -> None:
+    """The estimate cannot know when it ends: it is not synchronized while it is far off."""
+    soft = softened(0.01, restitution)
+    made = run(soft, np.zeros(2), np.zeros(2), seconds=40.0, rate=50.0)
+    closings = [k for k, e in enumerate(made.events) if e.switches[0].kind is Kind.CLOSE]
+    lost = closings[len(closings) // 2]
+    assert made.events[lost + 1].switches[0].kind is Kind.OPEN
+    observer = followed(soft, "minimum-variance", "random:1", EPOCH)
+    events = deque(e for k, e in enumerate(made.events) if k not in {lost, lost + 1})
+    size, errors, flags = np.max(np.abs(made.states)), list[float](), list[bool]()
+    for stamp, true in zip(made.stamps, made.states, strict=True):
+        while events and events[0].stamp <= stamp:
+            observer.receive(events.popleft())
+        found = observer.estimate(int(stamp))
+        errors.append(np.max(np.abs(np.concatenate([found.q, found.u]) - true)) / size)
+        flags.append(found.synchronized)
+    far = np.array(errors) > 0.05
+    begun = made.stamps > made.events[lost].stamp
+    assert np.any(far & begun)
+    assert not np.any(far & np.array(flags))
+    assert flags[-1]
+
+
+@pytest.mark.slow
 def test_filter_learns_how_much_longer_hits_last() -> None:
     """Than the model says, to first order: the parameter is the whole contact time."""
     learn: tuple[str, ...] = ("contact-time=0.001",)
