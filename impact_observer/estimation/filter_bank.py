@@ -165,6 +165,8 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
+        heaviest = math.sqrt(float(np.linalg.norm(filter_.system.M, 1)))  # or more
+        self._slow: list[float] = (SLOW * heaviest * filter_.phases.length).tolist()
         own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
         self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
@@ -372,9 +374,12 @@ class FilterBank:
         """
         if len(here.hit) != 1 or here.before:
             return 0.0
-        i, phases = here.hit[0], self.filter.phases  # the fastest speed with as much energy
-        least = SLOW * float(phases.length[i]) * math.sqrt(usual.dot(phases.inertia(usual)))
+        i, phases = here.hit[0], self.filter.phases
         mean = self.filter.speed(i, h.state)
+        if abs(mean) >= self._slow[i] * math.sqrt(usual.dot(usual)):  # as nearly always
+            return 0.0
+        # Of the fastest speed with as much energy
+        least = SLOW * float(phases.length[i]) * math.sqrt(usual.dot(phases.inertia(usual)))
         if abs(mean) >= least:
             return 0.0
         applied = (n for n in reversed(h.notes) if n.ruling is not Ruling.REJECTED)

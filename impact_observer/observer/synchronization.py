@@ -60,7 +60,8 @@ class Synchronization(NamedTuple):
             ``largest``.
         largest: energy after an event so far, J.
         agreed: events in a row at which they agreed, this one included.
-        hits: when each contact was hit last, s since the epoch; of laws without covariance.
+        hits: when each contact was hit last, s since the epoch; of laws without covariance, where
+            a motion is rigid.
     """
 
     convergence: float
@@ -97,7 +98,7 @@ class SynchronizationTest:
         is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         hits = previous.hits
-        if posterior.root is None:
+        if posterior.root is None and self._projection.is_rigid:
             hits = {**hits, **dict.fromkeys(change.hit, float(change.t))}
         limit = self.threshold * energy
         is_explained = not posterior.inconsistent and (
@@ -125,9 +126,11 @@ class SynchronizationTest:
         V does not see a rigid motion that is off; the speed does that would have made it since the
         contact was hit before.
         """
+        strain = self._projection.strain(q, change.active)
+        if not self._projection.is_rigid:
+            return strain
         ago = float(change.t) - max(previous.hits.get(i, -math.inf) for i in change.hit)
-        drift = self._projection.drift(q, change.active) / (ago * ago) if ago > 0 else 0.0
-        return self._projection.strain(q, change.active) + drift
+        return strain + (self._projection.drift(q, change.active) / (ago * ago) if ago > 0 else 0)
 
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""

@@ -78,10 +78,13 @@ class PositionProjection:
         stretch = elastic.dot(q.dot(W) + q_r)
         return float(stretch.dot(stretch)) / 2
 
+    @property
+    def is_rigid(self) -> bool:
+        """Whether some motion has no elastic energy."""
+        return bool(self._rigid.shape[1])
+
     def drift(self, q: Vector, active: tuple[int, ...]) -> float:
         """Half the square of the rigid part of the jump from ``q`` in ``M``, kg m^2."""
-        if not self._rigid.shape[1]:
-            return 0.0
         Z, _, W, q_r = self._jumps(active)
         rigid = (Z @ (q.dot(W) + q_r)) @ self._system.M @ self._rigid
         return float(rigid.dot(rigid)) / 2
