@@ -165,8 +165,6 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
-        heaviest = math.sqrt(float(np.linalg.norm(filter_.system.M, 1)))  # or more
-        self._slow: list[float] = (SLOW * heaviest * filter_.phases.length).tolist()
         own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
         self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
@@ -199,16 +197,17 @@ class FilterBank:
         change: ContactChange,
         hypotheses: Sequence[Hypothesis],
         restarts: Restarts,
-        usual: Vector,
+        u: Vector,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add to one.
 
-        ``restarts`` makes those of a restart; ``usual`` are velocities of the fallback, (n,).
+        ``restarts`` makes those of a restart; ``u`` are velocities of the fallback, (n,).
         """
+        root_energy = self._root_energy(u)
         if not self._has_dead_time:
-            return self._corrected(change, hypotheses, restarts, usual)
+            return self._corrected(change, hypotheses, restarts, root_energy)
         reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
-        found = self._corrected(change, hypotheses, restarts, usual)
+        found = self._corrected(change, hypotheses, restarts, root_energy)
         return tuple([h._replace(reported=reported) for h in found])
 
     def _corrected(
@@ -216,15 +215,15 @@ class FilterBank:
         change: ContactChange,
         hypotheses: Sequence[Hypothesis],
         restarts: Restarts,
-        usual: Vector,
+        root_energy: float,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, but for what has been reported."""
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
         may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
-        if may_be_clear and (clear := self._clear(change, hypotheses[0], usual)):
+        if may_be_clear and (clear := self._clear(change, hypotheses[0], root_energy)):
             return clear
-        branches = self._branches(change, hypotheses, usual)
+        branches = self._branches(change, hypotheses, root_energy)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
         likely += self._unlikely_exact(branches, len(likely))
@@ -264,7 +263,7 @@ class FilterBank:
         hypotheses: Sequence[Hypothesis],
         since: float,
         s: float,
-        usual: Vector,
+        u: Vector,
     ) -> tuple[tuple[Hypothesis, ...], Vector] | None:
         """``correct`` of ``hypotheses`` ``s`` seconds after ``since`` (s), where that is quick.
 
@@ -282,8 +281,12 @@ class FilterBank:
         if prior is None:
             return None
         h = h._replace(state=prior, penetrating=NOTHING, since=h.since + s)
-        found = self._clear(change, h, usual)
+        found = self._clear(change, h, self._root_energy(u))
         return (found, prior.x) if found else None
+
+    def _root_energy(self, u: Vector) -> float:
+        """The root of twice the kinetic energy of velocities ``u``, shape (n,)."""
+        return math.sqrt(u.dot(self.filter.phases.inertia(u)))
 
     def _may_be_clear(self, change: ContactChange, h: Hypothesis) -> bool:
         """Whether the kernel can decide if an event is clearly what it is reported to be."""
@@ -291,10 +294,10 @@ class FilterBank:
         return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
 
     def _clear(
-        self, change: ContactChange, h: Hypothesis, usual: Vector
+        self, change: ContactChange, h: Hypothesis, root_energy: float
     ) -> tuple[Hypothesis, ...]:
         """The one hypothesis after an event that it explains well, if no other one is likely."""
-        if self._slowness(change, h, usual) < 0:
+        if self._slowness(change, h, root_energy) < 0:
             return ()
         impact = self.filter.members.free_impact(change.hit[0])
         clocks = self._clocks.get(h.clock)
@@ -312,7 +315,7 @@ class FilterBank:
         return (after,) if after.state.is_finite else ()
 
     def _branches(
-        self, change: ContactChange, hypotheses: Sequence[Hypothesis], usual: Vector
+        self, change: ContactChange, hypotheses: Sequence[Hypothesis], root_energy: float
     ) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_before(change.contacts) for each in hypotheses]
@@ -338,7 +341,7 @@ class FilterBank:
             clocks += [
                 (prior + CLOCK_CHANGE, h._replace(clock=clock), here, "") for clock in nexts
             ]
-        weighed = self._weighed([*true, *clocks], usual)
+        weighed = self._weighed([*true, *clocks], root_energy)
         others = [
             other
             for each, leading_ in zip(weighed, leads, strict=False)
@@ -349,14 +352,14 @@ class FilterBank:
                 self._spurious_event(change, each.before, likelihood=each.likelihood)
                 for each in weighed[: len(true)]
             ]
-        return [*found, *weighed, *(self._weighed(others, usual) if others else ())]
+        return [*found, *weighed, *(self._weighed(others, root_energy) if others else ())]
 
-    def _weighed(self, drafts: Sequence[_Draft], usual: Vector) -> list[_Branch]:
+    def _weighed(self, drafts: Sequence[_Draft], root_energy: float) -> list[_Branch]:
         """Branches with the likelihoods of what the event was."""
         asked = [Asked(here, h.state, h.clock) for _, h, here, _ in drafts]
         return [
             _Branch(
-                weight + likelihood.density + self._slowness(here, h, usual),
+                weight + likelihood.density + self._slowness(here, h, root_energy),
                 h,
                 here,
                 reason,
@@ -367,19 +370,17 @@ class FilterBank:
             )
         ]
 
-    def _slowness(self, here: ContactChange, h: Hypothesis, usual: Vector) -> float:
+    def _slowness(self, here: ContactChange, h: Hypothesis, root_energy: float) -> float:
         """Logarithm of the probability that an impact is so slow after the time since the last.
 
         A body that rests on several stops has gaps of zero, which fit any event. It hits nothing.
+        ``root_energy`` is that of twice the kinetic energy of the fallback.
         """
         if len(here.hit) != 1 or here.before:
             return 0.0
         i, phases = here.hit[0], self.filter.phases
         mean = self.filter.speed(i, h.state)
-        if abs(mean) >= self._slow[i] * math.sqrt(usual.dot(usual)):  # as nearly always
-            return 0.0
-        # Of the fastest speed with as much energy
-        least = SLOW * float(phases.length[i]) * math.sqrt(usual.dot(phases.inertia(usual)))
+        least = SLOW * float(phases.length[i]) * root_energy
         if abs(mean) >= least:
             return 0.0
         applied = (n for n in reversed(h.notes) if n.ruling is not Ruling.REJECTED)

@@ -384,11 +384,12 @@ class ImpactFilter:
         is infinite, the state is at rest afterwards, and nothing is measured by that.
         """
         joint = self._at_jump(change, joint)
-        after, member = self._jumped(change, joint), self.member(joint)
+        member = self.member(joint)
+        turned = self._is_turned(member, change, joint)
+        after = self._jumped(change, joint, soft=turned or bool(change.delay(self.system)))
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
-            is_known = math.isinf(leftover) or self._is_turned(member, change, joint)
-            new = () if is_known else new
+            new = () if turned or math.isinf(leftover) else new
             short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
         s, sensitivity = change.t - joint.t, None
@@ -527,11 +528,13 @@ class ImpactFilter:
         gamma = member.gaps(change.hit).c[:, :n].dot(x[n:])
         return change.pressed(member.newton, gamma)
 
-    def _jumped(self, change: ContactChange, joint: Joint) -> GaussianState:
-        """The state after the jump, at the instant of ``joint``: saltation."""
+    def _jumped(self, change: ContactChange, joint: Joint, *, soft: bool) -> GaussianState:
+        """The state after the jump, at the instant of ``joint``: saltation.
+
+        A ``soft`` one leaves positions as they are.
+        """
         member, size = self.member(joint), joint.size
         pressed = self.pressed(member, change, joint.x)
-        soft = bool(change.delay(self.system)) or self._is_turned(member, change, joint)
         jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed, soft=soft)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)

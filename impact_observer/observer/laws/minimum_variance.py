@@ -192,8 +192,8 @@ class MinimumVariance(Law):
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        usual = fallback.x[self.system.n :]
-        corrected = self._bank.correct(change, hypotheses, restarts, usual) or restarts()
+        u = fallback.x[self.system.n :]
+        corrected = self._bank.correct(change, hypotheses, restarts, u) or restarts()
         return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
 
     def struck(
@@ -203,8 +203,8 @@ class MinimumVariance(Law):
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account or posterior.fit.is_misfit or change.disorder:
             return None
-        usual = fallback.x[self.system.n :]
-        found = self._bank.struck(change, posterior.hypotheses, since, s, usual)
+        u = fallback.x[self.system.n :]
+        found = self._bank.struck(change, posterior.hypotheses, since, s, u)
         if found is None:
             return None
         began, ago = (began, ago + s) if ago else (since, s)

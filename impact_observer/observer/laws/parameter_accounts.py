@@ -154,8 +154,8 @@ class ParameterAccounts:
         """The account after an event."""
         prior = before.published[0].state
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
-        usual = fallback.x[self._system.n :]
-        corrected = self._bank.correct(change, before.hypotheses, restarts, usual) or restarts()
+        u = fallback.x[self._system.n :]
+        corrected = self._bank.correct(change, before.hypotheses, restarts, u) or restarts()
         fit = fitted(before.fit, change, prior.x, corrected, self._bank)
         if error_share(corrected) > ESTABLISHED:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
