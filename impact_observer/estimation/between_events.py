@@ -198,14 +198,24 @@ class BetweenEvents:
         for (_, s, h), state, found in zip(paths, self._priors(paths), dips, strict=True):
             some = [dip for dip in found if not self._is_now(dip, s, h.clock)]
             if not some:
-                yield h._replace(state=state, penetrating=NOTHING, since=h.since + s)
+                yield h._replace(state=state, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
                 continue
-            over = sum(dip.unlikely for dip in some if dip.over)
+            paid = (
+                {d.contact: h.paid.get(d.contact, 0.0) for d in some if d.goes_on}
+                if h.paid
+                else {}
+            )
+            over = sum(
+                min(dip.unlikely - (paid.pop(dip.contact, 0.0) if dip.goes_on else 0.0), 0.0)
+                for dip in some
+                if dip.over
+            )
             penetrating = {dip.contact: dip.unlikely for dip in some if not dip.over}
             yield h._replace(
                 state=state,
                 weight=h.weight + over,
                 penetrating=penetrating,
+                paid=paid,
                 since=h.since + s,
             )
 
@@ -230,6 +240,8 @@ class BetweenEvents:
             return
         dead = self.dead(h, dip.contact, dip.kind, path.t + dip.began)
         weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
+        if dip.goes_on:
+            weight -= h.paid.get(dip.contact, 0.0)  # it has hit, and penetrates nothing
         if weight < enough:
             return
         yield _Missed(path, dip, weight, dead > DEAD)
@@ -244,7 +256,8 @@ class BetweenEvents:
             h, left = path.h, path.left - dip.began
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)
-            h = h._replace(state=state, weight=weight, missed=switches)
+            paid = {i: each for i, each in h.paid.items() if i != dip.contact} or NOTHING
+            h = h._replace(state=state, weight=weight, paid=paid, missed=switches)
             if kind is Kind.CLOSE:
                 rest = rest_after(self.filter, dip.contact, at, flight, h.clock)
                 h = h._replace(settled={**h.settled, dip.contact: rest})

@@ -39,6 +39,7 @@ from impact_observer.estimation.hypotheses import (
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.likelihood import CERTAIN, STILL, Likelihood
 from impact_observer.estimation.settling import Rest, settled
+from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.states import Vector
@@ -67,6 +68,8 @@ NEGLIGIBLE = 1e-4
 """Probability that the least likely hypotheses after an event may have together to be dropped."""
 SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
+NEAR = 3.0
+"""Deviations up to which two states count as the same."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _NEVER = -1e3
@@ -80,6 +83,19 @@ _SHORTLY = 50_000_000
 
 Restarts: TypeAlias = Callable[[], Sequence[Hypothesis]]
 """Makes the hypotheses of a restart; their probabilities add up to one."""
+
+
+class Extent(NamedTuple):
+    """How large the motion is, by a replica that follows the events whatever the filter does.
+
+    Attributes:
+        u: its velocities now, shape (n,).
+        largest: magnitude of each component of (q, u) so far, the initial standard deviation
+            included, shape (2n,).
+    """
+
+    u: Vector
+    largest: Vector
 
 
 class _Branch(NamedTuple):
@@ -197,17 +213,16 @@ class FilterBank:
         change: ContactChange,
         hypotheses: Sequence[Hypothesis],
         restarts: Restarts,
-        u: Vector,
+        extent: Extent,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add to one.
 
-        ``restarts`` makes those of a restart; ``u`` are velocities of the fallback, (n,).
+        ``restarts`` makes those of a restart.
         """
-        root_energy = self._root_energy(u)
         if not self._has_dead_time:
-            return self._corrected(change, hypotheses, restarts, root_energy)
+            return self._corrected(change, hypotheses, restarts, extent)
         reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
-        found = self._corrected(change, hypotheses, restarts, root_energy)
+        found = self._corrected(change, hypotheses, restarts, extent)
         return tuple([h._replace(reported=reported) for h in found])
 
     def _corrected(
@@ -215,15 +230,16 @@ class FilterBank:
         change: ContactChange,
         hypotheses: Sequence[Hypothesis],
         restarts: Restarts,
-        root_energy: float,
+        extent: Extent,
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, but for what has been reported."""
+        root_energy = self._root_energy(extent.u)
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
         may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
         if may_be_clear and (clear := self._clear(change, hypotheses[0], root_energy)):
             return clear
-        branches = self._branches(change, hypotheses, root_energy)
+        branches = self._branches(change, hypotheses, root_energy, extent.largest)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
         likely += self._unlikely_exact(branches, len(likely))
@@ -280,7 +296,7 @@ class FilterBank:
         prior = self.filter.flown(since, s, late, h.state)
         if prior is None:
             return None
-        h = h._replace(state=prior, penetrating=NOTHING, since=h.since + s)
+        h = h._replace(state=prior, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
         found = self._clear(change, h, self._root_energy(u))
         return (found, prior.x) if found else None
 
@@ -315,7 +331,11 @@ class FilterBank:
         return (after,) if after.state.is_finite else ()
 
     def _branches(
-        self, change: ContactChange, hypotheses: Sequence[Hypothesis], root_energy: float
+        self,
+        change: ContactChange,
+        hypotheses: Sequence[Hypothesis],
+        root_energy: float,
+        largest: Vector,
     ) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_before(change.contacts) for each in hypotheses]
@@ -345,7 +365,7 @@ class FilterBank:
         others = [
             other
             for each, leading_ in zip(weighed, leads, strict=False)
-            for other in self._others(change, each, leads=leading_)
+            for other in self._others(change, each, largest, leads=leading_)
         ]
         if self._spurious > -math.inf:
             found += [
@@ -390,7 +410,9 @@ class FilterBank:
         speed = math.hypot(mean, self.filter.speed_deviation(i, h.state), STILL)
         return min(math.log(speed / least), 0.0) if least > 0 else 0.0
 
-    def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Draft]:
+    def _others(
+        self, change: ContactChange, true: _Branch, largest: Vector, *, leads: bool
+    ) -> Iterator[_Draft]:
         """Alternatives to the branch in which the event is ``true``, but for other clocks."""
         h, here, likelihood = true.before, true.here, true.likelihood
         assert here is not None, "it is true"
@@ -401,7 +423,9 @@ class FilterBank:
                 yield prior + self._reported + chance, other, here, ""
         if leads and depth > SURPRISE and not self.trusts_estimate:
             for factor in WIDENING:
-                wider = h._replace(state=self.filter.widened(h.state, factor * depth))
+                part = self.filter.part_of(here.contacts)
+                state = self.filter.widened(h.state, factor * depth, largest, part)
+                wider = h._replace(state=state)
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
                 yield prior + RESTART, wider, here, reason
         impact = len(change.hit) == 1 and here.before == here.closed
@@ -463,6 +487,7 @@ class FilterBank:
             _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched, kind=kind),
             innovation=likelihood.normalised if innovations else None,
             residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
+            paid=h.paid_after(here.contacts),
             subset=h.subset,
             events=h.events + 1,
             last_error=h.last_error,
@@ -479,7 +504,12 @@ class FilterBank:
         reason = branch.reason or _excuse(change, h.notes, branch.likelihood)
         notes = _noted(h, change, (Ruling.REJECTED, reason), {})
         return h._replace(
-            weight=branch.weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
+            weight=branch.weight,
+            notes=notes,
+            penetrating=NOTHING,
+            paid=h.paid_after(()),
+            missed=(),
+            innovation=None,
         )
 
     def _bounce(self, change: ContactChange, h: Hypothesis, weight: float) -> _Branch | None:
@@ -508,16 +538,17 @@ class FilterBank:
         return _Branch(weight, h, None, reason, likelihood)
 
     def distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The likeliest of those with the same latest decisions, in order (N-scan pruning).
+        """The likeliest of those that are alike, in order (N-scan pruning).
 
-        Those that differ in older decisions only have nearly the same state.
+        Those that differ in older decisions only have nearly the same state, unless the contact of
+        these is rarely hit, and others often. Of an erroneous model they are alike in any case.
         """
         if len(made) <= 1:
             return [*made]
-        found: dict[object, Hypothesis] = {}
+        found: dict[object, list[Hypothesis]] = {}
         numbers: dict[object, int] = {}
         known: dict[int, int] = {}  # hypotheses share notes
-        for h in made:
+        for h in sorted(made, key=_weight):
             notes = h.notes[-self._scan :]
             for note in notes:
                 if id(note) not in known:
@@ -525,9 +556,19 @@ class FilterBank:
             decisions = [known[id(note)] for note in notes]
             inserted = tuple((each.contact, each.kind) for each in h.missed)
             same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
-            if same not in found or found[same].weight < h.weight:
-                found[same] = h
-        return sorted(found.values(), key=_weight)
+            kept = found.setdefault(same, [])
+            if not kept or (h.is_exact and not any(_are_near(h.state, k.state) for k in kept)):
+                kept.append(h)
+        return sorted((h for kept in found.values() for h in kept), key=_weight)
+
+
+def _are_near(one: GaussianState, other: GaussianState) -> bool:
+    """Whether two states differ by no more than the deviations of either explain."""
+    if one.closed != other.closed:
+        return False
+    size = one.x.size
+    deviations = np.minimum(lengths(one.root[:size]), lengths(other.root[:size]))
+    return bool(np.all(np.abs(one.x - other.x) <= NEAR * deviations))
 
 
 def _likely(ordered: Sequence[Hypothesis | _Branch]) -> int:

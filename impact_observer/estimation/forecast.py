@@ -77,6 +77,11 @@ class Dip(NamedTuple):
     over: bool
     began: float
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether it had begun before the flight."""
+        return self.began == self.below
+
 
 class Flight:
     """The guard functions of a flight: gaps of open contacts, then loads of held ones.

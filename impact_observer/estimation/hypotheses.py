@@ -109,6 +109,8 @@ class Hypothesis(NamedTuple):
         notes: its decisions on the latest events, in their order.
         penetrating: contacts whose gap or load is negative now, with the logarithm of the
             probability that this is an error of the estimate.
+        paid: of contacts that were so already at the last event the same logarithm, which its
+            weight contains.
         missed: missed switches since the last event.
         error: of the model.
         since: duration of the flight, s: since the last event, or a switch inserted after it.
@@ -130,6 +132,7 @@ class Hypothesis(NamedTuple):
     weight: float = 0.0
     notes: tuple[Note, ...] = ()
     penetrating: Mapping[int, float] = NOTHING
+    paid: Mapping[int, float] = NOTHING
     missed: tuple[MissedSwitch, ...] = ()
     error: LearnedError = NO_ERROR
     since: float = 0.0
@@ -155,13 +158,28 @@ class Hypothesis(NamedTuple):
     @property
     def penalised_weight(self) -> float:
         """Its weight, less for the contacts that it penetrates."""
-        return self.weight + sum(self.penetrating.values()) if self.penetrating else self.weight
+        return self.weight_before(()) if self.penetrating else self.weight
 
     def weight_before(self, contacts: Contacts) -> float:
-        """Its weight before an event of ``contacts``, less for the others that it penetrates."""
-        if not self.penetrating:
+        """Its weight before an event of ``contacts``, less for the others that it penetrates.
+
+        Those of the event do not penetrate if they hit now.
+        """
+        if not (self.penetrating or self.paid):
             return self.weight
-        return self.weight + sum(w for i, w in self.penetrating.items() if i not in contacts)
+        owed = sum(self.owed(i) for i in self.penetrating if i not in contacts)
+        return self.weight + owed - sum(self.paid.get(i, 0.0) for i in contacts)
+
+    def owed(self, contact: int) -> float:
+        """What of ``penetrating`` is not in the weight yet: each penetration counts once."""
+        return min(self.penetrating[contact] - self.paid.get(contact, 0.0), 0.0)
+
+    def paid_after(self, contacts: Contacts) -> Mapping[int, float]:
+        """``paid`` after an event of ``contacts``."""
+        left = [i for i in self.penetrating if i not in contacts] if self.penetrating else []
+        if not left:
+            return NOTHING
+        return {i: min(self.penetrating[i], self.paid.get(i, 0.0)) for i in left}
 
     @property
     def acceleration_error(self) -> float:

@@ -20,6 +20,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -34,7 +35,13 @@ from impact_observer.estimation.members import Member, Members
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING, Measured
-from impact_observer.estimation.square_root import lengths, narrow, product, triangular
+from impact_observer.estimation.square_root import (
+    correction,
+    lengths,
+    narrow,
+    product,
+    triangular,
+)
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import Gaps, Sensitivity, leading
@@ -50,6 +57,10 @@ _LONGEST = 1e4
 """Longest flight that is followed step by step, in the inverse of the fastest rate."""
 _BACK = 8.0
 """Longest flow back from a stamp, in time constants of the fastest fading motion."""
+_WIDEST = 10.0
+"""Standard deviation that a widened one stays below, relative to the motion so far."""
+_LEAST_EXTENT = 1e-9
+"""Magnitude of a component of the motion that has been still, relative to the largest."""
 INSIDE = 4.0
 """Depth of a contact inside its stop that no error of the estimate explains, in deviations."""
 ROUNDS = 6
@@ -111,6 +122,7 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
+        self._parts = system.parts()
         self._is_uncertain = self.noise is not None or self.members.family.size > 0
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
         self._drifts = bool(np.any(declared.drift))
@@ -419,18 +431,38 @@ class ImpactFilter:
         pressing = rates.along(x, forces)[0]
         return self.short * self.system.contact_speed(pressing[self.system.n :])
 
-    def widened(self, state: GaussianState, factor: float) -> GaussianState:
+    def part_of(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """The coordinates that ``contacts`` touch, and all that these are coupled with, (n,)."""
+        touched = np.any(self.system.W[:, list(contacts)] != 0, axis=1)
+        return np.isin(self._parts, self._parts[touched])
+
+    def widened(
+        self,
+        state: GaussianState,
+        factor: float,
+        largest: Vector,
+        part: NDArray[np.bool_] | None = None,
+    ) -> GaussianState:
         """``state`` with standard deviations that are larger by ``factor``.
 
-        So are those of the parameters, up to what was declared at first.
+        They stay below ten times the motion so far, ``largest``, shape (2n,): what no event shows
+        would grow at each widening. Those of the parameters stay below what was declared.
+        ``part`` are the coordinates whose state is widened, shape (n,); all of them by default.
         """
         factors = np.full(len(state.root), factor)
         size, p = state.x.size, state.parameters
+        if part is not None:
+            factors[:size] = np.where(np.tile(part, 2), factor, 1.0)
         if p:
             now = lengths(state.root[size : size + p])
             most = self._unknowns.deviations / np.maximum(now, STILL)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
-        return state._replace(root=state.root * factors[:, None])
+        most = np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=STILL)))
+        bounds = np.zeros((size, len(state.root)))
+        bounds.flat[:: len(state.root) + 1] = 1.0 / (_WIDEST * most)
+        wider = state.root * factors[:, None]
+        limited = correction(wider, bounds, np.zeros((size, 0)), [1.0] * size)
+        return state._replace(root=limited.root)
 
     def measured_sensitivity(
         self, member: Member, change: ContactChange, contacts: Contacts, x: Vector, t: float

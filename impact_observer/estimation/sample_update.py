@@ -197,11 +197,13 @@ class SampleUpdate:
         self,
         reading: Reading,
         hypotheses: Sequence[Hypothesis],
+        largest: Vector | None = None,
         restart: Callable[[], GaussianState] | None = None,
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
         """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one.
 
-        Where a sensor contradicts the estimate for long, the state of a ``restart`` is tried too.
+        Where a sensor contradicts the estimate for long, a covariance is tried that is wider, as
+        far as the motion has been ``largest``, and the state of a ``restart``.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             known = self.one.first(reading, hypotheses[0].state, reading.known)
@@ -212,7 +214,7 @@ class SampleUpdate:
             hypotheses = [
                 branch
                 for h in hypotheses
-                for branch in self._branches(reading, h, known, doubt=doubt)
+                for branch in self._branches(reading, h, known, largest if doubt else None)
             ]
             if doubt and restart is not None and not self.bank.trusts_estimate:
                 best = max(hypotheses, key=attrgetter("weight"))
@@ -308,17 +310,17 @@ class SampleUpdate:
         return normalised(found), first.outcome, known
 
     def _branches(
-        self, reading: Reading, h: Hypothesis, known: SensorState, *, doubt: bool
+        self, reading: Reading, h: Hypothesis, known: SensorState, largest: Vector | None
     ) -> Iterator[Hypothesis]:
         """What may have happened before a sample, under one hypothesis."""
         yield from self._settled(reading, h)
-        if doubt and not self.bank.trusts_estimate:
+        if largest is not None and not self.bank.trusts_estimate:
             row = self.one.row(reading, h.state)
             noise = self.one.noise(row, h.state, known.variance)
             variance = row.variance(h.state.root) + noise
             depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
             if depth > reading.sensor.measurement.gate:
-                wider = self.bank.filter.widened(h.state, WIDENING * depth)
+                wider = self.bank.filter.widened(h.state, WIDENING * depth, largest)
                 yield h._replace(state=wider, weight=h.weight + RESTART)
 
     def _settled(self, reading: Reading, h: Hypothesis) -> Iterator[Hypothesis]:
@@ -329,8 +331,7 @@ class SampleUpdate:
         if not h.penetrating:
             yield h
             return
-        error = sum(h.penetrating.values())
-        yield h._replace(weight=h.weight + error, penetrating=NOTHING)
+        yield h._replace(weight=h.penalised_weight, penetrating=NOTHING, paid=h.paid_after(()))
         for contact, unlikely in h.penetrating.items():
             depth = -float(special.ndtri_exp(unlikely))
             between = self.bank.between
@@ -340,7 +341,7 @@ class SampleUpdate:
                 continue
             dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, False, 0.0)
             state, kind, flight = insert_switch(self.bank.filter, reading.t, h.state, dip)
-            weight = h.weight + missed + float(special.log_ndtr(depth)) + error - unlikely
+            weight = h.weight_before((contact,)) + missed + float(special.log_ndtr(depth))
             inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
             settled = h.settled
             if kind is Kind.CLOSE:
@@ -351,6 +352,7 @@ class SampleUpdate:
                 weight=weight,
                 missed=inserted,
                 penetrating=NOTHING,
+                paid=h.paid_after((contact,)),
                 since=0.0,
                 settled=settled,
             )

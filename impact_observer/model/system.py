@@ -26,6 +26,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csgraph
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
@@ -275,6 +276,15 @@ class System:
     def friction(self) -> Vector:
         """Largest forces of the guides, shape (k,), N."""
         return np.array([each.force for each in self.guides])
+
+    def parts(self) -> NDArray[np.int32]:
+        """Number of the part of the system that each coordinate belongs to, shape (n,).
+
+        No mass, damper, spring or contact couples different parts.
+        """
+        touched = np.abs(self.W)
+        coupled = np.abs(self.M) + np.abs(self.C) + np.abs(self.K) + touched @ touched.T
+        return np.asarray(csgraph.connected_components(coupled, directed=False)[1])
 
     def _gap_rounding(self, q: Vector) -> Vector:
         moved = 0.0 if self.frame is None else self.frame.gap_reach[: self.m]

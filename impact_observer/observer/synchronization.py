@@ -21,6 +21,7 @@ estimate's own gap at an impact gives a lower bound of its error.
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from itertools import takewhile
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ from scipy import linalg
 from impact_observer.dynamics import PositionProjection
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.events import Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.options import Options
@@ -46,6 +48,7 @@ _RESTING = 1e-6
 _STILL = 1e-22
 """The same of a motion that hits nothing: a rig may move much less than its start is uncertain."""
 _NONE: Mapping[int, float] = MappingProxyType({})
+_NEVER: Mapping[int, tuple[int, int]] = MappingProxyType({})
 _MOST_COMPARED = 256
 """Replicas beyond which an upper bound replaces the distance of every pair."""
 
@@ -58,8 +61,12 @@ class Synchronization(NamedTuple):
             until the next one. -1 while there is only one replica.
         energy: of the estimated motion then, kinetic and elastic, J; at rest a millionth of
             ``largest``.
-        largest: energy after an event so far, J.
-        agreed: events in a row at which they agreed, this one included.
+        largest: energy after an event so far, J; where there is a covariance, of those estimates
+            of which it is less.
+        agreed: events in a row at which they agreed, this one included; of each part of the
+            system that has contacts.
+        contradicted: of each contact, how often since its last accepted event one was rejected,
+            and how often one was inserted.
         hits: when each contact was hit last, s since the epoch; of laws without covariance, where
             a motion is rigid.
     """
@@ -67,8 +74,27 @@ class Synchronization(NamedTuple):
     convergence: float
     energy: float
     largest: float = 0.0
-    agreed: int = 0
+    agreed: tuple[int, ...] = ()
+    contradicted: Mapping[int, tuple[int, int]] = _NEVER
     hits: Mapping[int, float] = _NONE
+
+
+def _contradicted(
+    before: Mapping[int, tuple[int, int]], change: ContactChange, posterior: Belief
+) -> Mapping[int, tuple[int, int]]:
+    """``Synchronization.contradicted`` after an event, of a law that rejects and inserts."""
+    if not posterior.hypotheses:
+        return before
+    found, event = dict(before), (change.stamp, change.sequence)
+    latest = takewhile(lambda note: note.event == event, reversed(posterior.hypotheses[0].notes))
+    for note in [*latest][::-1]:
+        if note.ruling is Ruling.APPLIED:
+            found.pop(note.switched, None)
+        else:
+            rejected, inserted = found.get(note.contact, (0, 0))
+            is_inserted = note.is_inserted
+            found[note.contact] = rejected + (not is_inserted), inserted + is_inserted
+    return found
 
 
 class SynchronizationTest:
@@ -83,6 +109,11 @@ class SynchronizationTest:
         self._n = system.n
         self._metric = linalg.block_diag(system.K, system.M)
         self._projection = PositionProjection(system)
+        seen = system.parts()[np.argmax(system.W != 0, axis=0)]
+        _, part = np.unique(seen, return_inverse=True)
+        self._names = system.contact_names
+        self._part: list[int] = part.tolist()  # of each contact
+        self._none = (0,) * len({*self._part})
         self.threshold = threshold
 
     def initial(self, belief: Belief) -> Synchronization:
@@ -94,29 +125,52 @@ class SynchronizationTest:
     ) -> Synchronization:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
-        largest = max(previous.largest, energy)
+        distance = math.inf if posterior.root is None else self._expected(posterior.root)
+        largest = previous.largest
+        if posterior.root is None or distance <= energy:  # else it may be anywhere
+            largest = max(largest, energy)
         is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         hits = previous.hits
         if posterior.root is None and self._projection.is_rigid:
             hits = {**hits, **dict.fromkeys(change.hit, float(change.t))}
+        contradicted = _contradicted(previous.contradicted, change, posterior)
         limit = self.threshold * energy
         is_explained = not posterior.inconsistent and (
             not posterior.innovations or max(posterior.innovations.values()) <= LARGEST_INNOVATION
         )
-        if not (0 <= _MARGIN * convergence <= limit and is_explained):
-            return Synchronization(convergence, energy, largest, hits=hits)
-        is_impact = bool(change.hit) and posterior.accepted
-        if posterior.root is not None:
-            # At rest on several stops a filter that has lost the track explains any event.
-            is_impact = is_impact and bool(change.closed or not is_at_rest)
-            distance = self._expected(posterior.root)
-        elif is_impact:
-            distance = self._least_distance(previous, change, x[: self._n])
-        else:
-            distance = 0.0
-        agreed = previous.agreed + is_impact if distance <= limit else 0
-        return Synchronization(convergence, energy, largest, agreed, hits)
+        agreed = self._none
+        if 0 <= _MARGIN * convergence <= limit and is_explained:
+            is_impact = bool(change.hit) and posterior.accepted
+            if posterior.root is not None:
+                # At rest on several stops a filter that has lost the track explains any event.
+                is_impact = is_impact and bool(change.closed or not is_at_rest)
+            else:
+                least = self._least_distance(previous, change, x[: self._n])
+                distance = least if is_impact else 0.0
+            if distance <= limit:
+                agreed = self._agreed(previous.agreed, change, contradicted, counts=is_impact)
+        return Synchronization(convergence, energy, largest, agreed, contradicted, hits)
+
+    def _agreed(
+        self,
+        before: tuple[int, ...],
+        change: ContactChange,
+        contradicted: Mapping[int, tuple[int, int]],
+        *,
+        counts: bool,
+    ) -> tuple[int, ...]:
+        """Of each part at how many events in a row they agreed, and did at this one.
+
+        Not if contacts of the part are ``contradicted`` too often.
+        """
+        found = list(before or self._none)
+        for i in change.hit if counts else ():
+            found[self._part[i]] += 1
+        for i, each in contradicted.items():
+            if min(each) >= REQUIRED_EVENTS:
+                found[self._part[i]] = 0
+        return tuple(found)
 
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector
@@ -134,7 +188,7 @@ class SynchronizationTest:
 
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""
-        if result.agreed < REQUIRED_EVENTS:
+        if min(result.agreed, default=0) < REQUIRED_EVENTS:
             return False
         return root is None or self._expected(root) <= self.threshold * result.energy
 
@@ -147,8 +201,13 @@ class SynchronizationTest:
             return f"replicas differ by over {limit / _MARGIN:.1e} J"
         if root is not None and not (expected := self._expected(root)) <= limit:
             return f"covariance too wide: V of {expected:.1e} J"
-        if result.agreed < REQUIRED_EVENTS:
-            return f"agreement at {result.agreed} of {REQUIRED_EVENTS} impacts in a row"
+        if (least := min(result.agreed, default=0)) < REQUIRED_EVENTS:
+            where = ""
+            if len(result.agreed) > 1:  # the part that is behind the others
+                part = result.agreed.index(least)
+                pairs = zip(self._part, self._names, strict=True)
+                where = f" of {', '.join(name for i, name in pairs if i == part)}"
+            return f"agreement at {least} of {REQUIRED_EVENTS} impacts in a row{where}"
         return ""
 
     def _distance_and_energy(self, ensemble: Ensemble) -> tuple[float, float]:

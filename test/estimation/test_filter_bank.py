@@ -39,7 +39,7 @@ from systems import (
 )
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, FilterBank
+from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, Extent, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -118,9 +118,25 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     best = Hypothesis(state, clocks[0], 0.0, penetrating={penetrated: -50.0})
     other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
     change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
-    found = bank.correct(change, [best, other], lambda: (), np.ones(1))
+    found = bank.correct(change, [best, other], lambda: (), Extent(np.ones(1), np.ones(2)))
     of_best = [h for h in found if np.linalg.norm(h.state.root[1]) < 1e-6]
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
+
+
+def test_a_penetration_counts_once_however_often_other_contacts_hit() -> None:
+    """And not at all where its own contact hits: then it was no error."""
+    state = GaussianState.of(np.zeros((1, 2)), np.eye(2))
+    h = Hypothesis(state, 1e-9, -1.0, penetrating={1: -2.0})
+    assert (h.penalised_weight, h.weight_before((1,))) == (-3.0, -1.0)
+    later = Hypothesis(state, 1e-9, h.weight_before((0,)), paid=h.paid_after((0,)))
+    deeper = later._replace(penetrating={1: -5.0})
+    assert deeper.penalised_weight == -6.0
+    assert deeper.weight_before((0,)) == -6.0
+    assert deeper.weight_before((1,)) == -1.0
+    less = later._replace(penetrating={1: -1.5})
+    assert less.penalised_weight == -3.0
+    assert less.paid_after((0,)) == {1: -2.0}
+    assert not deeper.paid_after((1,))
 
 
 def test_clear_event_is_corrected_as_if_all_alternatives_were_weighed(

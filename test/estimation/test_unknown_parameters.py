@@ -21,7 +21,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, run, sample, system, without_faults
+from systems import EPOCH, PRESSED, chain, run, sample, system, without_faults
 
 from impact_observer.dynamics import Phases
 from impact_observer.dynamics.lyapunov import distance
@@ -379,9 +379,29 @@ def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations
     state = GaussianState(
         np.ones(4), unknowns.family.nominal, root, np.empty((6, 0)), (), parameters=2
     )
-    wider = filter_.widened(state, 50.0)
-    np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
+    wider = filter_.widened(state, 50.0, np.full(4, 1e6))
+    covariance = wider.root[:4] @ wider.root[:4].T
+    np.testing.assert_allclose(covariance, 2500.0 * root[:4] @ root[:4].T, rtol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
+
+
+def test_a_widened_covariance_stays_as_large_as_the_motion() -> None:
+    """In each direction, and where a part is widened only there."""
+    filter_ = ImpactFilter(chain(3))
+    root = np.random.default_rng(5).normal(size=(6, 6))
+    state = GaussianState(np.ones(6), np.empty(0), root, np.empty((6, 0)), ())
+    wider = filter_.widened(state, 1e6, np.full(6, 2.0)).root
+    np.testing.assert_allclose(np.linalg.norm(wider, axis=1), 20.0, rtol=1e-3)
+    part = np.array([True, False, False])
+    some = filter_.widened(state, 50.0, np.full(6, 1e6), part).root
+    here = np.tile(part, 2)
+    P, covariance = root @ root.T, some @ some.T
+    np.testing.assert_allclose(
+        covariance[np.ix_(here, here)], 2500 * P[np.ix_(here, here)], rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        covariance[np.ix_(~here, ~here)], P[np.ix_(~here, ~here)], rtol=1e-6
+    )
 
 
 def test_unknowns_check_themselves() -> None:

@@ -76,6 +76,26 @@ def test_gaps_and_contact_speeds_are_those_of_the_paper() -> None:
     assert (free.m, free.W.shape, free.gap(np.zeros(1)).shape) == (0, (1, 0), (0,))
 
 
+def test_parts_of_a_system_are_what_nothing_couples() -> None:
+    """A contact couples what it touches, as a spring does."""
+    K = np.diag([1.0, 2.0, 3.0, 4.0])
+    K[0, 1] = K[1, 0] = -0.5
+    contacts = [([0, 0, 1, 0], 1.0, 0.5)]
+    assert system(np.eye(4), np.zeros((4, 4)), K, contacts=contacts).parts().tolist() == [
+        0,
+        0,
+        1,
+        2,
+    ]
+    contacts = [([0, 1, -1, 0], 1.0, 0.5)]
+    assert system(np.eye(4), np.zeros((4, 4)), K, contacts=contacts).parts().tolist() == [
+        0,
+        0,
+        0,
+        1,
+    ]
+
+
 def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
     """A harmonic without amplitude needs no epoch."""
     assert not Forcing.none(2).depends_on_time

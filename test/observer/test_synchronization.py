@@ -22,13 +22,27 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from systems import EPOCH, Array, chain, event, examples, run, sample, switching, systems, vectors
+from systems import (
+    EPOCH,
+    Array,
+    chain,
+    event,
+    examples,
+    run,
+    sample,
+    switching,
+    system,
+    systems,
+    vectors,
+)
 from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis, Note
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
@@ -351,12 +365,53 @@ def test_impacts_of_an_estimate_at_rest_are_no_agreement(
     closed: tuple[int, ...], counts: bool
 ) -> None:
     """With a covariance however small, but for one that ends at rest on its stop."""
-    system = THREE_MASS.system
-    test, x = SynchronizationTest(system), np.zeros(6)
+    test, x = SynchronizationTest(THREE_MASS.system), np.zeros(6)
     still = Belief(Ensemble.of(np.zeros((10, 6))), 1e-13 * np.eye(6))
-    known = Synchronization(0.0, 1.0, 1.0, REQUIRED_EVENTS - 1)
+    known = Synchronization(0.0, 1.0, 1.0, (REQUIRED_EVENTS - 1,))
     found = test.after(known, ContactChange(1.0, (), (0,), closed), x, still)
     assert test.is_synchronized(found, still.root) == counts
+
+
+def test_each_part_of_a_system_must_agree() -> None:
+    """Nothing couples a hammer and a door: hits of one say nothing of the other."""
+    uncoupled = system(
+        np.eye(2), 0.1 * np.eye(2), np.eye(2), contacts=[([1, 0], 1, 0.5), ([0, 1], 1, 0.5)]
+    )
+    test, result = SynchronizationTest(uncoupled), Synchronization(0.0, 1.0, 1.0)
+    belief = Belief(Ensemble.of(np.ones((10, 4))), 1e-9 * np.eye(4))
+    for hit in [(0,)] * 5 + [(1,)] * REQUIRED_EVENTS:
+        assert not test.is_synchronized(result, belief.root)
+        result = test.after(result, ContactChange(1.0, (), hit, ()), np.ones(4), belief)
+        if hit == (0,) and min(result.agreed) == 0 < REQUIRED_EVENTS <= max(result.agreed):
+            assert test.obstacle(result, belief.root).endswith("0 of 3 impacts in a row of c2")
+    assert test.is_synchronized(result, belief.root)
+
+
+@pytest.mark.parametrize(
+    ("times", "ends"), [(REQUIRED_EVENTS - 1, False), (REQUIRED_EVENTS, True)]
+)
+def test_impacts_that_are_inserted_beside_rejected_ones_end_synchronization(
+    times: int, ends: bool
+) -> None:
+    """Of one contact in a row: what is reported of it contradicts the estimate."""
+    model = system([[1.0]], [[0.1]], [[1.0]], contacts=[([1], 1, 0.5)])
+    test, result = SynchronizationTest(model), Synchronization(0.0, 1.0, 1.0, (REQUIRED_EVENTS,))
+    state = GaussianState.of(np.ones((10, 2)), 1e-9 * np.eye(2))
+    for k in range(times):
+        notes = (
+            Note((k, 0), k, 0, Ruling.INSERTED, switched=0),
+            Note((k, 0), k, 0, Ruling.REJECTED, switched=0),
+        )
+        belief = Belief(
+            state.ensemble,
+            state.root,
+            accepted=False,
+            hypotheses=(Hypothesis(state, 0.0, notes=notes),),
+        )
+        change = ContactChange(1.0 + k, (), (0,), (), stamp=k)
+        assert test.is_synchronized(result, state.root)
+        result = test.after(result, change, np.ones(2), belief)
+    assert test.is_synchronized(result, state.root) != ends
 
 
 def test_large_innovations_end_synchronization() -> None:

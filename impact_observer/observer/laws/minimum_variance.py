@@ -25,7 +25,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import FilterBank, LogPriors
+from impact_observer.estimation.filter_bank import Extent, FilterBank, LogPriors
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
@@ -192,8 +192,8 @@ class MinimumVariance(Law):
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        u = fallback.x[self.system.n :]
-        corrected = self._bank.correct(change, hypotheses, restarts, u) or restarts()
+        extent = Extent(fallback.x[self.system.n :], fallback.largest)
+        corrected = self._bank.correct(change, hypotheses, restarts, extent) or restarts()
         return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
 
     def struck(
@@ -262,11 +262,11 @@ class MinimumVariance(Law):
             now = self._caught_up(prior, fallback, closed)
             return self._starts.restarts(now, closed, 1 + prior.ensemble.others)[0].state
 
-        found, outcome, known = self._samples.after(reading, hypotheses, restart)
+        found, outcome, known = self._samples.after(reading, hypotheses, fallback.largest, restart)
         if len(found) == len(hypotheses) == 1 and found[0].state is hypotheses[0].state:
             return prior, outcome, known
         if account is not None:
-            account = self._accounts.measured(reading, account)
+            account = self._accounts.measured(reading, account, fallback.largest)
         if prior.fit.is_compared:
             return self._posterior(found, fallback, prior.fit, account), outcome, known
         posterior = self._measured(found, fallback, prior.fit, prior.behind)

@@ -24,7 +24,7 @@ from scipy import linalg
 
 from impact_observer.dynamics import Scales
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import FilterBank
+from impact_observer.estimation.filter_bank import Extent, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
@@ -154,8 +154,8 @@ class ParameterAccounts:
         """The account after an event."""
         prior = before.published[0].state
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
-        u = fallback.x[self._system.n :]
-        corrected = self._bank.correct(change, before.hypotheses, restarts, u) or restarts()
+        extent = Extent(fallback.x[self._system.n :], fallback.largest)
+        corrected = self._bank.correct(change, before.hypotheses, restarts, extent) or restarts()
         fit = fitted(before.fit, change, prior.x, corrected, self._bank)
         if error_share(corrected) > ESTABLISHED:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
@@ -165,9 +165,10 @@ class ParameterAccounts:
             residual = float(w.dot(prior.x[:n]) + self._system.q_r[change.hit[0]])
         return Account(corrected, fit, residual)
 
-    def measured(self, reading: Reading, before: Account) -> Account:
+    def measured(self, reading: Reading, before: Account, largest: Vector) -> Account:
         """The account after a sample that is measured beside the impacts."""
-        return before._replace(hypotheses=self._samples.after(reading, before.hypotheses)[0])
+        found = self._samples.after(reading, before.hypotheses, largest)[0]
+        return before._replace(hypotheses=found)
 
     @cached_property
     def _samples(self) -> SampleUpdate:
