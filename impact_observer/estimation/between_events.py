@@ -247,12 +247,14 @@ class BetweenEvents:
         yield _Missed(path, dip, weight, dead > DEAD)
 
     def _inserted(self, missed: Sequence[_Missed]) -> list[_Path]:
-        """Paths after missed switches."""
+        """Paths after missed switches, but for those that the impact law does not allow."""
         before = self._priors([each.path._replace(left=each.dip.began) for each in missed])
         t = [each.path.t + each.dip.began for each in missed]
         found = []
         for (path, dip, weight, is_dead), at, prior in zip(missed, t, before, strict=True):
-            state, kind, flight = insert_switch(self.filter, at, prior, dip)
+            if (inserted := insert_switch(self.filter, at, prior, dip)) is None:
+                continue
+            state, kind, flight = inserted
             h, left = path.h, path.left - dip.began
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)

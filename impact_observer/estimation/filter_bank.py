@@ -24,6 +24,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from impact_observer.errors import ImpactLawError
 from impact_observer.estimation.between_events import FORLORN, LATE, BetweenEvents
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
@@ -327,7 +328,7 @@ class FilterBank:
             return ()
         made, *fit = found
         branch = _Branch(0.0, h, change, "", Likelihood.of_single(change.hit[0], *fit))
-        after = self._accepted(change, branch, change, iter([self.filter.free_state(made)]))
+        after = self._accepted(change, branch, change, self.filter.free_state(made))
         return (after,) if after.state.is_finite else ()
 
     def _branches(
@@ -448,28 +449,38 @@ class FilterBank:
         return soon and max(likelihood.innovations.values(), default=0.0) < SURPRISE
 
     def _made(self, change: ContactChange, branches: Sequence[_Branch]) -> list[Hypothesis]:
-        """The hypotheses of ``branches`` after the event."""
+        """The hypotheses of ``branches`` after the event, if it is possible in them."""
         true = [each.asked for each in branches if each.here and not each.here.is_nothing]
-        after = iter(self.filter.posteriors(true))
-        return [
-            self._rejected(change, each)
-            if each.here is None
-            else self._accepted(change, each, each.here, after)
-            for each in branches
-        ]
+        after, found = iter(self._posteriors(true)), []
+        for each in branches:
+            if each.here is None:
+                found.append(self._rejected(change, each))
+                continue
+            state = each.before.state if each.here.is_nothing else next(after)
+            if state is not None:
+                found.append(self._accepted(change, each, each.here, state))
+        return found
+
+    def _posteriors(self, asked: Sequence[Asked]) -> Sequence[GaussianState | None]:
+        """The states after an event; None where the impact law has no solution.
+
+        As for a hit while contacts are closed that it cannot be, of one body between two stops.
+        """
+        try:
+            return self.filter.posteriors(asked)
+        except ImpactLawError:
+            if len(asked) == 1:
+                return [None]
+            return [self._posteriors([each])[0] for each in asked]
 
     def _accepted(
-        self,
-        change: ContactChange,
-        branch: _Branch,
-        here: ContactChange,
-        after: Iterator[GaussianState],
+        self, change: ContactChange, branch: _Branch, here: ContactChange, state: GaussianState
     ) -> Hypothesis:
-        """The event was ``here``, and leads to the next state ``after`` it."""
+        """The event was ``here``, and leads to a ``state`` after it."""
         h, likelihood, rests = branch.before, branch.likelihood, dict[int, Rest]()
-        state, kind = h.state, Kind.CLOSE
+        kind = Kind.CLOSE
         if not here.is_nothing:
-            state, kind = next(after), Kind.IMPACT
+            kind = Kind.IMPACT
             if rest := settled(self.filter, branch.asked, state, h.since):
                 here, state, kind = rest.change, rest.state, Kind.CLOSE
                 rests[here.hit[0]] = rest.rest

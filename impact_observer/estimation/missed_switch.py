@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.errors import ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -47,14 +48,20 @@ class Inserted(NamedTuple):
     flight: float = 0.0
 
 
-def insert_switch(filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip) -> Inserted:
+def insert_switch(
+    filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip
+) -> Inserted | None:
     """The switch that a ``dip`` predicts.
 
     The dip begins at ``t``, s since the epoch, with ``state``. A contact that would leave its stop
-    by less than the deviation of its gap rests on it.
+    by less than the deviation of its gap rests on it. None where the impact law has no solution,
+    as of a body that is closed at its other stop.
     """
     change = _missed(t, state.closed, dip)
-    after = posterior_of_missed(filter_, change, state)
+    try:
+        after = posterior_of_missed(filter_, change, state)
+    except ImpactLawError:
+        return None
     if dip.kind is Kind.OPEN:
         return Inserted(after, Kind.OPEN)
     speed = filter_.speed(dip.contact, after)

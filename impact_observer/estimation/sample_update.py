@@ -340,7 +340,9 @@ class SampleUpdate:
             if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
                 continue
             dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, False, 0.0)
-            state, kind, flight = insert_switch(self.bank.filter, reading.t, h.state, dip)
+            if (after := insert_switch(self.bank.filter, reading.t, h.state, dip)) is None:
+                continue
+            state, kind, flight = after
             weight = h.weight_before((contact,)) + missed + float(special.log_ndtr(depth))
             inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
             settled = h.settled

@@ -17,14 +17,17 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import (
-    sample,
-)
+from systems import sample, system
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.filter_bank import Extent, FilterBank
+from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.missed_switch import posterior_of_missed
+from impact_observer.estimation.missed_switch import insert_switch, posterior_of_missed
+from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -94,3 +97,31 @@ def test_missed_impact_that_is_early_jumps_at_its_own_root() -> None:
     expected = thrown(model, t, x[None], 0)[0]
     np.testing.assert_allclose(state.x, expected, atol=1e-6)
     np.testing.assert_allclose(state.x[1], 0.499 - 1e-3, atol=2e-2)
+
+
+def between_stops() -> tuple[System, GaussianState]:
+    """A body between two stops of unlike restitution, which is closed at the first."""
+    model = system([[1.0]], [[0.1]], [[4.0]], contacts=[([1], 0.2, 0.6), ([-1], 0.3, 0.5)])
+    x = np.array([[-0.2, 1.0]])
+    return model, GaussianState.of(x, 0.5 * np.eye(2), (0,))
+
+
+def test_no_impact_is_inserted_that_the_impact_law_does_not_allow() -> None:
+    """Both stops at once."""
+    model, state = between_stops()
+    dip = Dip(1, Kind.IMPACT, 0, 0.0, 0.0, 0.1, 5.0, -20.0, over=True, began=0.0)
+    assert insert_switch(ImpactFilter(model), 0.0, state, dip) is None
+
+
+def test_hypotheses_in_which_an_event_is_impossible_are_dropped() -> None:
+    """Of one that is closed at the other stop it is spurious; the others go on."""
+    model, held = between_stops()
+    free = GaussianState.of(np.array([[0.3, 1.0]]), 1e-3 * np.eye(2))
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0, mislabelled=0.0), (1e-6,))
+    change = ContactChange.of(1.0, (), [(1, Kind.IMPACT)])
+    hypotheses = [Hypothesis(held, 1e-6, -0.1), Hypothesis(free, 1e-6, -2.3)]
+    extent = Extent(np.ones(1), np.ones(2))
+    found = bank.correct(change, hypotheses, lambda: (), extent)
+    rulings = {h.state.closed: h.notes[-1].ruling for h in found}
+    assert rulings[()] is Ruling.APPLIED
+    assert rulings.get((0,), Ruling.REJECTED) is Ruling.REJECTED

@@ -175,13 +175,16 @@ class MissedSwitchPrediction(MixturePrediction):
             return
         _, start, forecast, _, spread, _ = self._stretches[-1]
         confident = (dip for dip in forecast.dips(self._window) if dip.depth >= CONFIDENT)
-        dip = next(confident, None)
-        if dip is None:
+        for dip in confident:
+            at, t = dip.began, self._t + start + dip.began
+            before = forecast.prediction.prior(at)
+            if (inserted := insert_switch(self._filter, t, before, dip)) is not None:
+                break
+        else:
             self._searched, self._window = start + self._window, 2 * self._window
             return
-        at, since = dip.began, start + forecast.confident_from(dip, CONFIDENT)
-        t, before = self._t + start + at, forecast.prediction.prior(at)
-        state, kind, _ = insert_switch(self._filter, t, before, dip)
+        state, kind, _ = inserted
+        since = start + forecast.confident_from(dip, CONFIDENT)
         # The other hypotheses jump with it, so their differences are reversed in the same way.
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:
