@@ -205,6 +205,27 @@ def test_closed_contacts_take_part_in_an_impact_on_their_body() -> None:
     assert seconds(hit) == pytest.approx(np.sqrt(2 / GRAVITY), abs=1e-14)
 
 
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_balls_that_touch_at_rest_are_thrown_off_together(n: int) -> None:
+    """A cradle without gaps: by Newton's law the others move as one, and the first one returns.
+
+    Their loads and gaps are zero all the time, but for rounding.
+    """
+    stops = [(-np.eye(n)[i] + np.eye(n)[i + 1], 0.0, 0.9) for i in range(n - 1)]
+    model = system(np.eye(n), 0.05 * np.eye(n), 10 * np.eye(n), contacts=stops)
+    whole = run(model, -0.5 * np.eye(n)[0], np.zeros(n), seconds=5.0)
+    hits = [each for each in whole.impacts if 0 in each.contacts]
+    assert len(hits) >= 4
+    for hit in hits:
+        before, after = hit.before[n:], hit.after[n:]
+        together = before[1] + 1.9 * (before[0] - before[1]) / n
+        np.testing.assert_allclose(after[1:], together, atol=1e-12)
+        assert after[0] + (n - 1) * together == pytest.approx(before.sum(), abs=1e-12)
+    gaps = np.array([model.gap(x[:n]) for x in whole.states])
+    assert gaps.min() > -1e-12
+    assert np.abs(gaps[:, 1:]).max() < 1e-12
+
+
 def test_contact_opens_in_the_event_of_the_impact_that_throws_it_off() -> None:
     """A ball hits a hook of a body on the floor from below."""
     contacts = [([1, 0], 0.0, 0.5), ([1, -1], 1.0, 0.5)]
