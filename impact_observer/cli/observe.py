@@ -149,7 +149,11 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
         found = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
         line = f"{sensor.name}: {counts['samples']} samples: {found or 'none used yet'}"
         if sensor.name in learned:
-            line += f"; learned: deviation {learned[sensor.name]:.3g} {sensor.measurement.unit}"
+            declared, unit = sensor.measurement.deviation, sensor.measurement.unit
+            line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
+            line += (
+                "" if declared is None else f", much larger than the declared {declared:g} {unit}"
+            )
         yield line
 
 

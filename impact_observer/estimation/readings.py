@@ -35,6 +35,12 @@ _FADING = 4.0
 """Power by which samples from which a deviation is learned fade with their number."""
 _MEMORY = 1000.0
 """How many of them count in the end."""
+_SLOWLY = 0.005
+"""Weight of a sample in the errors of a sensor whose deviation is declared."""
+_OUTLYING = 9.0
+"""Square of an error, relative to the variance so far, above which it counts as no larger."""
+BELIEVED = 2.25
+"""Variance of these errors, relative to the declared one, up to which that is believed."""
 
 
 class Row(NamedTuple):
@@ -191,20 +197,45 @@ class SensorState(NamedTuple):
         variance: of its noise, as it was declared or learned; negative before the first sample.
         samples: how many have taught it.
         rejected: samples in a row that were rejected.
+        shown: variance that its errors have shown, where one is declared: no less than that.
     """
 
     variance: float = -1.0
     samples: int = 0
     rejected: int = 0
+    shown: float = 0.0
 
-    def after(self, *, accepted: bool, residual: float) -> "SensorState":
-        """After a sample: ``learned``, unless it says nothing about that, and rejections counted.
+    def after(
+        self, *, accepted: bool, residual: float, deviation: float | None = None
+    ) -> "SensorState":
+        """After a sample whose noise has had the square ``residual``, in the mean.
 
-        A ``residual`` below zero says nothing.
+        The ``deviation`` is the declared one; None where it is ``learned``. A ``residual`` below
+        zero says nothing.
         """
-        known = self.learned(residual) if residual >= 0 else self
+        known = self
+        if residual >= 0:
+            known = (
+                self.learned(residual)
+                if deviation is None
+                else self._compared(residual, deviation)
+            )
         rejected = 0 if accepted else self.rejected + 1
         return known if known.rejected == rejected else known._replace(rejected=rejected)
+
+    def exceeds(self, deviation: float) -> bool:
+        """Whether its errors are much larger than the declared ``deviation``."""
+        return self.shown > BELIEVED * deviation * deviation
+
+    def _compared(self, residual: float, deviation: float) -> "SensorState":
+        """The declared ``deviation`` is the least, and believed until errors are much larger."""
+        if not (declared := deviation * deviation):
+            return self
+        before = max(self.shown, declared)
+        change = min(residual, _OUTLYING * before) - before
+        shown = max(before + _SLOWLY * change, declared)
+        variance = shown if shown > BELIEVED * declared else declared
+        return self._replace(variance=variance, shown=shown)
 
     def learned(self, residual: float) -> "SensorState":
         """After a sample whose noise has had the square ``residual``, in the mean.

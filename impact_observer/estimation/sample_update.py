@@ -298,9 +298,10 @@ class SampleUpdate:
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
         """The likely ones; where some are ``new`` they may have become alike."""
         first = max(weighed, key=lambda each: each.hypothesis.weight)
-        learns = reading.sensor.measurement.deviation is None
         known = known.after(
-            accepted=first.outcome.accepted, residual=first.residual if learns else -1.0
+            accepted=first.outcome.accepted,
+            residual=first.residual,
+            deviation=reading.sensor.measurement.deviation,
         )
         if len(weighed) == 1:
             return (first.hypothesis._replace(weight=0.0),), first.outcome, known

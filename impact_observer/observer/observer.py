@@ -531,14 +531,18 @@ class Observer:
 
     @property
     def learned_deviations(self) -> dict[str, float]:
-        """Standard deviations of sensors that are learned, by name, as the latest samples say."""
+        """Standard deviations of sensors that are learned, by name, as the latest samples say.
+
+        Also of those whose errors are much larger than declared.
+        """
         if (timeline := self._run.timeline) is None:
             return {}
         known = timeline.entries[-1].known
         return {
             each.name: math.sqrt(max(known[each.index].variance, 0.0))
             for each in self.samples.sensors
-            if each.measurement.deviation is None and each.index in known
+            if each.index in known
+            and ((least := each.measurement.deviation) is None or known[each.index].exceeds(least))
         }
 
     @property

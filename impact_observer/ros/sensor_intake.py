@@ -229,6 +229,7 @@ class SensorIntake:
         age = (now - newest) / NS_PER_S if newest else float("inf")
         rejected = counts["rejected"] + counts["invalid"]
         new, self._reported[index] = rejected - self._reported[index], rejected
+        learned = self._observer.learned_deviations
         level, message = DiagnosticStatus.OK, f"{counts['accepted']} samples accepted"
         if self.problems[index]:
             level, message = DiagnosticStatus.WARN, self.problems[index]
@@ -242,6 +243,11 @@ class SensorIntake:
             self._lost[index] += lost
             level = DiagnosticStatus.WARN
             message = f"{lost} samples were dropped: more than {MOST_KEPT} waited to be used"
+        elif (shown := learned.get(sensor.name)) and declared.deviation is not None:
+            level = DiagnosticStatus.WARN
+            message = (
+                f"samples err by {shown:.3g} {declared.unit}; {declared.deviation:g} is declared"
+            )
         elif new:
             level, message = DiagnosticStatus.WARN, f"{new} samples were rejected"
         values = {
@@ -251,8 +257,8 @@ class SensorIntake:
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
         }
-        if (learned := self._observer.learned_deviations.get(sensor.name)) is not None:
-            values["learned deviation"] = f"{learned:.4g}"
+        if sensor.name in learned:
+            values["learned deviation"] = f"{learned[sensor.name]:.4g}"
         name = f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}"
         return diagnostic_status(name, level, message, values, hardware=sensor.name)
 

@@ -183,3 +183,27 @@ def test_a_learned_variance_forgets_what_was_assumed_first() -> None:
     for _ in range(4000):
         known = known.learned(4e-6 * rng.normal() ** 2)
     assert known.variance == pytest.approx(4e-6, rel=0.2)
+
+
+def test_a_declared_deviation_is_believed_until_errors_are_much_larger() -> None:
+    """Not by chance, nor by outliers; and again once errors are as small as declared."""
+    known, rng = SensorState(variance=1e-6), np.random.default_rng(2)
+
+    def fed(
+        known: SensorState, deviation: float, count: int, outliers: float = 0.0
+    ) -> SensorState:
+        for _ in range(count):
+            wrong = 0.3 * (rng.random() < outliers)
+            residual = (deviation * rng.normal() + wrong) ** 2
+            known = known.after(accepted=True, residual=residual, deviation=1e-3)
+        return known
+
+    known = fed(known, 1e-3, 20_000, outliers=0.05)
+    assert (known.variance, known.exceeds(1e-3)) == (1e-6, False)
+    known = fed(known, 4e-3, 2000)
+    assert known.exceeds(1e-3)
+    assert known.variance == pytest.approx(16e-6, rel=0.3)
+    known = fed(known, 1e-3, 3000)
+    assert (known.variance, known.exceeds(1e-3)) == (1e-6, False)
+    exact = SensorState(variance=0.0).after(accepted=False, residual=1.0, deviation=0.0)
+    assert exact == SensorState(variance=0.0, rejected=1)

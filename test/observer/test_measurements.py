@@ -658,6 +658,25 @@ def test_samples_say_nothing_while_a_contact_lasts(law: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("noise", "shown"), [(1e-3, {}), (5e-3, {"x1": 5e-3})])
+def test_errors_much_larger_than_declared_are_learned(
+    noise: float, shown: dict[str, float]
+) -> None:
+    """A gate that rejects every third sample must not make the filter restart again and again."""
+    model, whole = truth("two_mass", 20.0, rate=100.0)
+    samples = measured(whole, np.eye(4)[:1], noise)
+    declared = Uncertainty(deviation=1.0)
+    observer = watcher(model, "minimum-variance", np.zeros(4), [encoder()], uncertainty=declared)
+    fed(observer, whole.events, samples)
+    assert observer.learned_deviations == pytest.approx(shown, rel=0.2)
+    for k in (1500, 1800, 2000):
+        estimate = observer.estimate(int(whole.stamps[k]))
+        error = np.append(estimate.q, estimate.u) - whole.states[k]
+        assert np.max(np.abs(error)) < noise
+        assert np.max(np.abs(error) / np.sqrt(np.diag(estimate.covariance))) < 5
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", ["outliers", "stuck"])
 def test_a_bad_sensor_is_survived(trouble: str) -> None:
     """One sample of twenty wrong by 0.3 m; or the same value for a second: good again soon."""
