@@ -39,8 +39,8 @@ _SLOWLY = 0.005
 """Weight of a sample in the errors of a sensor whose deviation is declared."""
 _OUTLYING = 9.0
 """Square of an error, relative to the variance so far, above which it counts as no larger."""
-BELIEVED = 2.25
-"""Variance of these errors, relative to the declared one, up to which that is believed."""
+AS_DECLARED = 2.25
+"""Variance of these errors, relative to the declared one, up to which that is used."""
 
 
 class Row(NamedTuple):
@@ -225,16 +225,16 @@ class SensorState(NamedTuple):
 
     def exceeds(self, deviation: float) -> bool:
         """Whether its errors are much larger than the declared ``deviation``."""
-        return self.shown > BELIEVED * deviation * deviation
+        return self.shown > AS_DECLARED * deviation * deviation
 
     def _compared(self, residual: float, deviation: float) -> "SensorState":
-        """The declared ``deviation`` is the least, and believed until errors are much larger."""
+        """The declared ``deviation`` is used unless errors are much larger."""
         if not (declared := deviation * deviation):
             return self
         before = max(self.shown, declared)
         change = min(residual, _OUTLYING * before) - before
         shown = max(before + _SLOWLY * change, declared)
-        variance = shown if shown > BELIEVED * declared else declared
+        variance = shown if shown > AS_DECLARED * declared else declared
         return self._replace(variance=variance, shown=shown)
 
     def learned(self, residual: float) -> "SensorState":

@@ -420,7 +420,9 @@ class BagReader:
         except Exception as error:  # anything, in a damaged file
             reason = _reason(error)
             remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
-            if "database" in reason:  # as sqlite3 says
+            if "files are missing" in reason:  # that metadata.yaml names
+                remedy = "move them back, or `impact-observer check --salvage` saves what is there"
+            elif "database" in reason:  # as sqlite3 says
                 command = recover_command(self.path)
                 remedy = f"`{command}` writes what is left to a new file"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error

@@ -14,7 +14,7 @@
 
 """The parameters of a model that can be estimated, by the names that users write."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import combinations
 
@@ -88,13 +88,7 @@ def parametric_family(
     for name in wanted:
         found = [each for each in available if each == name or each.startswith(f"{name}.")]
         if not found:
-            kinds = dict.fromkeys(each.partition(".")[0] for each in available)
-            near = get_close_matches(name, [*kinds, *available], 1)
-            meant = f"did you mean {near[0]}? " if near else ""
-            raise UsageError(
-                f"parameter {name!r}: this model has none; {meant}expected some of"
-                f" {', '.join(available)}; or all of a kind, such as restitution"
-            )
+            raise UsageError(_unknown(name, available, elements))
         names.extend(found)
     for name in names:
         if names.count(name) > 1:
@@ -110,6 +104,19 @@ def parametric_family(
         if other == f"{one}-scale":
             raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
     return ParametricFamily(system, tuple(available[name] for name in names))
+
+
+def _unknown(name: str, available: Collection[str], elements: Sequence[Element]) -> str:
+    """What is said of a ``name`` that no parameter of a model has."""
+    kinds = dict.fromkeys(each.partition(".")[0] for each in available)
+    near = get_close_matches(name, [*kinds, *available], 1)
+    meant = f"did you mean {near[0]}? " if near else ""
+    if not elements and name.partition(".")[0] in _SCALES:
+        meant = "of a model with bodies and springs give elements=model.elements, too; "
+    return (
+        f"parameter {name!r}: this model has none; {meant}expected some of"
+        f" {', '.join(available)}; or all of a kind, such as restitution"
+    )
 
 
 def with_unit(name: str) -> str:

@@ -185,7 +185,7 @@ def test_a_learned_variance_forgets_what_was_assumed_first() -> None:
     assert known.variance == pytest.approx(4e-6, rel=0.2)
 
 
-def test_a_declared_deviation_is_believed_until_errors_are_much_larger() -> None:
+def test_a_declared_deviation_is_used_unless_errors_are_much_larger() -> None:
     """Not by chance, nor by outliers; and again once errors are as small as declared."""
     known, rng = SensorState(variance=1e-6), np.random.default_rng(2)
 

@@ -309,6 +309,7 @@ def test_names_and_deviations_are_read_as_users_write_them() -> None:
         (("elasticity",), "parameter 'elasticity': this model has none; expected some of"),
         (("restituton",), "'restituton': this model has none; did you mean restitution"),
         (("gap.stopp",), "'gap.stopp': this model has none; did you mean gap.stop"),
+        (("mass.x1",), "'mass.x1': this model has none; .* give elements=model.elements, too"),
         (("restitution", "restitution.stop"), "found twice"),
     ],
 )

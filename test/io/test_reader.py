@@ -240,7 +240,10 @@ def break_empty(path: Path) -> Path:
         ),
         (break_folder, r"bag: no metadata\.yaml; expected a bag"),
         (break_yaml, r"bag: cannot be read as a bag: Could not load YAML"),
-        (break_file, r"bag: cannot be read as a bag: Some database files are missing"),
+        (
+            break_file,
+            r"bag: cannot be read as a bag: Some database files are missing: .*; move them",
+        ),
         (break_end, r"bag: cannot be read as a bag: File end magic .*check --salvage"),
         (break_sqlite, r"bag\.db3: cannot be read as a bag: Cannot open database"),
         (break_empty, r"bag_0\.mcap: cannot be read as a bag: File .* seems to be empty"),
