@@ -182,6 +182,7 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
+        self._compares_states = filter_.system.m > 1
         own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
         self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
@@ -551,8 +552,8 @@ class FilterBank:
     def distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those that are alike, in order (N-scan pruning).
 
-        Those that differ in older decisions only have nearly the same state, unless the contact of
-        these is rarely hit, and others often. Of an erroneous model they are alike in any case.
+        Those that differ in older decisions only have nearly the same state. They need not where
+        there are several contacts: the latest decisions may be on one that is hit often.
         """
         if len(made) <= 1:
             return [*made]
@@ -568,7 +569,8 @@ class FilterBank:
             inserted = tuple((each.contact, each.kind) for each in h.missed)
             same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             kept = found.setdefault(same, [])
-            if not kept or (h.is_exact and not any(_are_near(h.state, k.state) for k in kept)):
+            compares = self._compares_states and h.is_exact
+            if not any(not compares or _are_near(h.state, each.state) for each in kept):
                 kept.append(h)
         return sorted((h for kept in found.values() for h in kept), key=_weight)
 

@@ -59,6 +59,8 @@ _BACK = 8.0
 """Longest flow back from a stamp, in time constants of the fastest fading motion."""
 _WIDEST = 10.0
 """Standard deviation that a widened one stays below, relative to the motion so far."""
+_FAR_BELOW = 0.3
+"""Standard deviation that needs no limit, relative to that one."""
 _LEAST_EXTENT = 1e-9
 """Magnitude of a component of the motion that has been still, relative to the largest."""
 INSIDE = 4.0
@@ -457,10 +459,12 @@ class ImpactFilter:
             now = lengths(state.root[size : size + p])
             most = self._unknowns.deviations / np.maximum(now, STILL)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
-        most = np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=STILL)))
-        bounds = np.zeros((size, len(state.root)))
-        bounds.flat[:: len(state.root) + 1] = 1.0 / (_WIDEST * most)
         wider = state.root * factors[:, None]
+        most = _WIDEST * np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=STILL)))
+        if np.all(np.linalg.norm(wider[:size], axis=1) <= _FAR_BELOW * most):
+            return state._replace(root=wider)
+        bounds = np.zeros((size, len(state.root)))
+        bounds.flat[:: len(state.root) + 1] = 1.0 / most
         limited = correction(wider, bounds, np.zeros((size, 0)), [1.0] * size)
         return state._replace(root=limited.root)
 
