@@ -26,7 +26,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csgraph
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
@@ -277,14 +276,19 @@ class System:
         """Largest forces of the guides, shape (k,), N."""
         return np.array([each.force for each in self.guides])
 
-    def parts(self) -> NDArray[np.int32]:
+    def parts(self) -> NDArray[np.intp]:
         """Number of the part of the system that each coordinate belongs to, shape (n,).
 
         No mass, damper, spring or contact couples different parts.
         """
         touched = np.abs(self.W)
-        coupled = np.abs(self.M) + np.abs(self.C) + np.abs(self.K) + touched @ touched.T
-        return np.asarray(csgraph.connected_components(coupled, directed=False)[1])
+        coupled = (np.abs(self.M) + np.abs(self.C) + np.abs(self.K) + touched @ touched.T) > 0
+        part, least = np.full(self.n, -1), np.arange(self.n)
+        while np.any(part != least):  # scipy's graphs take long to import
+            part = least
+            least = np.where(coupled, part, self.n).min(axis=1)
+            least = least[least]
+        return np.unique(part, return_inverse=True)[1]
 
     def _gap_rounding(self, q: Vector) -> Vector:
         moved = 0.0 if self.frame is None else self.frame.gap_reach[: self.m]
