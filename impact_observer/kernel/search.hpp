@@ -36,7 +36,7 @@ using Which = std::vector<std::size_t>;
 
 struct Crossing {
     double s;
-    Which which;  // all that are zero then and do not rise
+    Which which;  // all that are zero then
 
     auto fields() const { return std::tie(s, which); }
 };
@@ -212,12 +212,9 @@ class Hunt {
             if (x < first.s) first.s = x, earliest = i;
         }
         look(first.s);
-        for (std::size_t i = 0; i < functions->size(); ++i) {
-            const double zero = ZERO * functions->scale(i);
-            const double rise = functions->derivative(1, i) * window;
-            if (i == earliest || (functions->derivative(0, i) <= zero && rise <= zero))
+        for (std::size_t i = 0; i < functions->size(); ++i)
+            if (i == earliest || functions->derivative(0, i) <= ZERO * functions->scale(i))
                 first.which.push_back(i);
-        }
         found = first;
     }
 

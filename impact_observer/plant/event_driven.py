@@ -238,7 +238,7 @@ class Plant:
             self._watch.crossed(which),
         )
         self._check_progress(s, instant)
-        if hit := crossed[End.GAP]:
+        if hit := self._hit(x, crossed):
             if len(hit) == 1 and self._lasts(*hit):
                 return self._onset(instant, x, *hit)
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
@@ -251,6 +251,17 @@ class Plant:
         ends = crossed[End.LOAD], crossed[End.GUIDE]
         grip = ended(self._phases, phase, self.closed, *ends)
         return self._gripped(instant, x, switching.after, (), grip)
+
+    def _hit(self, x: Vector, crossed: dict[End, set[int]]) -> set[int]:
+        """The contacts that impact at ``x``, not those that a load has just let go.
+
+        Gaps that open are zero, too, at the start of a phase which a load ends at once.
+        """
+        hit, n = crossed[End.GAP], self.system.n
+        if not (hit and crossed[End.LOAD]):
+            return hit
+        opens = self.system.contact_speed(x[n:]) > self._phases.speed_tolerance(x[n:])
+        return {i for i in hit if not opens[i]}
 
     def _lasts(self, contact: int) -> bool:
         """Whether the velocities jump after the onset, as a contact is hit now."""
