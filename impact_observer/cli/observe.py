@@ -151,9 +151,8 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
         if sensor.name in learned:
             declared, unit = sensor.measurement.deviation, sensor.measurement.unit
             line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
-            line += (
-                "" if declared is None else f", much larger than the declared {declared:g} {unit}"
-            )
+            if declared is not None:
+                line += f", much larger than the declared {declared:g} {unit}"
         yield line
 
 

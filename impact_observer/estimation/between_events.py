@@ -200,22 +200,18 @@ class BetweenEvents:
             if not some:
                 yield h._replace(state=state, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
                 continue
-            paid = (
-                {d.contact: h.paid.get(d.contact, 0.0) for d in some if d.goes_on}
-                if h.paid
-                else {}
-            )
             over = sum(
-                min(dip.unlikely - (paid.pop(dip.contact, 0.0) if dip.goes_on else 0.0), 0.0)
+                h.owed(dip.contact, dip.unlikely) if dip.goes_on else dip.unlikely
                 for dip in some
                 if dip.over
             )
-            penetrating = {dip.contact: dip.unlikely for dip in some if not dip.over}
+            deep = [dip for dip in some if not dip.over]
+            known = [dip.contact for dip in deep if dip.goes_on and dip.contact in h.paid]
             yield h._replace(
                 state=state,
                 weight=h.weight + over,
-                penetrating=penetrating,
-                paid=paid,
+                penetrating={dip.contact: dip.unlikely for dip in deep},
+                paid={i: h.paid[i] for i in known},
                 since=h.since + s,
             )
 

@@ -424,8 +424,8 @@ class FilterBank:
             for other, chance in self.errors.others(h, here, likelihood):
                 yield prior + self._reported + chance, other, here, ""
         if leads and depth > SURPRISE and not self.trusts_estimate:
+            part = self.filter.part_of(here.contacts)
             for factor in WIDENING:
-                part = self.filter.part_of(here.contacts)
                 state = self.filter.widened(h.state, factor * depth, largest, part)
                 wider = h._replace(state=state)
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"

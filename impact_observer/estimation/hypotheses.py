@@ -167,12 +167,15 @@ class Hypothesis(NamedTuple):
         """
         if not (self.penetrating or self.paid):
             return self.weight
-        owed = sum(self.owed(i) for i in self.penetrating if i not in contacts)
+        owed = sum(self.owed(i, w) for i, w in self.penetrating.items() if i not in contacts)
         return self.weight + owed - sum(self.paid.get(i, 0.0) for i in contacts)
 
-    def owed(self, contact: int) -> float:
-        """What of ``penetrating`` is not in the weight yet: each penetration counts once."""
-        return min(self.penetrating[contact] - self.paid.get(contact, 0.0), 0.0)
+    def owed(self, contact: int, unlikely: float) -> float:
+        """What of a penetration is not in the weight yet, as each counts once.
+
+        ``unlikely`` is the logarithm of its probability.
+        """
+        return min(unlikely - self.paid.get(contact, 0.0), 0.0)
 
     def paid_after(self, contacts: Contacts) -> Mapping[int, float]:
         """``paid`` after an event of ``contacts``."""

@@ -16,7 +16,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -124,7 +124,6 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
-        self._parts = system.parts()
         self._is_uncertain = self.noise is not None or self.members.family.size > 0
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
         self._drifts = bool(np.any(declared.drift))
@@ -437,6 +436,10 @@ class ImpactFilter:
         """The coordinates that ``contacts`` touch, and all that these are coupled with, (n,)."""
         touched = np.any(self.system.W[:, list(contacts)] != 0, axis=1)
         return np.isin(self._parts, self._parts[touched])
+
+    @cached_property
+    def _parts(self) -> NDArray[np.intp]:
+        return self.system.parts()
 
     def widened(
         self,

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.filter_bank import Extent
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.misfit import Fit
 from impact_observer.events import Contacts
@@ -67,6 +68,11 @@ class Fallback(NamedTuple):
     x: Vector
     largest: Vector
     errors: Matrix
+
+    @property
+    def extent(self) -> Extent:
+        """How large the motion is by it."""
+        return Extent(self.x[self.x.size // 2 :], self.largest)
 
     @property
     def unit(self) -> Matrix:

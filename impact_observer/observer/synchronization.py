@@ -125,9 +125,9 @@ class SynchronizationTest:
     ) -> Synchronization:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
-        distance = math.inf if posterior.root is None else self._expected(posterior.root)
+        expected = 0.0 if posterior.root is None else self._expected(posterior.root)
         largest = previous.largest
-        if posterior.root is None or distance <= energy:  # else it may be anywhere
+        if expected <= energy:  # else it may be anywhere
             largest = max(largest, energy)
         is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
@@ -145,10 +145,9 @@ class SynchronizationTest:
             if posterior.root is not None:
                 # At rest on several stops a filter that has lost the track explains any event.
                 is_impact = is_impact and bool(change.closed or not is_at_rest)
-            else:
-                least = self._least_distance(previous, change, x[: self._n])
-                distance = least if is_impact else 0.0
-            if distance <= limit:
+            elif is_impact:
+                expected = self._least_distance(previous, change, x[: self._n])
+            if expected <= limit:
                 agreed = self._agreed(previous.agreed, change, contradicted, counts=is_impact)
         return Synchronization(convergence, energy, largest, agreed, contradicted, hits)
 

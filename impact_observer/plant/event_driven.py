@@ -253,9 +253,9 @@ class Plant:
         return self._gripped(instant, x, switching.after, (), grip)
 
     def _hit(self, x: Vector, crossed: dict[End, set[int]]) -> set[int]:
-        """The contacts that impact at ``x``, not those that a load has just let go.
+        """The contacts that impact at ``x``.
 
-        Gaps that open are zero, too, at the start of a phase which a load ends at once.
+        Where a load ends a phase at its start, gaps are zero that open: these do not.
         """
         hit, n = crossed[End.GAP], self.system.n
         if not (hit and crossed[End.LOAD]):

@@ -414,6 +414,15 @@ def test_impacts_that_are_inserted_beside_rejected_ones_end_synchronization(
     assert test.is_synchronized(result, state.root) != ends
 
 
+def test_a_contact_that_opens_is_no_impact_and_ends_no_agreement() -> None:
+    """Of laws without covariance, where a motion is rigid and nothing is hit."""
+    ball = sample("bouncing_ball").system
+    test, before = SynchronizationTest(ball), Synchronization(0.0, 1.0, 1.0, (2,), hits={0: 0.5})
+    belief = Belief(Ensemble.of(np.tile([0.0, 1.0], (10, 1))))
+    found = test.after(before, ContactChange(1.0, (0,), (), ()), np.zeros(2), belief)
+    assert found.agreed == (2,)
+
+
 def test_large_innovations_end_synchronization() -> None:
     """The stiffness is off by 3 %: replicas agree, but innovations are large."""
     stiffer = replace(THREE_MASS.system, K=1.03 * THREE_MASS.system.K)

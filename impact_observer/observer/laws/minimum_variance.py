@@ -25,7 +25,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import Extent, FilterBank, LogPriors
+from impact_observer.estimation.filter_bank import FilterBank, LogPriors
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
@@ -192,8 +192,8 @@ class MinimumVariance(Law):
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        extent = Extent(fallback.x[self.system.n :], fallback.largest)
-        corrected = self._bank.correct(change, hypotheses, restarts, extent) or restarts()
+        corrected = self._bank.correct(change, hypotheses, restarts, fallback.extent)
+        corrected = corrected or restarts()
         return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
 
     def struck(
@@ -203,7 +203,7 @@ class MinimumVariance(Law):
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account or posterior.fit.is_misfit or change.disorder:
             return None
-        u = fallback.x[self.system.n :]
+        u = fallback.extent.u
         found = self._bank.struck(change, posterior.hypotheses, since, s, u)
         if found is None:
             return None

@@ -24,7 +24,7 @@ from scipy import linalg
 
 from impact_observer.dynamics import Scales
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import Extent, FilterBank
+from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
@@ -154,8 +154,8 @@ class ParameterAccounts:
         """The account after an event."""
         prior = before.published[0].state
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
-        extent = Extent(fallback.x[self._system.n :], fallback.largest)
-        corrected = self._bank.correct(change, before.hypotheses, restarts, extent) or restarts()
+        corrected = self._bank.correct(change, before.hypotheses, restarts, fallback.extent)
+        corrected = corrected or restarts()
         fit = fitted(before.fit, change, prior.x, corrected, self._bank)
         if error_share(corrected) > ESTABLISHED:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
