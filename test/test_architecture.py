@@ -1,22 +1,8 @@
-# Copyright 2026 impact_observer developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
-
-"""The house: which rooms import which, the words of prose and names, and rules for tests."""
+# SPDX-License-Identifier: Apache-2.0
+"""The house: which rooms import which, and rules for tests."""
 
 import ast
 import gc
-import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -35,18 +21,6 @@ BENCHMARKS = ROOT / "benchmarks"
 
 LEVELS = {room.name: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
 """The modules beside the rooms are the vocabulary, level 0."""
-PRIVATE_WORDS = {
-    *("likewise", "heard", "unheard", "hears", "overheard", "believed", "believes", "foretold"),
-    *("astray", "telling", "glance", "anew", "surety", "invented", "invents", "spoken"),
-    *("tells", "unsaid", "trembles", "noughts", "somebody", "anybody"),
-    *("lasting", "apart", "learnt", "surprised", "surprises", "surprising", "thoughts"),
-}
-"""Words that a reader of the field would have to learn first."""
-PRIVATE_IN_TESTS = {"told", "course", "surprise"}
-"""More of them; elsewhere some are names of the past (CHANGELOG.rst)."""
-PAGES = sorted(
-    path for at in (".", "docs", "bags", "examples") for path in (ROOT / at).glob("*.md")
-)
 CORE = ("model", "dynamics", "plant", "estimation", "observer")
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}
@@ -174,24 +148,13 @@ def test_no_class_name_stands_twice() -> None:
     assert [name for name, count in classes.items() if count > 1] == []
 
 
-def test_every_source_file_begins_with_the_notice_of_copyright() -> None:
-    """``ament_copyright`` accepts the package; a file that says nothing needs no notice."""
-    notice, _, _ = Path(__file__).read_text(encoding="utf-8").partition("\n\n")
-    assert notice.startswith("# Copyright")
+def test_every_source_file_begins_with_its_licence() -> None:
+    """Every source file that is not empty begins with one SPDX line."""
     sources = chain(modules(), TESTS.rglob("*.py"), BENCHMARKS.rglob("*.py"))
     for path in chain(sources, PACKAGE.rglob("*.?pp")):
-        text = re.sub("(?m)^//", "#", path.read_text(encoding="utf-8"))
-        assert not text or text.startswith(notice), named(path)
-
-
-def test_words_are_those_of_the_field() -> None:
-    """Names and prose are for readers who know ROS, estimation and multibody dynamics."""
-    tests = {*TESTS.rglob("*.py"), *BENCHMARKS.rglob("*.py")} - {Path(__file__).resolve()}
-    for path in {*modules(), *tests, *PAGES}:
-        text = path.read_text(encoding="utf-8").lower().replace("_", " ")
-        private = PRIVATE_WORDS | PRIVATE_IN_TESTS if path in tests else PRIVATE_WORDS
-        found = private & set(re.findall("[a-z]+", text))
-        assert found == set(), f"{named(path)}: {', '.join(sorted(found))}"
+        text = path.read_text(encoding="utf-8").replace("//", "#", 1)
+        assert not text or text.startswith("# SPDX-License-Identifier: Apache-2.0
+"), named(path)
 
 
 def is_test(node: ast.AST) -> bool:
