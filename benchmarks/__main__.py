@@ -5,22 +5,17 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from rich.console import Console
 
 from benchmarks import (
-    bar,
-    bulk_bag,
-    compare_bag,
-    ensemble,
     events,
-    kernel,
+    filter_cost,
     live_inputs,
     observe_bag,
     plant_run,
     report,
-    start,
+    sweep,
     topic,
 )
 from benchmarks.fast_bags import SECONDS
@@ -28,7 +23,7 @@ from benchmarks.harness import Benchmark, DisagreementError, Result, measure, ne
 
 
 def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
-    """All benchmarks; ``seconds`` is the length of the bags to observe and to compare."""
+    """Returns all benchmarks; ``seconds`` is the length of the bags to observe."""
     return (
         plant_run.BENCHMARK,
         plant_run.IMPACTS,
@@ -36,13 +31,9 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
         live_inputs.BENCHMARK,
         live_inputs.SENSOR,
         *observe_bag.benchmarks(seconds),
-        bulk_bag.BENCHMARK,
-        compare_bag.benchmark(seconds),
-        ensemble.BENCHMARK,
         *events.benchmarks(),
-        bar.BENCHMARK,
-        start.BENCHMARK,
-        *kernel.benchmarks(seconds),
+        *filter_cost.benchmarks(seconds),
+        sweep.BENCHMARK,
     )
 
 
@@ -58,14 +49,15 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"{each.name:24} {each.question}")
         return 0
     chosen = [each for each in benchmarks(given.seconds) if each.name in given.names]
-    found, agreed = measured(chosen, given.rounds)
+    results, skipped, agreed = measured(chosen, given.rounds)
     if given.json:
-        given.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        document = report.document(results, skipped)
+        given.json.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     console = Console(width=max(Console().width, 120))
-    console.print(report.table(found))
-    for each in found["benchmarks"]:
-        console.print(f"{each['name']}: {each['work']}", highlight=False)
-    for name, reason in found["skipped"].items():
+    console.print(report.table(results))
+    for each in results:
+        console.print(f"{each.benchmark.name}: {each.contest.work}", highlight=False)
+    for name, reason in skipped.items():
         console.print(f"{name}: skipped: {reason}", highlight=False)
     return 0 if agreed else 1
 
@@ -82,7 +74,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
         type=float,
         default=SECONDS,
         metavar="S",
-        help=f"length of the bags to observe and to compare (default {SECONDS:g})",
+        help=f"length of the bags to observe (default {SECONDS:g})",
     )
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every metric to FILE")
     given = parser.parse_args(args)
@@ -96,8 +88,10 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     return given
 
 
-def measured(chosen: Iterable[Benchmark], rounds: int | None) -> tuple[dict[str, Any], bool]:
-    """The document of the chosen benchmarks, and whether all contestants agreed."""
+def measured(
+    chosen: Iterable[Benchmark], rounds: int | None
+) -> tuple[list[Result], dict[str, str], bool]:
+    """Returns results, reasons of skipped benchmarks, and whether all contestants agreed."""
     results: list[Result] = []
     skipped: dict[str, str] = {}
     agreed = True
@@ -112,7 +106,7 @@ def measured(chosen: Iterable[Benchmark], rounds: int | None) -> tuple[dict[str,
                 skipped[each.name] = result
             else:
                 results.append(result)
-    return report.document(results, skipped), agreed
+    return results, skipped, agreed
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ for each group of plants, a row for each run:
 Samples within 5 ms of a contact do not count. Below each table are the goals; exact plants have
 none. Plants with fewer than an impact a second run up to 3.5 times longer.
 
-Instead, ``--exact N`` counts false alarms on exact models (``benchmarks/misfit_alarms.py``), and
-``--picture FILE`` draws error and standard deviation on one plant.
+Instead, ``--exact N`` counts false alarms on exact models (``benchmarks/misfit_alarms.py``).
 """
 
 import argparse
@@ -26,7 +25,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from fnmatch import fnmatch
-from pathlib import Path
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -36,10 +34,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks import misfit_alarms, misfit_picture
+from benchmarks import misfit_alarms
 from benchmarks.harness import new_file
-from benchmarks.misfit_plants import Group, WrongPlant, plants
-from benchmarks.misfit_runs import ALLOWED, GEOMETRIC, Job, Outcome, length, outcome
+from benchmarks.misfit_plants import Group, plants
+from benchmarks.misfit_runs import ALLOWED, GEOMETRIC, Job, Outcome, outcome
 
 SOON = 40
 """Events within which a warning is expected."""
@@ -152,7 +150,6 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--first-seed", type=int, default=0, metavar="K", help="of --exact: the first seed"
     )
-    parser.add_argument("--picture", type=new_file, metavar="FILE", help="draw the plant instead")
     given = parser.parse_args(args)
     if min(given.seeds, given.jobs) < 1 or not given.seconds > 10 or given.exact < 0:
         parser.error("expected --seeds, --jobs and --exact above 0, --seconds above 10")
@@ -164,15 +161,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     ]
     if not given.plants:
         parser.error(f"no plant is named {' or '.join(given.names)} in that group")
-    if given.picture and len(given.plants) > 1:
-        parser.error(f"--picture: expected one plant, found {len(given.plants)}")
     return given
-
-
-def draw(plant: WrongPlant, seconds: float, path: Path) -> None:
-    """Draw the first run of a plant."""
-    recording = plant.run(0, length(plant.model, seconds))
-    misfit_picture.draw(plant.model, recording, path)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -182,9 +171,6 @@ def main(args: Sequence[str] | None = None) -> int:
         0; 2 for wrong use.
     """
     given, console = arguments(args), Console(width=max(Console().width, 110))
-    if given.picture:
-        draw(given.plants[0], given.seconds, given.picture)
-        return 0
     if given.exact:
         counts = misfit_alarms.run(given.exact, given.jobs, given.first_seed)
         misfit_alarms.print_table(counts, console)

@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from benchmarks import misfit_mujoco
 from benchmarks.misfit_bases import LARGEST, bases
 from benchmarks.misfit_motion import AccumulationError, Array, Force, Motion, Recording, Truth
 from impact_observer.model import Contact, Forcing, System
@@ -55,13 +54,13 @@ class Kind:
     Attributes:
         name: of the kind.
         what: differs, with a place for the size.
-        truth: of a size and a model; None for MuJoCo.
+        truth: of a size and a model.
         rows: sizes, each with the names of the models for tuning and held back.
     """
 
     name: str
     what: str
-    truth: Callable[[float, System], Truth] | None
+    truth: Callable[[float, System], Truth]
     rows: tuple[tuple[float, str, str], ...]
 
 
@@ -343,12 +342,6 @@ KINDS = (
         ((0.0005, "two_mass", "three_mass"),),
     ),
     Kind("gap", "gaps are larger by {:.0%}", gap, ((0.01, "three_mass", "two_mass"),)),
-    Kind(
-        "mujoco",
-        "MuJoCo, contacts last {:g} s",
-        None,
-        ((0.001, "two_mass", "three_mass"), (0.004, "two_stops", "four_mass")),
-    ),
 )
 
 
@@ -370,7 +363,5 @@ def _plants() -> Iterator[WrongPlant]:
 
 
 def _run_of(kind: Kind, size: float, model: System) -> Run:
-    if kind.truth is None:
-        return partial(run, partial(misfit_mujoco.follow, model, size), model, 0)
     truth = kind.truth(size, model)
     return partial(run, partial(follow, truth), truth.system, truth.system.n - model.n)

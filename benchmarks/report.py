@@ -1,78 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measurements as a document, and the document as a table or in Markdown.
+"""The measurements as a document in JSON, and as a table."""
 
-python -m benchmarks.report FILE     # of ./dev bench --json FILE, in Markdown
-"""
-
-import json
 import math
-import os
-import platform
 import statistics
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import Any, NamedTuple
-from xml.etree import ElementTree as ET
+from typing import Any
 
 from rich import box
 from rich.table import Table
 
 from benchmarks.harness import OURS, Goal, Result
 
-PACKAGES = {
-    "impact_observer": (),
-    "numpy": (),
-    "scipy": (),
-    "rosbags": (),
-    "mcap": (),
-    "rclpy": ("ros-rclpy",),
-    "fastrtps": ("ros-fastrtps",),
-}
-"""Packages whose versions are reported, and their names as wheels."""
-_SICONOS = Path("/usr/include/siconos/SiconosConfig.h")
+HEADINGS = ("benchmark", "ours", "peer", "peer's", "ratio", "of the rounds", "goal", "met")
+CAPTION = (
+    "Medians of the rounds. A ratio is our figure over the peer's in the same round.\n"
+    "A goal is for the median of ratios, or for the least of our own figures."
+)
 _PREFIXES = {"s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))}
 
 
-class Row(NamedTuple):
-    """A line of the table."""
-
-    benchmark: str
-    ours: str
-    peer: str
-    theirs: str
-    ratio: str
-    spread: str
-    goal: str
-    met: str
-
-
-HEADINGS = Row("benchmark", "ours", "peer", "peer's", "ratio", "of the rounds", "goal", "met")
-
-CAPTION = (
-    "Medians of the rounds. Ratios are ours over the peer's in the same round: below 1 is less."
-    "\nGoals are for the median of ratios, and for the least of our own metrics."
-    "\nTables of their own: ./dev bench memory, of a node after 1e6 events; ./dev bench sweep, how"
-    " that scales."
-)
-
-
 def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str, Any]:
-    """All measurements and versions; nothing identifies the machine.
+    """Returns all measurements for a JSON file.
 
     Args:
         results: of the benchmarks.
-        skipped: why others were skipped, by name.
+        skipped: the reason of each benchmark that was skipped, by name.
     """
     return {
-        "versions": {"python": platform.python_version(), **_versions()},
         "benchmarks": [
             {
                 "name": result.benchmark.name,
-                "question": result.benchmark.question,
                 "work": result.contest.work,
                 "units": dict(result.contest.units),
                 "metrics": result.metrics,
@@ -80,10 +38,6 @@ def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str,
                     peer: {f: asdict(result.ratio(peer, f)) for f in result.contest.units}
                     for peer in result.contest.peers
                 },
-                "goals": [
-                    {**asdict(goal), **_reached(result, goal)} for goal in result.benchmark.goals
-                ],
-                "skipped": dict(result.contest.absent),
             }
             for result in results
         ],
@@ -91,109 +45,61 @@ def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str,
     }
 
 
-def _reached(result: Result, goal: Goal) -> dict[str, float | bool | None]:
-    """The value and whether it meets a goal; None where the peer is absent."""
-    if goal.peer and goal.peer not in result.contest.peers:
-        return {"found": None, "met": None}
-    # A ratio has no slow spells in it; a metric of our own has, so its least counts.
-    own = result.own(goal.metric).low
-    found = result.ratio(goal.peer, goal.metric).median if goal.peer else own
-    return {"found": found, "met": found <= goal.most}
+def table(results: Sequence[Result]) -> Table:
+    """Returns the table of all results for the terminal."""
+    shown_table = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
+    for heading in HEADINGS:
+        is_left = heading in {"benchmark", "peer", "met"}
+        shown_table.add_column(heading, justify="left" if is_left else "right")
+    for result in results:
+        for row in _rows(result):
+            shown_table.add_row(*row)
+    return shown_table
 
 
-def rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    """The table of a document: a row for each goal, and for each other peer and metric."""
-    for each in document["benchmarks"]:
-        left = {(peer, metric) for peer in each["ratios"] for metric in each["units"]}
-        left |= {(peer, next(iter(each["units"]))) for peer in each["skipped"]}
-        if not left:
-            left = {("", metric) for metric in each["units"]}
-        goals = {(goal["peer"], goal["metric"]): goal for goal in each["goals"]}
-        for peer, metric in sorted(left | goals.keys(), key=lambda two: (two[1], two[0])):
-            yield _row(each, peer, metric, goals.get((peer, metric)))
+def _rows(result: Result) -> Iterator[tuple[str, ...]]:
+    """Yields a row for each goal, and for each other peer and metric."""
+    contest, goals = result.contest, result.benchmark.goals
+    shown_goals = {(goal.peer, goal.metric): goal for goal in goals}
+    pairs = {(peer, metric) for peer in contest.peers for metric in contest.units}
+    pairs |= {("", metric) for metric in contest.units if not contest.peers}
+    pairs |= {(goal.peer, goal.metric) for goal in goals}
+    for peer, metric in sorted(pairs, key=lambda pair: (pair[1], pair[0])):
+        yield _row(result, peer, metric, shown_goals.get((peer, metric)))
 
 
-def _row(each: Mapping[str, Any], peer: str, metric: str, goal: Mapping[str, Any] | None) -> Row:
-    unit, metrics = each["units"][metric], each["metrics"]
-    ours = metrics[OURS][metric]
-    theirs = ratio = ""
-    spread = f"{shown(min(ours), unit)} to {shown(max(ours), unit)}"
-    if peer in each["skipped"]:
-        spread = f"skipped: {each['skipped'][peer]}"
-    elif peer:
-        theirs = shown(statistics.median(metrics[peer][metric]), unit)
-        own = each["ratios"][peer][metric]
-        ratio, spread = f"{own['median']:.3g}", f"{own['low']:.3g} to {own['high']:.3g}"
-    limit = met = ""
-    if goal is not None:
-        limit = f"{goal['most']:g}" if peer else shown(goal["most"], unit)
-        met = {True: "yes", False: "no", None: ""}[goal["met"]]
+def _row(result: Result, peer: str, metric: str, goal: Goal | None) -> tuple[str, ...]:
+    contest, unit = result.contest, result.contest.units[metric]
+    ours = result.metrics[OURS][metric]
+    name = (
+        result.benchmark.name if len(contest.units) == 1 else f"{result.benchmark.name}, {metric}"
+    )
     median = shown(statistics.median(ours), unit)
-    wanted = f"<= {limit}" if limit else ""
-    name = each["name"] if len(each["units"]) == 1 else f"{each['name']}, {metric}"
-    return Row(name, median, peer, theirs, ratio, spread, wanted, met)
+    limit = ""
+    if goal is not None:
+        limit = f"<= {goal.most:g}" if peer else f"<= {shown(goal.most, unit)}"
+    if peer and peer not in contest.peers:
+        return (name, median, peer, "", "", f"skipped: {contest.absent[peer]}", limit, "")
+    if not peer:
+        is_met = goal is not None and min(ours) <= goal.most
+        spread = f"{shown(min(ours), unit)} to {shown(max(ours), unit)}"
+        return (name, median, "", "", "", spread, limit, _word(goal, is_met=is_met))
+    ratio = result.ratio(peer, metric)
+    theirs = shown(statistics.median(result.metrics[peer][metric]), unit)
+    spread = f"{ratio.low:.3g} to {ratio.high:.3g}"
+    is_met = goal is not None and ratio.median <= goal.most
+    met = _word(goal, is_met=is_met)
+    return (name, median, peer, theirs, f"{ratio.median:.3g}", spread, limit, met)
+
+
+def _word(goal: Goal | None, *, is_met: bool) -> str:
+    return "" if goal is None else "yes" if is_met else "no"
 
 
 def shown(value: float, unit: str) -> str:
-    """Three digits, with the prefix that fits."""
+    """Returns ``value`` with three digits and the prefix that fits."""
     for scale, name in _PREFIXES.get(unit, ()):
         if abs(value) >= 0.9995 * scale:
             rounded = float(f"{value / scale:.3g}")
             return f"{rounded:.{max(2 - math.floor(math.log10(abs(rounded))), 0)}f} {name}"
     return f"{value:.3g} {unit}".rstrip()
-
-
-def table(document: Mapping[str, Any]) -> Table:
-    """The table of a document, for the terminal."""
-    made = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
-    for heading in HEADINGS:
-        left = heading in {"benchmark", "peer", "met"}
-        whole = heading in {"benchmark", "ours", "peer's", "goal"}
-        made.add_column(heading, justify="left" if left else "right", no_wrap=whole)
-    for row in rows(document):
-        made.add_row(*row)
-    return made
-
-
-def markdown(document: Mapping[str, Any]) -> str:
-    """The table of a document in Markdown, with versions."""
-    lines = [HEADINGS, ["---"] * len(HEADINGS), *rows(document)]
-    versions = ", ".join(
-        f"{name} {found}" for name, found in document["versions"].items() if found
-    )
-    return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", f"With {versions}."])
-
-
-def _versions() -> dict[str, str | None]:
-    found = {name: _version(name, wheels) for name, wheels in PACKAGES.items()}
-    return {**found, "siconos": _siconos()}
-
-
-def _version(name: str, wheels: Sequence[str]) -> str | None:
-    """The version of a Python package, or of a ROS package."""
-    for each in (*wheels, name):
-        with suppress(PackageNotFoundError):
-            return version(each)
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        manifest = Path(prefix, "share", name, "package.xml")
-        if manifest.is_file():
-            return ET.parse(manifest).findtext("version")
-    return None
-
-
-def _siconos() -> str | None:
-    """The version of Siconos, from its header."""
-    if not _SICONOS.is_file():
-        return None
-    for line in _SICONOS.read_text("utf-8", errors="replace").splitlines():
-        if "SICONOS_VERSION" in line and '"' in line:
-            return line.split('"')[1]
-    return None
-
-
-if __name__ == "__main__":
-    try:
-        measured = json.loads(Path(sys.argv[1]).read_text("utf-8"))
-    except (IndexError, OSError, ValueError) as error:
-        sys.exit(f"benchmarks.report: {error}; give the FILE of ./dev bench --json FILE")
-    print(markdown(measured))

@@ -96,6 +96,6 @@ BENCHMARK = Benchmark(
     "topic",
     "what does observing cost over answering?",
     prepare,
-    (Goal(1.1, ECHO, "p50"), Goal(1.5, ECHO, "p99")),
+    (Goal(1.6, ECHO, "p50"), Goal(2.0, ECHO, "p99")),
     rounds=10,
 )

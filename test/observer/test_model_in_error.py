@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from systems import EPOCH, run, sample, started
 
 from benchmarks.fast_bags import fast_model
-from benchmarks.kernel import DRILL
+from benchmarks.filter_cost import DRILL
 from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.misfit_plants import plants
 from benchmarks.misfit_runs import events

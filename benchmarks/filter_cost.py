@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the compiled kernel is for, and its price: chains, a filter in real time, building it.
+"""Processor time of chains of many masses, and of the filter for a second of a recorded rig.
 
 The cost of an observer is the processor time of the whole command ``observe`` with
 ``--law minimum-variance`` and default options on a recording with true states at 100 Hz, less that
@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from functools import partial
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +25,6 @@ from impact_observer.model import Model, parse_model
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds
 
-ROOT = Path(__file__).resolve().parents[1]
 CHAINS = (20, 100)
 RUN = 20.0
 """Of a chain, s."""
@@ -146,39 +144,12 @@ def _command(*arguments: str) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def _python(*arguments: str, folder: Path | None = None) -> str:
-    """What a Python process prints."""
+def _python(*arguments: str) -> None:
+    """Run a Python process to its end."""
     command = [sys.executable, *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SkippedError(done.stderr.strip() or f"exit code {done.returncode}")
-    return done.stdout
-
-
-def prepare_import(_: Path) -> Contest:
-    """Processor time in a process that has imported NumPy."""
-    code = "import numpy, time; t = time.process_time(); import impact_observer.kernel"
-    code += "; print(time.process_time() - t)"
-    _need_kernel()
-    return Contest("after NumPy", lambda _: {"import": float(_python("-c", code))}, units=_IMPORT)
-
-
-def prepare_build(_: Path) -> Contest:
-    """Of a checkout: what ``pip install`` does more than before there was a kernel."""
-    _need_kernel()
-
-    def ours(place: Path) -> None:
-        _python("setup.py", "-q", "build_ext", f"-b{place}", f"-t{place}", folder=ROOT)
-
-    return Contest("compiling and linking", ours)
-
-
-def _need_kernel() -> None:
-    if find_spec("impact_observer.kernel") is None:
-        raise SkippedError("no kernel in this version")
-
-
-_IMPORT = {"import": "s"}
 
 
 def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
@@ -198,14 +169,4 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
     return (
         Benchmark("plant_chain", "what do many coordinates cost?", prepare_chains, chains),
         *filters,
-        Benchmark(
-            "kernel_import",
-            "how long does importing the kernel take?",
-            prepare_import,
-            (Goal(5e-3, metric="import"),),
-            rounds=15,
-        ),
-        Benchmark(
-            "kernel_build", "how long does it compile?", prepare_build, (Goal(30.0),), rounds=1
-        ),
     )
