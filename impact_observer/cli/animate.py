@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Masses, springs and stops of plant and estimates, moving, with V over time below.
 
-The file's ending says what is made: .mp4 (needs ffmpeg), .gif, or .html, one page that needs
-nothing else.
+The file's ending chooses the format: .mp4 (needs ffmpeg), .gif, or .html, a page that contains all
+pictures and needs no network.
 """
 
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--start", metavar="S", type=not_negative, default=0.0, help=start)
     duration = f"how much to show, s (default: all, but no film longer than {LONGEST:g} s)"
     add("--duration", metavar="S", type=positive, help=duration)
-    fps = f"pictures a second of the film (default {FPS:g})"
+    fps = (
+        f"pictures a second of the film (default {FPS:g}); a GIF takes the nearest of 50, 33.3,"
+        " 25, 20 and so on"
+    )
     add("--fps", metavar="N", type=positive, default=FPS, help=fps)
     add_namespace(parser)
     add_observers(parser, "show only these, by name (default: all in the bag)")
@@ -101,33 +105,37 @@ def animate(
         BagError: the bag cannot be read, or there is nothing in it to show.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.film_files import writer_for
+    from impact_observer.draw.film_files import picture_rate, write_film
     from impact_observer.draw.film_from_bag import read_film
-    from impact_observer.draw.scene.animation import FilmPictures
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
     from impact_observer.stamps import seconds_between
 
     span = LONGEST * speed if duration is None else duration
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
-    write = writer_for(output, fps)
+    rate = picture_rate(output, fps)
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"reading {bag}")
         system = system_of(reader, model)
         film = read_film(reader, system, start=start, duration=span, observers=observers)
         rest = _rest(reader, film) if duration is None else ""
-        count = film.count(fps, speed)
+        count = film.count(rate, speed)
         if count > MOST_PICTURES:
             raise UsageError(
                 f"{count} pictures: too many for a film; expected at most {MOST_PICTURES},"
                 " with a shorter --duration, a lower --fps or a higher --speed"
             )
-        pictures = FilmPictures(film, title=_title(film, speed), speed=speed)
-        with write(output, pictures.size) as add:
-            for done, stamp in enumerate(film.stamps(fps, speed).tolist(), start=1):
-                add(pictures.picture(stamp))
-                progress.step(f"drawing {output}", done, count)
-    say(f"film: {output}, {count} pictures of {seconds_between(film.start, film.end):.2f} s{rest}")
+        write_film(
+            film,
+            output,
+            title=_title(film, speed),
+            speed=speed,
+            fps=rate,
+            progress=partial(progress.step, f"drawing {output}"),
+        )
+    changed = f" at {rate:.4g} a second" if abs(rate - fps) > 1e-6 * fps else ""
+    length = seconds_between(film.start, film.end)
+    say(f"film: {output}, {count} pictures{changed} of {length:.2f} s{rest}")
     return 0
 
 

@@ -77,7 +77,7 @@ def read_film(
         truth=truth,
         estimates=tuple(estimates),
         distances=tuple(Distance.between(system, truth, each) for each in estimates if truth),
-        contacts=ContactHistory.of(system, events),
+        contacts=ContactHistory.of_events(system, events),
         epoch=epoch,
         start=max(first, min(int(each.min()) for each in present)),
         end=max(int(each.max()) for each in present),
@@ -121,7 +121,7 @@ def _rows(block: JointStates, rows: NDArray[np.bool_]) -> JointStates:
 
 def _track(label: str, states: JointStates, jumps: set[int]) -> Track:
     """The track of some states."""
-    return Track.of(label, law_of(states), (states.stamps, states.q, states.u), jumps)
+    return Track.of_states(label, law_of(states), (states.stamps, states.q, states.u), jumps)
 
 
 def _with_all_events(states: JointStates, received: Stamps) -> JointStates:

@@ -199,7 +199,7 @@ def test_estimates_published_before_their_event_arrived_are_left_out(tmp_path: P
     left_out = {EPOCH + k * 10_000_000 for k in (20, 21, 22)}
     assert track.stamps.size == 51 - len(left_out)
     assert not left_out & set(track.stamps.tolist())
-    before, after = track.at(hit - 1), track.at(hit)
+    before, after = track.position(hit - 1), track.position(hit)
     assert before is not None
     assert after is not None
     np.testing.assert_allclose(before, [0.19, -0.19])

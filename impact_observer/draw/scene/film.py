@@ -24,7 +24,7 @@ _MOST_POSITIONS = 20_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The motion of the plant or of an estimate; made by ``Track.of``.
+    """The motion of the plant or of an estimate; made by ``Track.of_states``.
 
     Attributes:
         label: its name in the film.
@@ -43,7 +43,7 @@ class Track:
     jumps: Stamps
 
     @classmethod
-    def of(
+    def of_states(
         cls, label: str, law: str, states: tuple[Stamps, Matrix, Matrix], jumps: Iterable[int]
     ) -> "Track":
         """The track of states in any order; of equal stamps the last one counts.
@@ -60,7 +60,7 @@ class Track:
         at = np.array(sorted(set(jumps)), dtype=np.int64)
         return cls(label, law, unique, q[last], u[last], at)
 
-    def at(self, stamp: int) -> Vector | None:
+    def position(self, stamp: int) -> Vector | None:
         """Coordinates at ``stamp``, ns, shape (n,); None before the first and after the last."""
         if not self.stamps.size or not self.stamps[0] <= stamp <= self.stamps[-1]:
             return None
@@ -110,7 +110,7 @@ class ContactHistory:
     closed: Mapping[int, Stamps]
 
     @classmethod
-    def of(cls, system: System, events: Sequence[ImpactEvent]) -> "ContactHistory":
+    def of_events(cls, system: System, events: Sequence[ImpactEvent]) -> "ContactHistory":
         """The history in a stream of events; contacts that the system has not are left out."""
         index = {name: i for i, name in enumerate(system.contact_names)}
         stamps: dict[int, list[int]] = {}

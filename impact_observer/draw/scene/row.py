@@ -114,7 +114,7 @@ class SceneRow:
         )
         middle: Style = {"ha": "center", "va": "center", "transform": placed}
         self._absent = axes.text(scene.homes.mean(), 0.5, "no state here", color="0.4", **middle)
-        self._moving = [
+        self._moving: list[Artist] = [
             *self._ghosts,
             self._strokes,
             self._rods,
@@ -124,17 +124,19 @@ class SceneRow:
             *self._names,
             *self._walls.values(),
         ]
-        self.artists: list[Artist] = [*self._moving, *self._lit, self._bursts, self._absent]
+        above = [*self._moving, *self._lit, self._bursts, self._absent]
+        for place, artist in enumerate(above):  # later ones hide earlier ones, and the floor
+            artist.set_zorder(3 + place / len(above))
 
     def show(self, stamp: int, truth: Vector | None, highlight: int) -> None:
-        """Move everything to its position at ``stamp``, ns.
+        """Move everything to its place at ``stamp``, ns.
 
         Args:
             stamp: of the picture.
             truth: coordinates of the plant; None without truth at this stamp.
             highlight: how long a stop is highlighted after an impact, ns.
         """
-        q, scene = self._track.at(stamp), self._scene
+        q, scene = self._track.position(stamp), self._scene
         for artist in self._moving:
             artist.set_visible(q is not None)
         self._absent.set_visible(q is None)

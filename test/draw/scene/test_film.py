@@ -19,12 +19,12 @@ SYSTEM = sample("two_mass").system
 def track(stamps: Sequence[int], q: Sequence[float], jumps: Sequence[int] = ()) -> Track:
     """A track of one coordinate."""
     column = np.array(q, float)[:, None]
-    return Track.of("plant", "", (np.array(stamps), column, 0 * column), jumps)
+    return Track.of_states("plant", "", (np.array(stamps), column, 0 * column), jumps)
 
 
 def place(moving: Track, stamp: int) -> float:
     """The only coordinate at a stamp where there is one."""
-    found = moving.at(stamp)
+    found = moving.position(stamp)
     assert found is not None
     return float(found[0])
 
@@ -61,9 +61,9 @@ def test_track_of_two_impacts_between_samples_waits_for_the_last() -> None:
 def test_track_has_no_state_before_its_first_and_after_its_last() -> None:
     """Nor where it has none at all."""
     moving = track([100, 200], [0.0, 1.0])
-    assert moving.at(99) is None
-    assert moving.at(201) is None
-    assert track([], []).at(0) is None
+    assert moving.position(99) is None
+    assert moving.position(201) is None
+    assert track([], []).position(0) is None
 
 
 def test_last_state_of_a_stamp_counts_and_order_does_not() -> None:
@@ -77,10 +77,12 @@ def test_sampled_plant_is_never_inside_of_its_stop() -> None:
     """Whatever the picture's instant: gaps of straight lines between states are not negative."""
     ran = run(SYSTEM, [0.1, -0.2], [0.5, 0.0], seconds=8.0, rate=50.0)
     jumps = [event.stamp for event in ran.events]
-    moving = Track.of("plant", "", (ran.stamps, ran.states[:, :2], ran.states[:, 2:]), jumps)
+    moving = Track.of_states(
+        "plant", "", (ran.stamps, ran.states[:, :2], ran.states[:, 2:]), jumps
+    )
     assert len(jumps) > 3
     for stamp in range(EPOCH, EPOCH + 8 * NS_PER_S, 7 * MS + 1):
-        q = moving.at(stamp)
+        q = moving.position(stamp)
         assert q is not None
         assert SYSTEM.gap(q)[0] >= -1e-9
 
@@ -88,23 +90,23 @@ def test_sampled_plant_is_never_inside_of_its_stop() -> None:
 def test_distance_is_taken_at_common_stamps() -> None:
     """And has no samples where there are none."""
     x = np.arange(12.0).reshape(3, 4)
-    truth = Track.of("plant", "", (np.array([10, 20, 30]), x[:, :2], x[:, 2:]), ())
-    other = Track.of("e", "e", (np.array([20, 25, 30]), 0 * x[:, :2], 0 * x[:, 2:]), ())
+    truth = Track.of_states("plant", "", (np.array([10, 20, 30]), x[:, :2], x[:, 2:]), ())
+    other = Track.of_states("e", "e", (np.array([20, 25, 30]), 0 * x[:, :2], 0 * x[:, 2:]), ())
     found = Distance.between(SYSTEM, truth, other)
     assert found.stamps.tolist() == [20, 30]
     np.testing.assert_allclose(found.V, distance(SYSTEM, x[1:, :2], x[1:, 2:]))
-    late = Track.of("e", "e", (np.array([11]), x[:1, :2], x[:1, 2:]), ())
+    late = Track.of_states("e", "e", (np.array([11]), x[:1, :2], x[:1, 2:]), ())
     assert Distance.between(SYSTEM, truth, late).V.size == 0
 
 
 def test_impact_is_highlighted_and_fades() -> None:
     """From 1 at the instant to 0; not before it, and not at all where nothing hits."""
-    contacts = ContactHistory.of(
+    contacts = ContactHistory.of_events(
         SYSTEM, [switch(1000, Kind.IMPACT, 1), switch(5000, Kind.IMPACT, 2)]
     )
     found = [contacts.highlight(0, stamp, 1000) for stamp in (999, 1000, 1250, 2000, 4999, 5500)]
     assert found == [0.0, 1.0, 0.75, 0.0, 0.0, 0.5]
-    assert ContactHistory.of(SYSTEM, []).highlight(0, 1000, 1000) == 0.0
+    assert ContactHistory.of_events(SYSTEM, []).highlight(0, 1000, 1000) == 0.0
     assert not contacts.is_closed(0, 1100)
 
 
@@ -118,7 +120,7 @@ def test_contact_is_closed_from_close_to_open() -> None:
         switch(4000, Kind.IMPACT, 5),
         switch(5000, Kind.CLOSE, 6),
     ]
-    contacts = ContactHistory.of(SYSTEM, events)
+    contacts = ContactHistory.of_events(SYSTEM, events)
     at = [contacts.is_closed(0, stamp) for stamp in (999, 1000, 2999, 3000, 4000, 5000, 10**9)]
     assert at == [False, True, True, False, False, True, True]
     assert contacts.highlight(0, 1000, 10) == 1.0
@@ -127,7 +129,7 @@ def test_contact_is_closed_from_close_to_open() -> None:
 
 def test_contacts_of_other_models_are_left_out() -> None:
     """A detector may name what the model does not have."""
-    contacts = ContactHistory.of(SYSTEM, [switch(1000, Kind.CLOSE, 1, "door")])
+    contacts = ContactHistory.of_events(SYSTEM, [switch(1000, Kind.CLOSE, 1, "door")])
     assert dict(contacts.hits) == dict(contacts.closed) == {}
 
 

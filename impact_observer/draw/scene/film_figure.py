@@ -1,20 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a film: plant and estimates at one scale, V over time below.
-
-The background is drawn once; only moving artists are drawn for each picture, which takes a quarter
-of the time of a whole figure.
-"""
-
-from typing import Any
+"""The figure of a film: plant and estimates at one scale, V over time below."""
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
+from matplotlib.text import Text
 
 from impact_observer.draw.pictures import MOST_ROWS, mark_rows, styles
 from impact_observer.draw.scene.film import Film
@@ -40,18 +32,18 @@ _LEGEND, _DISTANCE, _AXIS, _NOTHING = 0.35, 1.75, 0.62, 0.25
 """Heights of V's legend, axes and ticks, and of the margin without them, inches."""
 
 
-class FilmPictures:
-    """Draws a film picture by picture.
+class FilmFigure:
+    """A figure that shows a film at any stamp.
 
     Attributes:
-        size: width and height of a picture, pixels, both even as video encoders require.
+        figure: of matplotlib.
     """
 
     def __init__(self, film: Film, *, title: str, speed: float = 1.0) -> None:
-        """Draw the background.
+        """Draw the rows of the scene and the axes of V.
 
         Args:
-            film: what to show.
+            film: what is shown.
             title: of the film.
             speed: recorded seconds a second of the film.
         """
@@ -59,49 +51,23 @@ class FilmPictures:
         self._highlight = round(_HIGHLIGHT * speed * NS_PER_S)
         placement = Placement(film.scene, len(film.tracks))
         lower = _LEGEND + _DISTANCE + _AXIS if film.distances else _NOTHING
-        inches = (WIDTH, _TITLE + placement.height + lower)
-        self.size = (_even(inches[0]), _even(inches[1]))
+        height = _TITLE + placement.height + lower
         with mpl.rc_context({"font.size": LARGE, "hatch.linewidth": 0.7}):
-            figure = Figure(figsize=(self.size[0] / DPI, self.size[1] / DPI), dpi=DPI)
-            self._canvas = _canvas(figure)
-            self._rows = _rows(figure, film, placement)
-            self._distances = _DistancePlot(figure, film) if film.distances else None
-            self._clock = _write(figure, film, title)
-            self._artists: list[Artist] = [self._clock]
-            for row in self._rows:
-                self._artists += row.artists
-            if self._distances is not None:
-                self._artists += self._distances.artists
-            for artist in self._artists:
-                artist.set_animated(True)
-            self._canvas.draw()
-        self._background = self._canvas.copy_from_bbox(figure.bbox)
+            # An even number of pixels, as encoders of films require.
+            self.figure = Figure(figsize=(WIDTH, round(height * DPI / 2) * 2 / DPI), dpi=DPI)
+            self._rows = _rows(self.figure, film, placement)
+            self._distances = _DistancePlot(self.figure, film) if film.distances else None
+            self._clock = _write_title(self.figure, film, title)
 
-    def picture(self, stamp: int) -> NDArray[np.uint8]:
-        """The picture at ``stamp``, ns, shape (height, width, 4): red, green, blue, opacity."""
+    def show(self, stamp: int) -> None:
+        """Move everything to its place at ``stamp``, ns."""
         film = self._film
-        self._canvas.restore_region(self._background)
-        truth = None if film.truth is None else film.truth.at(stamp)
+        truth = None if film.truth is None else film.truth.position(stamp)
         for row in self._rows:
             row.show(stamp, truth, self._highlight)
         if self._distances is not None:
             self._distances.show(stamp)
         self._clock.set_text(f"t = {(stamp - film.epoch) / NS_PER_S:7.3f} s")
-        renderer = self._canvas.get_renderer()
-        for artist in self._artists:
-            if artist.get_visible():
-                artist.draw(renderer)
-        return np.array(self._canvas.buffer_rgba())
-
-
-def _canvas(figure: Figure) -> Any:  # noqa: ANN401 (matplotlib's is hardly typed)
-    """The canvas of a figure."""
-    return FigureCanvasAgg(figure)
-
-
-def _even(inches: float) -> int:
-    """The nearest even number of pixels to a length."""
-    return round(inches * DPI / 2) * 2
 
 
 def _rows(figure: Figure, film: Film, placement: Placement) -> list[SceneRow]:
@@ -119,7 +85,7 @@ def _rows(figure: Figure, film: Film, placement: Placement) -> list[SceneRow]:
     return rows
 
 
-def _write(figure: Figure, film: Film, title: str) -> Any:  # noqa: ANN401 (a text that moves)
+def _write_title(figure: Figure, film: Film, title: str) -> Text:
     """Write the title and what is left out; return the text that will be the time."""
     top = 1 - 0.14 / float(figure.get_figheight())
     figure.text(0.026, top, title, weight="bold", va="top")
@@ -138,9 +104,9 @@ class _DistancePlot:
         box = (_LEFT / width, _AXIS / height, 1 - (_LEFT + SIDE) / width, _DISTANCE / height)
         axes = figure.add_axes(box)
         start, end = film.seconds(np.array([film.start, film.end]))
-        found = styles([each.law for each in film.estimates])
+        drawn = styles([each.law for each in film.estimates])
         self._curves = []
-        for track, each, style in zip(film.estimates, film.distances, found, strict=True):
+        for track, each, style in zip(film.estimates, film.distances, drawn, strict=True):
             t = film.seconds(each.stamps)
             # Zero has no logarithm: it becomes a gap.
             V = np.where(each.V > 0, each.V, np.nan)
@@ -168,7 +134,6 @@ class _DistancePlot:
         self._cursor = axes.axvline(start, color="black", linewidth=1.0, zorder=6)
         (self._dots,) = axes.plot([], [], "o", color="black", markersize=5, zorder=7)
         self._end = end
-        self.artists: list[Artist] = [self._veil, self._cursor, self._dots]
 
     def show(self, stamp: int) -> None:
         """Move the cursor to ``stamp``, ns."""
@@ -185,7 +150,7 @@ class _DistancePlot:
 
 
 def _mark_hits(axes: Axes, film: Film) -> None:
-    """A row of marks for each contact, or one for all of many contacts."""
+    """Draw a row of marks for each contact, or one row for all of many contacts."""
     names = film.scene.system.contact_names
     rows = {f"impacts at {names[i]}": film.seconds(each) for i, each in film.contacts.hits.items()}
     if len(rows) > min(MOST_ROWS, 3):
@@ -195,6 +160,6 @@ def _mark_hits(axes: Axes, film: Film) -> None:
 
 def _track_styles(film: Film) -> list[DrawStyle]:
     """Blue for the plant; for estimates white with edges in the colour of their curves."""
-    found = styles([each.law for each in film.estimates])
-    estimates = [DrawStyle("white", each["color"], max(each["linewidth"], 1.3)) for each in found]
+    drawn = styles([each.law for each in film.estimates])
+    estimates = [DrawStyle("white", each["color"], max(each["linewidth"], 1.3)) for each in drawn]
     return estimates if film.truth is None else [DrawStyle(_PLANT, "black", 1.3), *estimates]

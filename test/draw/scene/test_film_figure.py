@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of films: positions of bodies, highlighted stops, readable in grey."""
+"""The figure of a film: positions of bodies, highlighted stops, readable in grey."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from systems import EPOCH, Array, chain, run, sample, system
 
-from impact_observer.draw.scene import row
-from impact_observer.draw.scene.animation import DPI, FilmPictures
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
-from impact_observer.draw.scene.row import LARGE
+from impact_observer.draw.scene.film_figure import DPI, FilmFigure
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S
@@ -22,6 +22,8 @@ from impact_observer.stamps import NS_PER_S
 Picture = NDArray[np.uint8]
 MS = NS_PER_S // 1000
 LAWS = ("geometric", "kinematic")
+LIT, PLANT = "#D55E00", "#B9CFE0"
+"""Colours of stops that are hit, and of the plant's bodies."""
 
 
 @cache
@@ -32,9 +34,9 @@ def film() -> Film:
     cuts = [event.stamp for event in ran.events]
     q, u = ran.states[:, :2], ran.states[:, 2:]
     fading = np.exp(-np.arange(len(q)) / 40.0)[:, None]
-    truth = Track.of("plant", "", (ran.stamps, q, u), cuts)
+    truth = Track.of_states("plant", "", (ran.stamps, q, u), cuts)
     estimates = tuple(
-        Track.of(law, law, (ran.stamps, q - (i + 1) * fading * 0.2, u), cuts)
+        Track.of_states(law, law, (ran.stamps, q - (i + 1) * fading * 0.2, u), cuts)
         for i, law in enumerate(LAWS)
     )
     return Film(
@@ -42,24 +44,59 @@ def film() -> Film:
         truth=truth,
         estimates=estimates,
         distances=tuple(Distance.between(model, truth, each) for each in estimates),
-        contacts=ContactHistory.of(model, ran.events),
+        contacts=ContactHistory.of_events(model, ran.events),
         epoch=EPOCH,
         start=EPOCH,
         end=EPOCH + 4 * NS_PER_S,
     )
 
 
+class Shown:
+    """A film's figure, as pixels and as matplotlib's artists."""
+
+    def __init__(self, film: Film, title: str = "", speed: float = 1.0) -> None:
+        self._drawn = FilmFigure(film, title=title, speed=speed)
+        self.axes: list[Axes] = self._drawn.figure.axes
+        self.canvas = FigureCanvasAgg(self._drawn.figure)
+
+    def show(self, stamp: int) -> None:
+        """Move everything to a stamp."""
+        self._drawn.show(stamp)
+
+    def picture(self, stamp: int) -> Picture:
+        """The pixels at a stamp."""
+        self.show(stamp)
+        self.canvas.draw()
+        return np.array(self.canvas.buffer_rgba())
+
+    def boxes(self, row: int, colour: str) -> list[Rectangle]:
+        """The boxes of one colour in a row that are shown."""
+        return [
+            each
+            for each in self.axes[row].patches
+            if isinstance(each, Rectangle)
+            and each.get_fill()
+            and np.allclose(each.get_facecolor()[:3], to_rgb(colour), atol=1e-3)
+            and each.get_visible()
+            and not each.get_hatch()
+        ]
+
+    def texts(self, row: int) -> list[str]:
+        """The texts of a row that are shown."""
+        return [each.get_text() for each in self.axes[row].texts if each.get_visible()]
+
+
 @cache
-def pictures() -> FilmPictures:
-    """The pictures of that film."""
-    return FilmPictures(film(), title="two_mass")
+def shown_film() -> Shown:
+    """The figure of that film."""
+    return Shown(film(), title="two_mass")
 
 
 def still(model: System, q: Array, **changes: object) -> Film:
     """A film in which nothing moves: a plant alone."""
     stamps = np.array([EPOCH, EPOCH + NS_PER_S])
     states = np.array([q, q])
-    truth = Track.of("plant", "", (stamps, states, 0 * states), ())
+    truth = Track.of_states("plant", "", (stamps, states, 0 * states), ())
     made = Film(
         scene=scene_of(model, [truth]),
         truth=truth,
@@ -81,52 +118,48 @@ def is_colour(picture: Picture, colour: str) -> NDArray[np.bool_]:
 
 def lit(picture: Picture) -> int:
     """How many pixels are of a stop that is hit."""
-    return int(is_colour(picture, row._LIT).sum())
+    return int(is_colour(picture, LIT).sum())
 
 
 def test_pictures_have_an_even_number_of_pixels() -> None:
     """As encoders of films want them."""
-    moving = pictures()
-    picture = moving.picture(EPOCH)
-    assert picture.shape == (moving.size[1], moving.size[0], 4)
-    assert picture.dtype == np.uint8
-    assert moving.size[0] % 2 == moving.size[1] % 2 == 0
+    height, width, _ = shown_film().picture(EPOCH).shape
+    assert (height % 2, width) == (0, 960)
 
 
 def test_a_picture_depends_on_its_stamp_only() -> None:
-    """Not on those that were taken before it."""
-    moving = pictures()
-    first = moving.picture(EPOCH + 900 * MS)
-    assert not np.array_equal(moving.picture(EPOCH + 2500 * MS), first)
-    np.testing.assert_array_equal(moving.picture(EPOCH + 900 * MS), first)
+    """Not on the pictures that were taken before it."""
+    shown = shown_film()
+    first = shown.picture(EPOCH + 900 * MS)
+    assert not np.array_equal(shown.picture(EPOCH + 2500 * MS), first)
+    np.testing.assert_array_equal(shown.picture(EPOCH + 900 * MS), first)
 
 
 @pytest.mark.parametrize("q", [[0.0, 0.0], [0.2, -0.1], [-0.1, 0.5]])
 def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
     """Left and right edges of the blue boxes, to a pixel."""
-    shown = still(sample("two_mass").system, np.array(q))
-    scene = shown.scene
-    moving = FilmPictures(shown, title="")
-    row = moving._rows[0].axes
+    content = still(sample("two_mass").system, np.array(q))
+    scene = content.scene
+    shown = Shown(content)
     edges = [(x - scene.half, x + scene.half) for x in scene.frame(np.array(q)).bodies]
-    expected = [round(float(row.transData.transform((x, 0))[0])) for pair in edges for x in pair]
-    blue = is_colour(moving.picture(EPOCH), "#B9CFE0").sum(axis=0) > 5
+    to_pixels = shown.axes[0].transData.transform
+    expected = [round(float(to_pixels((x, 0))[0])) for pair in edges for x in pair]
+    blue = is_colour(shown.picture(EPOCH), PLANT).sum(axis=0) > 5
     turns = np.flatnonzero(np.diff(np.concatenate([[0], blue.astype(int), [0]])))
-    found = [int(turns[0]), int(turns[-1])]
-    np.testing.assert_allclose(found, [expected[0], expected[-1]], atol=2)
+    drawn = [int(turns[0]), int(turns[-1])]
+    np.testing.assert_allclose(drawn, [expected[0], expected[-1]], atol=2)
 
 
 @pytest.mark.slow
 def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
     """In every row, and as long in a slow film."""
-    shown = film()
-    moving = pictures()
-    hit = int(shown.contacts.hits[0][0])
-    before, at = lit(moving.picture(hit - 10 * MS)), lit(moving.picture(hit + MS))
-    after = lit(moving.picture(hit + 400 * MS))
+    shown = shown_film()
+    hit = int(film().contacts.hits[0][0])
+    before, during = lit(shown.picture(hit - 10 * MS)), lit(shown.picture(hit + MS))
+    after = lit(shown.picture(hit + 400 * MS))
     assert before == after == 0
-    assert at > 300
-    slow = FilmPictures(shown, title="", speed=0.1)
+    assert during > 300
+    slow = Shown(film(), speed=0.1)
     assert lit(slow.picture(hit + 60 * MS)) == 0
     assert lit(slow.picture(hit + MS // 10)) > 300
 
@@ -139,85 +172,76 @@ def test_stop_is_highlighted_during_persistent_contact() -> None:
         ImpactEvent(stamp, (Switch("stop", kind),), i)
         for i, (stamp, kind) in enumerate(switches, 1)
     ]
-    shown = still(model, np.array([0.0, 0.5]), contacts=ContactHistory.of(model, events))
-    moving = FilmPictures(shown, title="")
-    bright = [lit(moving.picture(EPOCH + t * MS)) > 100 for t in (50, 110, 700, 790, 810)]
+    contacts = ContactHistory.of_events(model, events)
+    shown = Shown(still(model, np.array([0.0, 0.5]), contacts=contacts))
+    bright = [lit(shown.picture(EPOCH + t * MS)) > 100 for t in (50, 110, 700, 790, 810)]
     assert bright == [False, True, True, True, False]
 
 
 def test_lit_stops_are_dark_in_grey_and_others_are_light() -> None:
-    """So they differ in a picture without colours."""
-    grey = float(np.dot(to_rgb(row._LIT), [0.299, 0.587, 0.114]))
-    assert grey < 0.55
-    assert float(np.dot(to_rgb("#B9CFE0"), [0.299, 0.587, 0.114])) > 0.7
+    """Stops and bodies differ in a picture without colours."""
+    weights = [0.299, 0.587, 0.114]
+    assert float(np.dot(to_rgb(LIT), weights)) < 0.55
+    assert float(np.dot(to_rgb(PLANT), weights)) > 0.7
 
 
 def test_axes_of_v_carry_units_and_a_cursor() -> None:
-    """The future lies under a veil."""
-    moving = pictures()
-    below = moving._distances
-    assert below is not None
-    axes = below._cursor.axes
-    assert axes is not None
+    """The cursor is at the time of the picture, with a dot on each curve."""
+    shown = shown_film()
+    axes = shown.axes[-1]
     assert axes.get_xlabel().endswith("[s]")
     assert axes.get_ylabel() == "V [J]"
     assert axes.get_yscale() == "log"
-    moving.picture(EPOCH + 1500 * MS)
-    assert np.ravel(below._cursor.get_xdata())[0] == pytest.approx(1.5)
-    assert below._veil.get_x() == pytest.approx(1.5)
-    assert below._veil.get_x() + below._veil.get_width() == pytest.approx(4.0)
-    assert np.size(below._dots.get_xdata()) == len(LAWS)
+    shown.show(EPOCH + 1500 * MS)
+    *_, cursor, dots = axes.lines
+    assert np.ravel(cursor.get_xdata())[0] == pytest.approx(1.5)
+    assert np.ravel(dots.get_xdata()).tolist() == pytest.approx([1.5] * len(LAWS))
 
 
 def test_rows_have_one_scale_and_names() -> None:
-    """Plant on top; a length to measure by is in the first row."""
-    moving = pictures()
-    limits = {row.axes.get_xlim() for row in moving._rows}
-    assert len(limits) == 1
-    texts = [[text.get_text() for text in row.axes.texts] for row in moving._rows]
-    assert "plant" in texts[0]
-    assert any(text.endswith(" m  ") for text in texts[0])
-    assert "dashed: the plant" in texts[1]
-    for law, shown in zip(LAWS, texts[1:], strict=True):
-        assert law in shown
+    """The plant is on top; a length to measure by is in the first row."""
+    shown = shown_film()
+    shown.show(EPOCH)
+    assert len({axes.get_xlim() for axes in shown.axes[:3]}) == 1
+    assert "plant" in shown.texts(0)
+    assert any(text.endswith(" m  ") for text in shown.texts(0))
+    assert "dashed: the plant" in shown.texts(1)
+    for row, law in enumerate(LAWS, start=1):
+        assert law in shown.texts(row)
 
 
-@pytest.mark.slow
 def test_estimate_without_a_state_says_so() -> None:
-    """Before its first one, while the plant moves on."""
-    shown = film()
-    late = shown.estimates[0]
+    """Before its first state, while the plant moves on."""
+    late = film().estimates[0]
     kept = late.stamps >= EPOCH + NS_PER_S
-    late = Track.of("late", "geometric", (late.stamps[kept], late.q[kept], late.u[kept]), ())
-    moving = FilmPictures(replace(shown, estimates=(late, shown.estimates[1])), title="")
-    row = moving._rows[1]
-    moving.picture(EPOCH)
-    assert row._absent.get_visible()
-    assert not row._bodies[0].get_visible()
-    moving.picture(EPOCH + 2 * NS_PER_S)
-    assert not row._absent.get_visible()
-    assert row._bodies[0].get_visible()
+    late = Track.of_states(
+        "late", "geometric", (late.stamps[kept], late.q[kept], late.u[kept]), ()
+    )
+    shown = Shown(replace(film(), estimates=(late, film().estimates[1])))
+    shown.show(EPOCH)
+    assert "no state here" in shown.texts(1)
+    assert shown.boxes(1, "white") == []
+    shown.show(EPOCH + 2 * NS_PER_S)
+    assert "no state here" not in shown.texts(1)
+    assert len(shown.boxes(1, "white")) == 2
 
 
 def test_estimates_alone_make_a_film() -> None:
     """Without truth there is no V and no ghost."""
-    shown = replace(film(), truth=None, distances=())
-    moving = FilmPictures(shown, title="")
-    assert moving._distances is None
-    assert len(moving._rows) == len(LAWS)
-    assert moving.picture(EPOCH).min() == 0
+    shown = Shown(replace(film(), truth=None, distances=()))
+    assert len(shown.axes) == len(LAWS)
+    assert shown.picture(EPOCH).min() == 0
 
 
 def test_exact_estimate_has_no_distance_to_draw() -> None:
     """Zero has no logarithm: neither a warning nor a dot."""
-    shown = film()
-    assert shown.truth is not None
-    exact = replace(shown.truth, law="geometric", label="geometric")
+    truth = film().truth
+    assert truth is not None
+    exact = replace(truth, law="geometric", label="geometric")
     zero = Distance(exact.stamps, np.zeros(exact.stamps.size))
-    moving = FilmPictures(replace(shown, estimates=(exact,), distances=(zero,)), title="")
-    moving.picture(EPOCH + NS_PER_S)
-    assert moving._distances is not None
-    assert np.size(moving._distances._dots.get_xdata()) == 0
+    shown = Shown(replace(film(), estimates=(exact,), distances=(zero,)))
+    shown.picture(EPOCH + NS_PER_S)
+    assert np.size(shown.axes[-1].lines[-1].get_xdata()) == 0
 
 
 def odd() -> System:
@@ -235,17 +259,18 @@ def odd() -> System:
 @pytest.mark.parametrize("model", [odd(), chain(20), chain(200)], ids=["odd", "20", "200"])
 def test_other_models_fit_into_the_picture(model: System) -> None:
     """Names stay within their bodies, and what is left out is written."""
-    shown = still(model, 0.1 * np.cos(np.arange(model.n)))
-    moving = FilmPictures(shown, title=model.name)
-    picture = moving.picture(EPOCH)
+    shown = Shown(still(model, 0.1 * np.cos(np.arange(model.n))), title=model.name)
+    picture = shown.picture(EPOCH)
     assert picture.shape[0] < 8 * DPI
-    row = moving._rows[0]
-    for name, body in zip(row._names, row._bodies, strict=True):
+    names = [each for each in shown.axes[0].texts if each.get_text() in model.coordinates]
+    bodies = shown.boxes(0, PLANT)
+    assert len(names) == len(bodies) > 3
+    for name, body in zip(names, bodies, strict=True):
         inside = body.get_window_extent().padded(2)
-        box = name.get_window_extent(moving._canvas.get_renderer())
+        box = name.get_window_extent(shown.canvas.get_renderer())
         assert inside.x0 <= box.x0
         assert box.x1 <= inside.x1
-        assert float(name.get_fontsize()) <= LARGE
+        assert float(name.get_fontsize()) <= 10.0
 
 
 def falling(direction: float) -> System:
@@ -263,12 +288,12 @@ def falling(direction: float) -> System:
 @pytest.mark.parametrize("height", [0.2, 1.0])
 def test_a_coordinate_that_falls_stands_upright(direction: float, height: float) -> None:
     """Its box is above the floor, by as many pixels as the gap has."""
-    moving = FilmPictures(still(falling(direction), np.array([direction * height])), title="")
-    axes = moving._rows[0].axes
-    picture = moving.picture(EPOCH)
+    shown = Shown(still(falling(direction), np.array([direction * height])))
+    axes = shown.axes[0]
+    picture = shown.picture(EPOCH)
     boxes = [each for each in axes.patches if isinstance(each, Rectangle) and each.get_hatch()]
     floor = picture.shape[0] - boxes[0].get_window_extent().y1
-    box = np.flatnonzero(is_colour(picture, "#B9CFE0").any(axis=1))
+    box = np.flatnonzero(is_colour(picture, PLANT).any(axis=1))
     low, high = axes.get_ylim()
     metre = axes.bbox.height / (high - low)
     assert floor - box.max() == pytest.approx(height * metre, abs=3)
@@ -276,15 +301,15 @@ def test_a_coordinate_that_falls_stands_upright(direction: float, height: float)
 
 def test_tracks_that_stand_upright_are_beside_each_other() -> None:
     """At one scale, which the first of them shows."""
-    shown = still(falling(1.0), np.array([0.5]))
-    assert shown.truth is not None
-    estimate = replace(shown.truth, label="geometric", law="geometric")
-    moving = FilmPictures(replace(shown, estimates=(estimate,)), title="")
-    first, second = (row.axes.get_position() for row in moving._rows)
+    content = still(falling(1.0), np.array([0.5]))
+    assert content.truth is not None
+    estimate = replace(content.truth, label="geometric", law="geometric")
+    shown = Shown(replace(content, estimates=(estimate,)))
+    first, second = (axes.get_position() for axes in shown.axes)
     assert (first.y0, first.height, first.width) == (second.y0, second.height, second.width)
     assert second.x0 == pytest.approx(first.x1)
-    assert moving._rows[0].axes.get_ylim() == moving._rows[1].axes.get_ylim()
-    assert any(text.get_text().endswith(" m  ") for text in moving._rows[0].axes.texts)
+    assert shown.axes[0].get_ylim() == shown.axes[1].get_ylim()
+    assert any(text.endswith(" m  ") for text in shown.texts(0))
 
 
 def test_a_coordinate_on_a_spring_lies() -> None:
