@@ -55,8 +55,8 @@ def main(args: Sequence[str] | None = None) -> int:
         given.json.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     console = Console(width=max(Console().width, 120))
     console.print(report.table(results))
-    for each in results:
-        console.print(f"{each.benchmark.name}: {each.contest.work}", highlight=False)
+    for result in results:
+        console.print(f"{result.benchmark.name}: {result.contest.work}", highlight=False)
     for name, reason in skipped.items():
         console.print(f"{name}: skipped: {reason}", highlight=False)
     return 0 if agreed else 1

@@ -73,8 +73,9 @@ def main(args: Sequence[str] | None = None) -> int:
             rounds.setdefault(metric, []).append((value, other, unit))
     table = Table("figure", "here", "there", "ratio", "of the rounds")
     for metric, values in rounds.items():
-        ratios = [here / there for here, there, _ in values]
-        here, there = (statistics.median(each[k] for each in values) for k in (0, 1))
+        ratios = [ours / theirs for ours, theirs, _ in values]
+        here = statistics.median(value for value, _, _ in values)
+        there = statistics.median(value for _, value, _ in values)
         unit = values[0][2]
         spread = f"{min(ratios):.3g} to {max(ratios):.3g}"
         median = f"{statistics.median(ratios):.3g}"
