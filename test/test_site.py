@@ -22,7 +22,7 @@ def test_the_site_is_made_without_a_warning(tmp_path: Path) -> None:
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
     menu = set(re.findall(r'href="([\w/]+)\.html"', (tmp_path / "index.html").read_text()))
     assert pages | {"site/readme", "site/examples", "site/changelog"} <= menu
-    assert 'class="math' in (tmp_path / "method.html").read_text()
+    assert 'class="math' in (tmp_path / "theory" / "method.html").read_text()
     api = (tmp_path / "api.html").read_text()
     for name in (
         "model.read_model",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Zeno behaviour: where impacts accumulate the contact is closed before their accumulation point.
 
-``docs/method.md`` says when, and how large the error is until that point.
+``docs/theory/method.md`` says when, and how large the error is until that point.
 """
 
 import math

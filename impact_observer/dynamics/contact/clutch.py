@@ -146,7 +146,7 @@ class Piecewise(Motion):
         """Propagation of a small difference of two states by ``s`` seconds, shape (2n, 2n).
 
         Where a guide stops to slip, or turns, the motions do so at different instants: a saltation
-        matrix (``docs/method.md``). Where one begins to slip it is the identity.
+        matrix (``docs/theory/method.md``). Where one begins to slip it is the identity.
         """
         self._extend(s)
         last = bisect([part.start for part in self._parts], s) - 1

@@ -6,7 +6,7 @@ Over a step of length ``h``, with ``u_theta = (u + u+) / 2`` and ``q_theta = q +
     M (u+ - u) + h C u_theta + h K q_theta - h f_theta = W P,    q+ = q + h u_theta
     0 <= gamma+ + eps gamma  _|_  P >= 0    on contacts with    g + h gamma / 2 <= 0
 
-Balance of energy, solution for the impulses ``P`` and sources: ``docs/method.md``.
+Balance of energy, solution for the impulses ``P`` and sources: ``docs/theory/method.md``.
 """
 
 from collections.abc import Iterator

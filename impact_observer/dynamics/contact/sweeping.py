@@ -6,7 +6,7 @@ Leine). Where the gap of another contact would become negative, that contact sto
 
     dq/dt = u + K^-1 W sigma,    sigma_A of any sign,    0 <= dg_i/dt  _|_  sigma_i >= 0
 
-on those others with ``g_i = 0``; ``u`` is not changed (``docs/method.md``).
+on those others with ``g_i = 0``; ``u`` is not changed (``docs/theory/method.md``).
 """
 
 from functools import lru_cache
