@@ -2,7 +2,7 @@
 """Restitution that depends on the speed of approach: a power law, or a table.
 
 An impact of one contact, ``gamma+ = -eps(|gamma-|) gamma-``, does not raise the distance of two
-solutions if ``v -> eps(v) v`` has a slope in [-1, 1], as with a power law (``docs/theory/method.md``).
+solutions if ``v -> eps(v) v`` has a slope in [-1, 1] (``docs/theory/method.md``).
 """
 
 from collections.abc import Mapping
