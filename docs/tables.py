@@ -6,7 +6,8 @@ from pathlib import Path
 
 from docs import rooms
 from impact_observer.io import access
-from impact_observer.io.qos_overrides import SHIPPED, shipped_text
+from impact_observer.io.interfaces import INTERFACES, Interface
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
 from impact_observer.ros.parameters import TABLES
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -119,6 +120,39 @@ def _yaml(value: Value) -> str:
     return str(value)
 
 
+def qualities() -> str:
+    """The file for ``ros2 bag --qos-profile-overrides-path``.
+
+    ``ros2 bag`` compares exact names. So observers and monitors are listed without a law and with
+    each built-in law.
+    """
+    parts = [
+        "# Qualities of service of our topics, made from impact_observer/io/interfaces.py, for",
+        "#   ros2 bag play BAG --qos-profile-overrides-path FILE",
+        "#   ros2 bag record ... --qos-profile-overrides-path FILE",
+    ]
+    for each in INTERFACES:
+        quality = each.quality
+        for topic in _topics(each):
+            parts += [
+                f"{topic}:",
+                f"  history: {'keep_last' if quality.depth else 'keep_all'}",
+                f"  depth: {quality.depth}",
+                f"  reliability: {'reliable' if quality.reliable else 'best_effort'}",
+                f"  durability: {'transient_local' if quality.transient_local else 'volatile'}",
+            ]
+    return "\n".join(parts) + "\n"
+
+
+def _topics(each: Interface) -> list[str]:
+    """The absolute names of an interface, also those with the name of a built-in law."""
+    owner, _, _ = each.name.partition("/")
+    if owner not in {"observer", "monitor"}:
+        return [each.topic]
+    laws = [f"{owner}_{law.replace('-', '_')}" for law in BUILT_IN]
+    return [each.topic, *(f"/{each.of(law)}" for law in laws)]
+
+
 def files() -> dict[Path, str]:
     """All that is made, by file."""
     docs, samples = ROOT / "docs", sorted((ROOT / "config" / "nodes").glob("*.yaml"))
@@ -129,7 +163,7 @@ def files() -> dict[Path, str]:
         docs / "parameters.md": page(),
         docs / "house.md": f"{before}{_BEGIN}\n{rooms.table()}\n{_END}{after}",
         docs / "images" / "rooms.svg": rooms.picture(),
-        ROOT / SHIPPED: shipped_text(),
+        ROOT / "config" / "rosbag2" / "qos_overrides.yaml": qualities(),
         **{path: sample(path.stem) for path in samples},
         **{ROOT / access.FOLDER / f"{node}.xml": access.policy(node) for node in access.NODES},
     }

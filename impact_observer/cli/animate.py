@@ -6,7 +6,6 @@ pictures and needs no network.
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -114,7 +113,7 @@ def animate(
     span = LONGEST * speed if duration is None else duration
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
     rate = picture_rate(output, fps)
-    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
+    with BagReader(bag, namespace) as reader, Progress() as progress:
         progress.show(f"reading {bag}")
         system = system_of(reader, model)
         film = read_film(reader, system, start=start, duration=span, observers=observers)

@@ -8,7 +8,6 @@ or an option is needed. --salvage writes a new bag of all that can be read of a 
 
 import argparse
 import json as json_module
-import sys
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_model
@@ -59,7 +58,7 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
     from impact_observer.model import read_model
 
     system = None if model is None else read_model(model).system
-    with Progress(sys.stderr) as progress:
+    with Progress() as progress:
         report = check_bag(
             bag, system, progress=lambda done, total: progress.step("check", done, total)
         )
@@ -92,7 +91,7 @@ def salvage_bag(bag: Path, output: Path, *, json: bool = False) -> int:
     from impact_observer.stamps import text
 
     source = Salvage(bag)
-    with Progress(sys.stderr) as progress:
+    with Progress() as progress:
         losses = salvage(
             source, output, progress=lambda done, total: progress.step("salvage", done, total)
         )

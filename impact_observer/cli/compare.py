@@ -214,7 +214,7 @@ def _compare_one(
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
 
-    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
+    with BagReader(bag, namespace) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, model)
         alone = [replace(each, ensemble=1) for each in observers]

@@ -7,7 +7,6 @@ geometric black. With --laws all it shows everything that is installed.
 
 import argparse
 import json as json_module
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -114,7 +113,7 @@ def figure(
         make_observer(read.system, Options(law, initial, clock_error=0.0, ensemble=1, epoch=EPOCH))
         for law in laws
     ]
-    with Progress(sys.stderr) as progress:
+    with Progress() as progress:
         done = _simulated(read, duration, rate, progress)
         comparisons = _observed(observers, done, progress)
         progress.show(f"drawing {output}")
@@ -143,7 +142,7 @@ def _simulated(model: "Model", duration: float, rate: float, progress: "Progress
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     def show(impact: int) -> None:
-        progress.step("simulating", seconds_between(EPOCH, impact), duration, "s")
+        progress.step("simulating", seconds_between(EPOCH, impact), duration)
 
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + from_seconds(duration), rate), progress=show)

@@ -185,7 +185,7 @@ def identify(
             say(f"warning: {line}", file=sys.stderr if json else sys.stdout)
     # What arrived live is known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
-    with Progress(sys.stderr if json else None) as progress:
+    with Progress() as progress:
         try:
             found = fit(
                 family,

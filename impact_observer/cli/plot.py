@@ -6,7 +6,6 @@ zoom in that needs nothing else. A band is two standard deviations wide on eithe
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -105,7 +104,7 @@ def plot(
     low, high = WIDTHS
     if not low <= width <= high:
         raise UsageError(f"--width {width:g}: expected {low:g} to {high:g} inches")
-    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
+    with BagReader(bag, namespace) as reader, Progress() as progress:
         known = model is not None or reader.model_text() is not None
         recording = read_recording(
             reader,

@@ -1,39 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a command: a bar at the bottom of the terminal, and permanent lines."""
+"""Progress of a command: a bar on standard error where that is a terminal, else nothing."""
 
-import os
 import sys
 import time
 from types import TracebackType
-from typing import TYPE_CHECKING, TextIO, final
+from typing import final
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as RichProgress
 
 from impact_observer.plain_text import printable, say
 
-if TYPE_CHECKING:
-    from impact_observer.cli.bars import Bars
-
 _PERIOD = 0.1
 """Least time between two updates of the bar, s: a tight loop may call more often."""
-_SILENT = 2.0
-"""Processor time after which a line without a terminal says how far the work is, s; the next one
-comes after twice that, and so on."""
 
 
 @final
 class Progress:
-    """Shows how far a command is; a context manager.
+    """Shows how far a command is; a context manager. The bar disappears at the end."""
 
-    Work of less than half a second shows nothing. Without a terminal permanent lines are written,
-    and on standard error, now and then, how far long work is.
-    """
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        """Write to ``stream``; None for standard output."""
-        self._stream = stream or sys.stdout
-        self._lively = self._stream.isatty() and os.environ.get("TERM") != "dumb"
-        self._bars: Bars | None = None
+    def __init__(self) -> None:
+        """Show nothing before the first call."""
+        self._bar = RichProgress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            redirect_stdout=sys.stdout.isatty(),
+        )
+        self._task: TaskID | None = None
+        self._shown = ""
         self._next = 0.0
-        self._begun, self._silent = time.process_time(), _SILENT
 
     def __enter__(self) -> "Progress":
         return self
@@ -44,53 +50,33 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._bars is not None:
-            self._bars.stop()
-            self._bars = None
+        if self._task is not None:
+            self._bar.stop()
 
-    def step(self, what: str, done: float, total: float, unit: str = "") -> None:
-        """Show a bar: the amount done, its share, the rate and the remaining time.
+    def step(self, what: str, done: float, total: float | None) -> None:
+        """Show a bar with the share of the work done and the remaining time.
 
         Args:
             what: description; a new text starts a new bar.
             done: of ``total``, in the same unit.
-            total: how much there is to do.
-            unit: of both, ``s`` for simulated or recorded time; empty for a count.
+            total: how much there is to do; None where that is not known.
         """
-        if (now := time.monotonic()) < self._next:
+        if not self._bar.console.is_terminal or (now := time.monotonic()) < self._next:
             return
         self._next = now + _PERIOD
-        if self._lively:
-            self._shown().step(printable(what), done, total, unit)
-        else:
-            self._say_now_and_then(f"{what}: {done:.4g} of {total:.4g} {unit}".rstrip())
+        self._bar.start()
+        if self._task is None or what != self._shown:
+            if self._task is not None:
+                self._bar.remove_task(self._task)
+            self._task, self._shown = self._bar.add_task(printable(what), total=total), what
+        self._bar.update(self._task, completed=done, total=total)
 
     def show(self, text: str) -> None:
-        """Show ``text`` at the bottom, for work without a total."""
-        if self._lively:
-            self._shown().show(printable(text))
-        else:
-            self._say_now_and_then(text)
+        """Show ``text``, for work without a total."""
+        self._next = 0.0
+        self.step(text, 0.0, None)
 
-    def _say_now_and_then(self, text: str) -> None:
-        """Say how far long work is, where there is no terminal."""
-        if time.process_time() - self._begun >= self._silent:
-            self._silent *= 2
-            say(printable(text), file=sys.stderr)
-
-    def line(self, text: str) -> None:
-        """Write a permanent line; control characters of names are escaped."""
-        text = printable(text)
-        if self._bars is None:
-            say(text, file=self._stream)
-        else:
-            self._bars.line(text)
-
-    def _shown(self) -> "Bars":
-        """The bars, made at first use."""
-        if self._bars is None:
-            from impact_observer.cli.bars import Bars
-
-            self._bars = Bars(self._stream)
-            self._bars.start()
-        return self._bars
+    @staticmethod
+    def line(text: str) -> None:
+        """Write a permanent line to standard output; control characters are escaped."""
+        say(printable(text))

@@ -21,13 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="record these topics only (default: every topic that appears)",
     )
-    add(
-        "--exclude",
-        metavar="TOPIC",
-        nargs="+",
-        default=[],
-        help="leave these out; quoted, a * stands for anything: '/camera/*'",
-    )
     add("--use-sim-time", action="store_true", help="log times follow /clock")
     add("--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time")
     add(
@@ -52,12 +45,11 @@ def run(args: argparse.Namespace) -> int:
             if args.duration is None:
                 progress.show(f"{count} messages in {passed:.0f} s; Ctrl-C ends")
             else:
-                progress.step("recording", passed, args.duration, "s")
+                progress.step("recording", passed, args.duration)
 
         recorded = recorder.record(
             args.output,
             args.topics,
-            exclude=args.exclude,
             use_sim_time=args.use_sim_time,
             duration=args.duration,
             compressed=args.compression != "none",

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     with Progress() as progress:
 
         def show(impact: int) -> None:
-            progress.step("simulating", seconds_between(epoch, impact), duration, "s")
+            progress.step("simulating", seconds_between(epoch, impact), duration)
 
         master = plant.make_plant(
             model.system,

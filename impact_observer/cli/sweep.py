@@ -237,11 +237,12 @@ def sweep(
     elif against is not None:
         raise UsageError(f"--against {against}: there is no picture; add --plot FILE")
     outcomes = read_outcomes(output, wanted)
-    with Progress(sys.stderr if json else None) as progress:
+    with Progress() as progress:
         progress.show(f"{output}: simulating")
         impacts = len(plant_run(wanted.plant).impacts)
         if outcomes:
-            progress.line(f"{output}: has {len(outcomes)} of {wanted.size} cases already")
+            kept = f"{output}: has {len(outcomes)} of {wanted.size} cases already"
+            say(kept, file=sys.stderr if json else None)
         run_missing(
             wanted,
             output,

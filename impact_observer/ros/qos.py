@@ -1,17 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Qualities of service, to and from those of ``rclpy``."""
 
-from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.qos_overrides import Profile
 
 
 def qos_profile(quality: Quality) -> QoSProfile:
@@ -23,21 +15,6 @@ def qos_profile(quality: Quality) -> QoSProfile:
     history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
     return QoSProfile(
         history=history, depth=quality.depth, reliability=reliability, durability=durability
-    )
-
-
-def overriding_profile(profile: Profile) -> QoSProfile:
-    """The policies that a file gives for a topic, for a publisher."""
-    return QoSProfile(
-        history=HistoryPolicy.get_from_short_key(profile.history),
-        depth=profile.depth,
-        reliability=ReliabilityPolicy.get_from_short_key(profile.reliability),
-        durability=DurabilityPolicy.get_from_short_key(profile.durability),
-        liveliness=LivelinessPolicy.get_from_short_key(profile.liveliness),
-        deadline=Duration(nanoseconds=profile.deadline),
-        lifespan=Duration(nanoseconds=profile.lifespan),
-        liveliness_lease_duration=Duration(nanoseconds=profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
     )
 
 

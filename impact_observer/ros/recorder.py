@@ -4,7 +4,6 @@
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -15,7 +14,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.reader import RawMessage
 from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.plain_text import printable
@@ -28,8 +26,6 @@ _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for new topics, s."""
 _DEPTH = 5000
 """Messages of a topic that may wait; more than any publisher of this package keeps."""
-_CLOCK_PATIENCE = 5.0
-"""How long messages wait for simulated time to begin before a warning, s."""
 _DRAIN = 0.05
 """Time without messages before a stopped recording is closed, s."""
 _LONGEST_DRAIN = 1.0
@@ -50,11 +46,11 @@ class RecordedTopics:
 
 
 class Recorder:
-    """Writes what is published, as serialized, to a bag; while its node is spun.
+    """Writes the messages of topics, as serialized, to a bag while its node is spun.
 
     A topic is subscribed to when its first publisher appears, with the quality of service that
-    all its publishers offer, so that latched messages and earlier events are kept too. The log
-    time is the node's clock, which may be simulated; it never goes back.
+    all its publishers offer, so that latched messages and earlier events are recorded too. The
+    log time is the node's clock, which may be simulated; log times never go back.
 
     Attributes:
         counts: messages recorded, by topic; 0 for a topic without messages so far.
@@ -66,43 +62,33 @@ class Recorder:
         writer: BagWriter,
         topics: Collection[str] | None = None,
         *,
-        exclude: Collection[str] = (),
-        on_topic: Callable[[str, str], None] | None = None,
-        on_message: Callable[[RawMessage], None] | None = None,
+        on_topic: Callable[[str, str], None] = lambda _topic, _type: None,
     ) -> None:
         """Record with ``node`` into ``writer``.
 
         Args:
-            node: subscribes; the caller spins it.
-            writer: an open bag; the caller closes it, after :meth:`close`.
-            topics: only these topics; None for every topic that appears, hidden ones left out.
-            exclude: none of these; ``*`` in a name stands for anything.
-            on_topic: called with name and type of each topic found.
-            on_message: called with each message recorded.
+            node: subscribes; the caller spins the node.
+            writer: an open bag; the caller closes the bag, after :meth:`close`.
+            topics: only these topics; None for every topic that appears, without hidden ones.
+            on_topic: called with name and type of each topic that is recorded.
         """
         self.counts: dict[str, int] = {}
         self._node = node
         self._writer = writer
-        self._wanted = None if topics is None else {_resolved(node, t) for t in topics}
-        self._unwanted = tuple(
-            each if each.startswith(("/", "*")) else f"{_namespace(node)}/{each}"
-            for each in exclude
-        )
+        self._wanted = None if topics is None else {resolved(node, topic) for topic in topics}
         self._on_topic = on_topic
-        self._on_message = on_message
         self._requested: dict[str, Quality] = {}
-        self._given_up: set[str] = set()
+        self._refused: set[str] = set()
         self._subscriptions: dict[str, Subscription] = {}
         self._last = 0
         self._waiting: list[tuple[str, bytes]] = []
-        self._since = 0.0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=steady)
+        self._timer = node.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
 
     @property
     def missing(self) -> list[str]:
         """Requested topics that have not appeared."""
-        return sorted((self._wanted or set()) - self.counts.keys() - self._given_up)
+        return sorted((self._wanted or set()) - self.counts.keys() - self._refused)
 
     def is_connected(self, topic: str) -> bool:
         """Whether a publisher of ``topic`` is connected."""
@@ -120,9 +106,8 @@ class Recorder:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
 
-    def discover(self) -> None:
+    def _discover(self) -> None:
         """Subscribe to the topics that have appeared since the last call."""
-        self._warn_of_no_clock()
         for topic, _ in self._node.get_topic_names_and_types():
             if self._is_wanted(topic) and (publishers := self._publishers(topic)):
                 offer = common_offer(topic, publishers)
@@ -133,8 +118,7 @@ class Recorder:
 
     def _is_wanted(self, topic: str) -> bool:
         """Whether a topic is to be recorded."""
-        unwanted = any(fnmatchcase(topic, each) for each in self._unwanted)
-        if unwanted or topic in self._given_up:
+        if topic in self._refused:
             return False
         if self._wanted is not None:
             return topic in self._wanted
@@ -159,7 +143,7 @@ class Recorder:
             message_type = message_class(type_name)
             self._writer.declare(topic, type_name=type_name, quality=offer, definition=definition)
         except ImpactObserverError as error:
-            self._given_up.add(topic)
+            self._refused.add(topic)
             self._node.get_logger().warning(printable(f"{topic} is not recorded: {error}"))
             return
         self.counts[topic] = 0
@@ -168,8 +152,7 @@ class Recorder:
         self._subscriptions[topic] = subscribe_raw(
             self._node, topic, message_type, quality, self._write
         )
-        if self._on_topic:
-            self._on_topic(topic, type_name)
+        self._on_topic(topic, type_name)
 
     def _check(self, topic: str, offer: Quality) -> None:
         """Warn once that a later publisher offers less than was requested."""
@@ -188,41 +171,26 @@ class Recorder:
 
     def _write(self, topic: str, data: bytes) -> None:
         """Write a message; before simulated time runs, messages wait for its first instant."""
-        if not self._waiting:
-            self._since = time.monotonic()
         self._waiting.append((topic, data))
-        now = self._node.get_clock().now().nanoseconds
-        if now == 0:
+        if (now := self._node.get_clock().now().nanoseconds) == 0:
             return
         self._last = max(self._last, now)
-        waiting, self._waiting = self._waiting, []
-        for each in waiting:
-            message = RawMessage(each[0], self._last, each[1])
-            self._writer.write_raw(*message)
-            self.counts[message.topic] += 1
-            if self._on_message:
-                self._on_message(message)
-
-    def _warn_of_no_clock(self) -> None:
-        """Warn of messages that wait for simulated time to begin."""
-        if self._waiting and time.monotonic() - self._since >= _CLOCK_PATIENCE:
-            self._node.get_logger().warning(
-                "use_sim_time is set, but no /clock has come: what comes waits in memory for it",
-                throttle_duration_sec=30.0,
-            )
+        for name, message in self._waiting:
+            self._writer.write_raw(name, self._last, message)
+            self.counts[name] += 1
+        self._waiting.clear()
 
 
 def record(
     path: Path | str,
     topics: Collection[str] | None = None,
     *,
-    exclude: Collection[str] = (),
     use_sim_time: bool = False,
     duration: float | None = None,
     compressed: bool = False,
     flush: float = FLUSH,
-    on_topic: Callable[[str, str], None] | None = None,
-    on_progress: Callable[[int, float], None] | None = None,
+    on_topic: Callable[[str, str], None] = lambda _topic, _type: None,
+    on_progress: Callable[[int, float], None] = lambda _count, _passed: None,
 ) -> RecordedTopics:
     """Record a bag until SIGINT, SIGTERM or the end of ``duration``.
 
@@ -231,12 +199,11 @@ def record(
     Args:
         path: the folder to create.
         topics: only these topics; None for every topic that appears.
-        exclude: none of these; ``*`` in a name stands for anything.
         use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until a signal.
-        compressed: whether what is written is compressed.
+        compressed: whether the messages are compressed.
         flush: longest time until a message is on the disk, s.
-        on_topic: called with name and type of each topic found.
+        on_topic: called with name and type of each topic that is recorded.
         on_progress: called with the number of messages and the seconds passed, about ten times
             a second.
 
@@ -250,38 +217,23 @@ def record(
     """
     if duration is not None and not 0 < duration < float("inf"):
         raise UsageError(f"duration is {duration}; expected a positive number of seconds")
-    with (
-        Stop() as stop,
-        ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
-        _writer(path, node, topics, compressed=compressed, flush=flush) as writer,
-    ):
-        recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
-        begin = shown = time.monotonic()
-        while not stop.requested and (duration is None or time.monotonic() < begin + duration):
-            spin_once(executor, node, _DISCOVERY_PERIOD)
-            if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
-                shown = time.monotonic()
-                on_progress(writer.message_count, shown - begin)
-        drain(executor, writer)
-        recorder.close()
-        return RecordedTopics(recorder.counts, tuple(recorder.missing))
+    with Stop() as stop, ros_node("recorder", use_sim_time=use_sim_time) as (node, executor):
+        for topic in topics or ():
+            resolved(node, topic)  # before the bag is made
+        with BagWriter(path, compressed=compressed, flush=flush) as writer:
+            recorder = Recorder(node, writer, topics, on_topic=on_topic)
+            begin = shown = time.monotonic()
+            while not stop.requested and (duration is None or time.monotonic() < begin + duration):
+                spin_once(executor, node, _DISCOVERY_PERIOD)
+                if time.monotonic() > shown + _DISCOVERY_PERIOD:
+                    shown = time.monotonic()
+                    on_progress(writer.message_count, shown - begin)
+            drain(executor, writer)
+            recorder.close()
+            return RecordedTopics(recorder.counts, tuple(recorder.missing))
 
 
-def _writer(
-    path: Path | str,
-    node: Node,
-    topics: Collection[str] | None,
-    *,
-    compressed: bool,
-    flush: float,
-) -> BagWriter:
-    """An open bag, after the topics' names are checked."""
-    for topic in topics or ():
-        _resolved(node, topic)
-    return BagWriter(path, compressed=compressed, flush=flush)
-
-
-def _resolved(node: Node, topic: str) -> str:
+def resolved(node: Node, topic: str) -> str:
     """The absolute name of a topic, resolved by a node.
 
     Raises:
@@ -292,11 +244,6 @@ def _resolved(node: Node, topic: str) -> str:
     except Exception as error:  # noqa: BLE001 (rclpy's own class has no public name)
         reason = str(error).partition(", at ")[0].removeprefix("failed to resolve name: ")
         raise UsageError(f"topic {topic!r}: {reason}") from None
-
-
-def _namespace(node: Node) -> str:
-    """A node's namespace without the last slash."""
-    return str(node.get_namespace()).rstrip("/")
 
 
 def drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:

@@ -29,13 +29,12 @@ from impact_observer.events import Kind, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.io.messages import read_event
-from impact_observer.io.play_schedule import Playing
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.typestores import typestore
 from impact_observer.ros.detector_node import DetectorNode
 from impact_observer.ros.message_classes import ros_messages
-from impact_observer.ros.player import Player
+from impact_observer.ros.player import Player, Playing
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder
 from impact_observer.ros.session import ros_node
@@ -326,7 +325,7 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
             ImpactEvent, "impacts", lambda m: received.append(read_event(m)), qos_profile(EVENTS)
         )
         with BagReader(bag) as reader, ros_node("player") as (node, _):
-            player = Player(node, reader, Playing(clock_rate=200.0, rate=0.3))
+            player = Player(node, reader, Playing(rate=0.3))
             assert player.wait_for_subscribers(PATIENCE)
             player.play()
             player.finish()
