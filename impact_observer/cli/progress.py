@@ -53,28 +53,32 @@ class Progress:
         if self._task is not None:
             self._bar.stop()
 
-    def step(self, what: str, done: float, total: float | None) -> None:
+    def step(self, what: str, done: float, total: float) -> None:
         """Show a bar with the share of the work done and the remaining time.
 
         Args:
             what: description; a new text starts a new bar.
             done: of ``total``, in the same unit.
-            total: how much there is to do; None where that is not known.
+            total: how much there is to do.
         """
-        if not self._bar.console.is_terminal or (now := time.monotonic()) < self._next:
+        if (now := time.monotonic()) >= self._next:
+            self._next = now + _PERIOD
+            self._draw(what, done, total)
+
+    def show(self, text: str) -> None:
+        """Show ``text``, for work without a total."""
+        self._draw(text, 0.0, None)
+
+    def _draw(self, what: str, done: float, total: float | None) -> None:
+        """Draw the bar, if standard error is a terminal."""
+        if not self._bar.console.is_terminal:
             return
-        self._next = now + _PERIOD
         self._bar.start()
         if self._task is None or what != self._shown:
             if self._task is not None:
                 self._bar.remove_task(self._task)
             self._task, self._shown = self._bar.add_task(printable(what), total=total), what
         self._bar.update(self._task, completed=done, total=total)
-
-    def show(self, text: str) -> None:
-        """Show ``text``, for work without a total."""
-        self._next = 0.0
-        self.step(text, 0.0, None)
 
     @staticmethod
     def line(text: str) -> None:
