@@ -116,6 +116,7 @@ setup(
     install_requires=requirements("run"),
     extras_require={
         "mp4": ["imageio-ffmpeg>=0.4.5"],
+        "page": ["plotly>=5.18"],
         "parquet": ["pyarrow>=14"],
         "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
         "test": requirements("test"),

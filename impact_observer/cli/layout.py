@@ -57,6 +57,7 @@ def layout(
     """
     from impact_observer.draw.curves import curves_of_bag, curves_of_model
     from impact_observer.draw.layouts import foxglove, plotjuggler
+    from impact_observer.draw.output import replacing
     from impact_observer.errors import UsageError
 
     if (suffix := output.suffix.lower()) not in {".json", ".xml"}:
@@ -69,9 +70,7 @@ def layout(
     else:
         curves = curves_of_model(source, observers or ["observer"])
     text = foxglove(curves, topics) if suffix == ".json" else plotjuggler(curves)
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{output}: cannot be written: {error.strerror}") from None
+    with replacing(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     say(f"{output}: {len(curves)} curves on {len({each.topic for each in curves})} topics")
     return 0

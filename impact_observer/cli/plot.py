@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw what a bag holds over time: coordinates, velocities, gaps, deviations, and impacts.
 
-No truth is needed. The file's ending says what is made: a PNG, SVG or PDF, or a page (.html) to
-zoom in that needs nothing else. A band is two standard deviations wide on either side.
+No truth is needed. The file's ending chooses the format: a PNG, SVG or PDF, or a page (.html) to
+zoom in, which needs plotly to be made and no network to be read. A band is two standard deviations
+wide on either side.
 """
 
 import argparse
@@ -93,7 +94,7 @@ def plot(
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
-    from impact_observer.draw.plot.page import write_page
+    from impact_observer.draw.plot.page import check_plotly, write_page
     from impact_observer.draw.plot.picture import recording_picture
     from impact_observer.draw.plot.series import read_recording
     from impact_observer.io.reader import BagReader
@@ -101,6 +102,9 @@ def plot(
     from impact_observer.model.measurements_file import read_measurements
 
     check_output(output, (*PICTURES, *PAGES))
+    is_page = output.suffix.lower() in PAGES
+    if is_page:
+        check_plotly(output)
     low, high = WIDTHS
     if not low <= width <= high:
         raise UsageError(f"--width {width:g}: expected {low:g} to {high:g} inches")
@@ -122,7 +126,7 @@ def plot(
                 f" {MOST_PANELS} quantities with --select"
             )
         progress.show(f"drawing {output}")
-        if output.suffix.lower() in PAGES:
+        if is_page:
             write_page(recording, output)
         else:
             about = f"{recording.name}: {bag.name}".removeprefix(": ")

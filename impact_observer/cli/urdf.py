@@ -69,6 +69,7 @@ def urdf(
         UsageError, ModelError: the model cannot be read, a number is too large, or the file
             cannot be written.
     """
+    from impact_observer.draw.output import replacing
     from impact_observer.draw.scene.scene import Scene
     from impact_observer.draw.urdf_text import urdf_text
     from impact_observer.model import read_model
@@ -83,10 +84,8 @@ def urdf(
     if output is None:
         say(text.removesuffix("\n"))
     else:
-        try:
-            output.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"{output}: cannot be written: {error.strerror}") from None
+        with replacing(output) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     for line in scene.omitted:
         say(f"{read.system.name}: {line}", file=sys.stderr)
     return 0

@@ -28,8 +28,8 @@ _BYTES = 4
 _ICONS = {
     "minus": "\u2212",
     "plus": "+",
-    "fast-backward": "\u23ee",
-    "fast-forward": "\u23ed",
+    "fast-backward": "|\u25c0",
+    "fast-forward": "\u25b6|",
     "step-backward": "\u25c1",
     "step-forward": "\u25b7",
     "pause": "\u2759\u2759",

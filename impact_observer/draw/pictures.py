@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from impact_observer.draw.output import check_output
-from impact_observer.errors import UsageError
+from impact_observer.draw.output import check_output, replacing
 from impact_observer.states import Vector
 
 mpl.use("Agg", force=False)
@@ -96,13 +95,11 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
         about: title in the metadata of the file.
 
     Raises:
-        UsageError: another suffix, or a folder that does not exist.
+        UsageError: another suffix, a folder that does not exist, or the file cannot be written.
     """
     check_output(path)
-    try:
-        figure.savefig(path, dpi=150, metadata={"Title": about} if about else None)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=150, metadata={"Title": about} if about else None)
 
 
 def svg(figure: Figure) -> str:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from impact_observer.draw.pictures import Style, styles
-from impact_observer.draw.plot.series import DENSE, PlotContent, Series
+from impact_observer.draw.plot.series import DENSE, PlotContent
 from impact_observer.events import Ruling
 from impact_observer.states import Vector
 
@@ -68,22 +68,23 @@ _DOTS: dict[str, Any] = {
 """How samples of sensors are drawn."""
 
 
-def styles_of(series: Sequence[Series]) -> list[Style]:
-    """A line style for each series: the truth wide and pale, estimates by their laws."""
+def styles_of_recording(recording: PlotContent) -> list[Style]:
+    """A line style for each series: the truth wide and pale, estimates by their laws.
+
+    A truth with few samples beside an estimate is dots: lines between them would be wrong.
+    """
+    series = recording.series
     laws = [each.law for each in series if each.law]
     lines = iter(styles(laws))
-    drawn = [next(lines) if each.law else dict(_TRUTH) for each in series]
-    alone = {"marker": None} if len(laws) < 2 else {}  # markers distinguish curves
-    return [each | alone for each in drawn]
-
-
-def _with_dots(series: Sequence[Series]) -> list[Style]:
-    """``styles_of`` series, but dots for a truth with few samples beside an estimate."""
     most = max((each.samples for each in series), default=0)
-    return [
-        style if each.law or each.samples * DENSE > most else _SPARSE
-        for each, style in zip(series, styles_of(series), strict=True)
-    ]
+    alone = {"marker": None} if len(laws) < 2 else {}  # markers distinguish curves
+    drawn = []
+    for each in series:
+        if each.law:
+            drawn.append({**next(lines), **alone})
+        else:
+            drawn.append(dict(_SPARSE if each.samples * DENSE <= most else _TRUTH))
+    return drawn
 
 
 def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector]]:
@@ -116,7 +117,7 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
     above = width < _TWO_COLUMNS
     strip = (_NAMED_ROW if above else _ROW) * (len(rows) + 0.6) if rows else 0.0
     heights = [*([strip] if rows else []), *[_PANEL] * height]
-    drawn = _with_dots(recording.series)
+    drawn = styles_of_recording(recording)
     with mpl.rc_context({"font.size": 9.0}):
         figure = Figure(figsize=(width, _REST + sum(heights)), layout="constrained")
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
@@ -172,17 +173,23 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
     if cut_off:
         where: Style = {"transform": axes.transAxes, "ha": "right", "va": "top"}
         axes.text(0.99, 0.97, cut_off, fontsize="x-small", color="0.35", **where)
-    room = _MARGIN * (high - low) or 0.5 * max(abs(high), 1e-9)
-    axes.set_ylim(low - room, high + room)
+    axes.set_ylim(low, high)
     axes.grid(visible=True, which="major", color="0.92")
 
 
 def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
-    """The range of an axis, and in words what it cuts off: a long way from a wrong start.
+    """The range of an axis, and in words what the range cuts off: a long way from a wrong start.
 
-    It is that of all lines, unless they go twice as far as the truth and what is known of the
-    estimates: those of their values whose band is narrow beside the motion, or where estimates
-    have no band beside a truth, all but a twentieth at either end.
+    The range is that of all lines, unless the lines go twice as far as the truth and the known
+    values of the estimates. Known are values whose band is narrow beside the motion. Of estimates
+    without a band beside a truth, all values but a twentieth at either end are known.
+
+    Args:
+        recording: what is drawn.
+        column: index of the quantity.
+
+    Returns:
+        Lower end, upper end, and a text that is empty if nothing is cut off.
     """
     parts, whole = list[Vector](), list[Vector]()
     for each in recording.series:
@@ -197,9 +204,13 @@ def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
         whole.append(y)
     low, high = (float(f(np.concatenate(parts))) for f in (np.min, np.max))
     least, largest = (float(f(np.concatenate(whole))) for f in (np.min, np.max))
+    cut_off = ""
     if largest - least <= _FARTHER * (high - low):
-        return least, largest, ""
-    return low, high, f"cut off: {least:.3g} to {largest:.3g}"
+        low, high = least, largest
+    else:
+        cut_off = f"cut off: {least:.3g} to {largest:.3g}"
+    room = _MARGIN * (high - low) or 0.5 * max(abs(high), 1e-9)
+    return low - room, high + room, cut_off
 
 
 def _draw_marks(

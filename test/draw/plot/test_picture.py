@@ -1,47 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture and the page of a recording."""
+"""The picture of a recording."""
 
-import json
-import re
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from plots import recording
 
 from impact_observer.draw.plot.impact_marks import Mark
-from impact_observer.draw.plot.page import write_page
 from impact_observer.draw.plot.picture import MOST_ROWS, mark_rows_of, recording_picture
 from impact_observer.draw.plot.quantities import quantities_of
-from impact_observer.draw.plot.series import Dots, PlotContent, Series
+from impact_observer.draw.plot.series import PlotContent, Series
 from impact_observer.events import Ruling
-
-SECONDS = np.linspace(0.0, 2.0, 21)
-
-
-def series(label: str, law: str, count: int, deviation: float = np.nan) -> Series:
-    """Straight lines from 0 to 2."""
-    t = np.repeat(SECONDS[:, None], count, axis=1)
-    return Series(label, law, t, t, np.full(t.shape, deviation), t.shape[0])
-
-
-def recording(count: int = 4, deviation: float = 100.0, **others: object) -> PlotContent:
-    """Truth and one estimate of some quantities, with three impacts."""
-    quantities = tuple(quantities_of([f"x{i}" for i in range(count)], None).values())[:count]
-    drawn = (
-        series("truth", "", count),
-        series("minimum-variance", "minimum-variance", count, deviation),
-    )
-    marks = {
-        Mark("stop", "minimum-variance", Ruling.APPLIED): np.array([0.5, 1.0]),
-        Mark("stop", "minimum-variance", Ruling.INSERTED): np.array([1.5]),
-    }
-    given = {"marks": marks, "start": 0.0, "end": 2.0, **others}
-    return PlotContent("rig <1>", quantities, drawn, **given)  # type: ignore[arg-type]
 
 
 def labels(figure: Figure) -> list[str]:
@@ -159,50 +132,3 @@ def test_what_is_left_out_is_said() -> None:
     """How many coordinates."""
     drawn = recording_picture(recording(left_out=12))
     assert "12 coordinates" in drawn.get_supxlabel()
-
-
-@pytest.fixture
-def page_of(tmp_path: Path) -> Callable[[PlotContent], str]:
-    """Writes a page and reads it."""
-
-    def page(drawn: PlotContent) -> str:
-        write_page(drawn, tmp_path / "page.html")
-        return (tmp_path / "page.html").read_text(encoding="utf-8")
-
-    return page
-
-
-def test_page_has_the_numbers_and_needs_nothing_else(
-    page_of: Callable[[PlotContent], str],
-) -> None:
-    """Times to the nanosecond; no address of anything outside."""
-    text = page_of(recording())
-    found = re.search(r"const data = (\{.*\});\n", text)
-    assert found is not None
-    data = json.loads(found[1])
-    assert data["panels"][0]["curves"][0]["t"] == [round(t, 9) for t in SECONDS.tolist()]
-    assert data["panels"][3]["curves"][1]["y"] == pytest.approx(SECONDS)
-    assert data["panels"][0]["curves"][0]["d"] == []
-    assert data["panels"][0]["curves"][1]["d"] == [200.0] * 21
-    assert [each["t"] for each in data["rows"][0]["marks"]] == [[0.5, 1.0], [1.5]]
-    assert "http" not in text
-
-
-def test_page_has_the_samples_of_sensors_as_dots(page_of: Callable[[PlotContent], str]) -> None:
-    """In the panel of what they measure, with the sensor's name in the legend."""
-    quantity = recording().quantities[1].name
-    samples = Dots("encoder", np.array([0.5, 1.0]), np.array([0.25, -3.0]))
-    text = page_of(recording(dots={quantity: (samples,)}))
-    found = re.search(r"const data = (\{.*\});\n", text)
-    assert found is not None
-    panels = json.loads(found[1])["panels"]
-    assert [each["dots"] for each in panels[:1] + panels[2:]] == [[], [], []]
-    assert panels[1]["dots"] == [{"name": "encoder", "t": [0.5, 1.0], "y": [0.25, -3.0]}]
-
-
-def test_names_cannot_end_the_script_of_the_page(page_of: Callable[[PlotContent], str]) -> None:
-    """A bag of a stranger may have any names."""
-    marks = {Mark("</script><script>alert(1)//"): np.array([1.0])}
-    text = page_of(recording(marks=marks))
-    assert text.count("<script>") == text.count("</script>") == 1
-    assert "<title>rig &lt;1&gt;</title>" in text
