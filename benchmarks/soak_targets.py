@@ -27,9 +27,15 @@ from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.csv_import import import_csv
 from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.measured_samples import SensorReader
-from impact_observer.io.messages import MessageError, MessageLimits, bag_messages, read_event
+from impact_observer.io.messages import (
+    AnyMessage,
+    MessageError,
+    MessageLimits,
+    bag_messages,
+    read_event,
+)
 from impact_observer.io.observed_bag import observe_bag
-from impact_observer.io.typestores import deserialize, new_typestore
+from impact_observer.io.typestores import deserialize, new_typestore, typestore
 from impact_observer.model import parse_model, read_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.measurements_file import parse_measurements
@@ -224,22 +230,25 @@ def _event_bytes(draw: random.Random) -> bytes:
 
 
 def _rosbags_message(_: Path) -> Attack:
-    """A serialized event, as the reader of a bag takes it."""
-    store = new_typestore()
+    """A serialized event, as the reader of a bag takes the event."""
+    return lambda draw: read_event(_event_message(draw))
 
-    def attack(draw: random.Random) -> object:
-        data = _event_bytes(draw)
-        try:
-            message = deserialize(store, data, "impact_observer_msgs/msg/ImpactEvent")
-        except Exception as error:  # noqa: BLE001 (rosbags raises errors of many types)
-            raise MessageError(str(error)) from None  # as the reader does
-        return read_event(message)
 
-    return attack
+def _event_message(draw: random.Random) -> AnyMessage:
+    """The message in the bytes of an event.
+
+    Raises:
+        MessageError: the bytes are no event.
+    """
+    data = _event_bytes(draw)
+    try:
+        return deserialize(typestore(), data, "impact_observer_msgs/msg/ImpactEvent")
+    except Exception as error:  # noqa: BLE001 (rosbags raises errors of many types)
+        raise MessageError(str(error)) from None  # as the reader does
 
 
 def _message(_: Path) -> Attack:
-    """A serialized event, as a node takes it in; what can be read is applied."""
+    """The message of an event, as a node takes the message; a valid event is applied."""
     intakes: list[EventIntake] = []
     observers: list[Observer] = []
 
@@ -248,12 +257,12 @@ def _message(_: Path) -> Attack:
             observers[:] = [_observer()]
             now = EPOCH + 1000 * S
             intakes[:] = [EventIntake(observers[0], lambda: now, S, MessageLimits(), Counter())]
-        if problem := intakes[0].add(_event_bytes(draw)):
+        if problem := intakes[0].take_message(_event_message(draw)):
             raise MessageError(problem)
         for _ in intakes[0].finish():
             pass
         while intakes[0].is_busy:
-            for _ in intakes[0].slice():
+            for _ in intakes[0].apply_waiting():
                 pass
         return _check_finite(observers[0])
 

@@ -39,10 +39,6 @@ AnyMessage: TypeAlias = Any
 _Kinds = TypeVar("_Kinds", bound=IntEnum)
 
 
-_MOST_FIXED, _MOST_PADDING = 64, 16
-"""Bytes of an event without its texts, and of a switch without its name, at most."""
-
-
 class MessageError(ImpactObserverError, ValueError):
     """A value that no message may carry, or a message without a valid value."""
 
@@ -301,12 +297,6 @@ class MessageLimits(NamedTuple):
     max_switches: int = 100
     max_name: int = 256
     max_frame: int = 4096
-
-    @property
-    def size(self) -> int:
-        """Bytes that no message within the limits exceeds."""
-        switches = self.max_switches * (self.max_name + _MOST_PADDING)
-        return _MOST_FIXED + self.max_frame + switches
 
     def check(self, message: AnyMessage) -> None:
         """Raise unless an event is within the limits.

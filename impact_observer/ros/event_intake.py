@@ -1,57 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an observer node takes in events: in slices of time, so that estimates go on meanwhile."""
+"""Gives the events that a node receives to its observer, a few milliseconds of work at a time."""
 
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.io.messages import MessageError, MessageLimits
+from impact_observer.io.messages import AnyMessage, MessageError, MessageLimits, read_event
 from impact_observer.observer import Observer
-from impact_observer.ros.serialized import read_impact
-from impact_observer.ros.subscribing import SLICE, Ahead
+from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
 """Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
 PATIENCE = 30 * NS_PER_S
 """How long an event may wait for an observer that cannot keep up, ns."""
-_FEW = 8
-"""Events that are given to the observer together at first."""
+_SLICE = 5_000_000
+"""How long events are applied before estimates, timers and services have their turn, ns."""
+_FIRST_BATCH = 8
+"""Size of the first batch of events."""
 _QUICK = NS_PER_S // 2
-"""How long a batch may take for the next one to be larger, ns."""
+"""The next batch is larger if this one took less time, ns."""
+Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
+"""An event and the verdicts on its switches."""
 
 
-class Waiting(NamedTuple):
+class WaitingEvent(NamedTuple):
     """An event that waits to be applied.
 
     Attributes:
-        event: it.
-        since: when it came, on the monotonic clock, ns.
-        was_refused: whether it was ahead of the clock and has a verdict already.
+        event: the event.
+        since: when the event came, on the monotonic clock, ns.
+        was_ahead: whether the event was ahead of the clock, and was rejected before.
     """
 
     event: ImpactEvent
     since: int
-    was_refused: bool
+    was_ahead: bool
 
 
 class EventIntake:
-    """Takes serialized events, and applies them in slices of time.
+    """Takes messages of events, and applies the events to an observer.
 
-    Events that wait together are given to the observer together, so that late ones cost one run.
-    Such a batch is twice as large after a quick one, half as large after a slow one. An event that
-    has waited longer than ``PATIENCE`` is rejected, so that an observer that cannot keep up is
-    never further behind. What is ahead of the clock is rejected, and taken once the clock has
-    come near enough.
+    - Events that wait together are given to the observer in one batch, so that late events cost
+      one run of the observer. A quick batch doubles the size of the next one, a slow batch halves
+      the size.
+    - An event that has waited for longer than ``PATIENCE`` is rejected, so that an observer that
+      cannot keep up does not fall behind further and further.
+    - An event that is too far ahead of the clock is rejected, and applied once the clock is near:
+      perhaps the clock is late.
 
     Attributes:
-        counts: ``future``: events ahead of the clock; ``invalid``: messages that are no event;
-            ``overflow``: events for which there was no room; ``waited``: those that waited for
-            too long.
-        passed: a stamp that the clock has passed, ns; events up to it are compared with no clock.
+        counts: ``future``: events ahead of the clock; ``invalid``: messages without a valid
+            event; ``overflow``: events without room; ``waited``: events that waited too long.
     """
 
     def __init__(
@@ -62,79 +65,83 @@ class EventIntake:
         limits: MessageLimits,
         counts: Counter[str],
     ) -> None:
-        """Apply events to ``observer`` up to ``future`` (ns) ahead of ``now()`` (ns)."""
+        """Apply events to ``observer`` that are at most ``future`` (ns) ahead of ``now()`` (ns).
+
+        Args:
+            observer: takes the events.
+            now: time of the node's clock, ns; 0 while there is none.
+            future: how far ahead of the clock a stamp may be, ns.
+            limits: of the messages.
+            counts: counter to add to.
+        """
         self._observer = observer
         self._now, self._future = now, future
         self._limits = limits
         self.counts = counts
-        self.passed = 0
-        self._waiting: deque[Waiting] = deque()
-        self._taken: list[Waiting] = []
-        self._batch, self._begun = _FEW, 0
-        self._ahead = Ahead[ImpactEvent](MOST_WAITING)
-        self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
-        self._work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None] | None = None
-
-    @property
-    def room(self) -> int:
-        """How many events it takes before the next slice."""
-        return MOST_WAITING - len(self._waiting)
+        self._waiting: deque[WaitingEvent] = deque()
+        self._batch: list[WaitingEvent] = []
+        self._batch_size, self._begun = _FIRST_BATCH, 0
+        self._ahead = AheadOfClock[ImpactEvent](MOST_WAITING)
+        self._refused: deque[Judged] = deque()
+        self._work: Iterator[Judged | None] | None = None
 
     @property
     def is_busy(self) -> bool:
-        """Whether there is work for another slice."""
+        """Whether ``apply_waiting`` has work that does not depend on the clock."""
         return bool(self._work is not None or self._waiting or self._refused)
 
     @property
     def is_empty(self) -> bool:
-        """Whether it has no event, not even one ahead of the clock."""
+        """Whether no event is kept, not even one ahead of the clock."""
         return not (self.is_busy or self._ahead)
 
     def backlog(self) -> tuple[int, float]:
         """How many events are not applied yet, and how long the oldest has waited, s."""
-        taken = self._taken if self._work is not None else []
-        oldest = next(chain(taken, self._waiting), None)
+        batch = self._batch if self._work is not None else []
+        oldest = next(chain(batch, self._waiting), None)
         if oldest is None:
             return 0, 0.0
-        since = (time.monotonic_ns() - oldest.since) / NS_PER_S
-        return len(taken) + len(self._waiting), since
+        waited = (time.monotonic_ns() - oldest.since) / NS_PER_S
+        return len(batch) + len(self._waiting), waited
 
-    def add(self, data: bytes) -> str:
-        """Take a serialized event; in words why it cannot be used, empty where it can."""
+    def take_message(self, message: AnyMessage) -> str:
+        """Keep the event of an ``ImpactEvent`` message for the next slice of work.
+
+        Returns:
+            Why the message cannot be used; empty if the event is kept.
+        """
         try:
-            event = read_impact(data, self._limits)
+            event = read_event(message, self._limits)
         except MessageError as error:
             self.counts["invalid"] += 1
             return str(error)
         if reason := self._reason_to_wait(event):
             self.counts["future"] += 1
-            self._ahead.add(max(event.stamp, event.epoch), event)
-            verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
-            self._refused.append((event, (verdict,)))
-        elif self.room > 0:
-            self._waiting.append(Waiting(event, time.monotonic_ns(), was_refused=False))
+            self._refuse(event, reason)
+            if self._ahead.keep(max(event.stamp, event.epoch), event) is not None:
+                self.counts["overflow"] += 1
+        elif len(self._waiting) < MOST_WAITING:
+            self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=False))
         else:
             self.counts["overflow"] += 1
         return ""
 
     def clear(self) -> None:
-        """Forget all that waits, as when the clock has jumped back."""
-        self.passed = 0
+        """Forget all events that wait, as after a jump of the clock."""
         self._waiting.clear()
         self._ahead.clear()
         self._work = None
 
-    def finish(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
-        """Finish the work that is begun, so that the observer may be changed otherwise."""
+    def finish(self) -> Iterator[Judged]:
+        """Finish the batch that is begun, so that the observer may be changed otherwise."""
         if self._work is not None:
             yield from (self._finished(*item) for item in self._work if item is not None)
             self._work = None
 
-    def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
-        """Work for some milliseconds: events with their verdicts, each when it is applied."""
-        end = time.monotonic_ns() + SLICE
-        if self._ahead:
-            self._take_what_was_ahead()
+    def apply_waiting(self) -> Iterator[Judged]:
+        """Apply events for some milliseconds; yields each event with its verdicts."""
+        end = time.monotonic_ns() + _SLICE
+        self._take_what_was_ahead()
         self._refuse_what_waited()
         while self._refused:
             yield self._refused.popleft()
@@ -142,34 +149,33 @@ class EventIntake:
             if self._work is None:
                 if not self._waiting:
                     return
-                self._work = self._begin()
+                self._work = self._begin_batch()
             for item in self._work:
                 if item is not None:
                     yield self._finished(*item)
                 if time.monotonic_ns() >= end:
                     return
             self._work = None
-            is_quick = time.monotonic_ns() - self._begun < _QUICK
-            self._batch = min(2 * self._batch, MOST_WAITING) if is_quick else self._batch // 2 or 1
+            quick = time.monotonic_ns() - self._begun < _QUICK
+            size = 2 * self._batch_size if quick else self._batch_size // 2
+            self._batch_size = min(max(size, 1), MOST_WAITING)
 
-    def _begin(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
-        """Give the observer some of what waits."""
+    def _begin_batch(self) -> Iterator[Judged | None]:
+        """Give a batch to the observer."""
         self._begun = time.monotonic_ns()
-        count = min(self._batch, len(self._waiting))
-        self._taken = [self._waiting.popleft() for _ in range(count)]
-        return self._observer.receiving([each.event for each in self._taken])
+        count = min(self._batch_size, len(self._waiting))
+        self._batch = [self._waiting.popleft() for _ in range(count)]
+        return self._observer.receiving([each.event for each in self._batch])
 
-    def _finished(
-        self, event: ImpactEvent, verdicts: tuple[Verdict, ...]
-    ) -> tuple[ImpactEvent, tuple[Verdict, ...]]:
-        """Strike an applied event off those that are not.
+    def _finished(self, event: ImpactEvent, verdicts: tuple[Verdict, ...]) -> Judged:
+        """Remove an applied event from the batch.
 
-        The verdicts on one that was ahead of the clock say that they are not the first.
+        The verdict on an event that was ahead of the clock says that it revises an earlier one.
         """
-        for i, each in enumerate(self._taken):
+        for i, each in enumerate(self._batch):
             if each.event is event:
-                del self._taken[i]
-                if each.was_refused:
+                del self._batch[i]
+                if each.was_ahead:
                     first, *others = verdicts
                     reason = f"{REVISED}{first.reason or 'as reported'}"
                     verdicts = (first._replace(reason=reason), *others)
@@ -180,26 +186,29 @@ class EventIntake:
         """Refuse the events that have waited for too long."""
         latest = time.monotonic_ns() - PATIENCE
         while self._waiting and self._waiting[0].since < latest:
-            event = self._waiting.popleft().event
             self.counts["waited"] += 1
-            reason = f"waited for more than {PATIENCE // NS_PER_S} s: the observer cannot keep up"
-            verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
-            self._refused.append((event, (verdict,)))
+            limit = f"waited for more than {PATIENCE // NS_PER_S} s"
+            self._refuse(self._waiting.popleft().event, f"{limit}: the observer cannot keep up")
+
+    def _refuse(self, event: ImpactEvent, reason: str) -> None:
+        """Keep a rejection, to be returned by the next slice of work."""
+        verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
+        self._refused.append((event, (verdict,)))
 
     def _take_what_was_ahead(self) -> None:
-        latest = self._now() + self._future
-        while self.room > 0 and (event := self._ahead.taken(latest)) is not None:
-            self._waiting.append(Waiting(event, time.monotonic_ns(), was_refused=True))
+        """Let the events wait to be applied to which the clock has come near."""
+        latest = self._now() + self._future if self._ahead else 0
+        while len(self._waiting) < MOST_WAITING:
+            if (event := self._ahead.take_next(latest)) is None:
+                return
+            self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=True))
 
     def _reason_to_wait(self, event: ImpactEvent) -> str:
-        """Why an event is too far ahead of the clock; empty where it is not."""
-        latest = max(event.stamp, event.epoch)
-        if latest <= self.passed:
-            return ""
+        """Why an event is too far ahead of the clock; empty if the event is not."""
         now = self._now()
         if not now:
             return "no /clock has come, by which to judge its stamp; it is taken then"
-        if (ahead := latest - now) <= self._future:
+        if (ahead := max(event.stamp, event.epoch) - now) <= self._future:
             return ""
         what = "stamped" if event.stamp - now > self._future else "its epoch is"
         most = self._future / NS_PER_S

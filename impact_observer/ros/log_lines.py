@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a node's log, so many at a time: a flood of messages is no flood of lines."""
+"""Lines of a node's log, each kind once in some seconds: a flood of messages floods no log."""
 
+import re
 import time
 from collections import Counter
 
@@ -8,60 +9,54 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from impact_observer.plain_text import printable
 
-_MOST = 20
-"""Lines between two calls of ``restore``."""
 _PAUSE = 10.0
-"""How long a kind of line that was logged is counted only, s."""
-_MOST_KINDS = 100
-"""Kinds that are counted; contacts may be named by a stranger."""
+"""How long further lines of a kind are counted and not logged, s."""
+_MOST_KINDS = 20
+"""Kinds of lines within the pause; strangers may name contacts."""
 _OTHERS = "other lines"
-"""The kind of those for which there is no room."""
+"""The kind of the lines for which there is no room."""
 
 
 class LogLines:
-    """Logs up to a number of lines, and then how many were left out.
-
-    Lines of one kind, such as verdicts of chatter, are logged once in some seconds; then how many
-    there were.
-    """
+    """Logs the first line of each kind, and then how many more there were."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         """Log to ``logger``."""
         self._logger = logger
-        self._count = 0
         self._begun: dict[str, float] = {}
         self._repeated = Counter[str]()
 
-    def error(self, line: str) -> None:
-        """Log an error."""
-        if self._has_room():
+    def error(self, line: str, kind: str = "") -> None:
+        """Log an error; see ``warning``."""
+        if self._is_new(line, kind):
             self._logger.error(printable(line))
 
     def warning(self, line: str, kind: str = "") -> None:
-        """Log a warning, of a ``kind`` or none."""
-        if self._is_new(kind) and self._has_room():
+        """Log a warning.
+
+        Args:
+            line: what to log.
+            kind: the kind of line; empty for the line itself without its numbers.
+        """
+        if self._is_new(line, kind):
             self._logger.warning(printable(line))
 
     def info(self, line: str, kind: str = "") -> None:
-        """Log what is usual, of a ``kind`` or none."""
-        if self._is_new(kind) and self._has_room():
+        """Log what is usual; see ``warning``."""
+        if self._is_new(line, kind):
             self._logger.info(printable(line))
 
-    def restore(self) -> None:
-        """Begin to count again, as after a second; log how often a kind was repeated."""
-        if self._count > _MOST:
-            self._logger.warning(f"{self._count - _MOST} more lines are left out of this log")
-        self._count = 0
+    def end_second(self) -> None:
+        """Log how often a kind was repeated whose pause is over; to be called every second."""
         over = time.monotonic() - _PAUSE
         for kind in [each for each, begun in self._begun.items() if begun <= over]:
             del self._begun[kind]
             if more := self._repeated.pop(kind, 0):
-                self.info(f"{kind}: {more} more in {_PAUSE:g} s")
+                self._logger.info(printable(f"{kind}: {more} more in {_PAUSE:g} s"))
 
-    def _is_new(self, kind: str) -> bool:
-        """Whether a line of a kind is to be logged."""
-        if not kind:
-            return True
+    def _is_new(self, line: str, kind: str) -> bool:
+        """Whether no line of this kind was logged within the pause."""
+        kind = kind or without_numbers(line)
         if kind not in self._begun and len(self._begun) >= _MOST_KINDS:
             kind = _OTHERS
         if kind in self._begun:
@@ -70,6 +65,7 @@ class LogLines:
         self._begun[kind] = time.monotonic()
         return True
 
-    def _has_room(self) -> bool:
-        self._count += 1
-        return self._count <= _MOST
+
+def without_numbers(line: str) -> str:
+    """The line with N for each number."""
+    return re.sub(r"-?\d+(\.\d+)?(e[+-]?\d+)?", "N", line)

@@ -230,10 +230,10 @@ class MisfitNews:
         self._is_misfit = False
         self._told: frozenset[str] = frozenset()
 
-    def of(self, estimate: Estimate) -> str:
-        """The warning when it begins, or first names a parameter; a line when it has ended.
+    def line_for(self, estimate: Estimate) -> str:
+        """The line to log for an estimate; empty for nothing new.
 
-        Empty for nothing new.
+        A misfit is logged when it begins, when it first names a parameter, and when it has ended.
         """
         was_misfit, self._is_misfit = self._is_misfit, bool(estimate.misfit)
         if not estimate.misfit:

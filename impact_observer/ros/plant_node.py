@@ -88,9 +88,13 @@ class PlantNode(Node):
             else connected(self._model.system, causal=True)
         )
         self._timeout = values.number("input_timeout")
-        clock = (self._clock_now, values.number("future"))
         self._inputs = LiveIntake(
-            self, self._live, self._warn, clock, on_samples=lambda _: self._tick()
+            self,
+            self._live,
+            now=self._clock_now,
+            future=values.number("future"),
+            on_problem=self._warn,
+            on_samples=lambda _: self._tick(),
         )
         self._waits_since: float | None = None
         self._check_time_source()
@@ -146,7 +150,7 @@ class PlantNode(Node):
 
     def _on_timer(self) -> None:
         """Use what was ahead of the clock, and publish."""
-        self._inputs.take_waiting()
+        self._inputs.take_what_was_ahead()
         if not self.done:
             self._tick()
 

@@ -11,10 +11,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import serialize_message
 
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
-from impact_observer.io.messages import MessageLimits
+from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
@@ -58,17 +57,17 @@ def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventI
     return EventIntake(observer, lambda: NS_PER_S, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
 
 
-def event_bytes(number: int) -> bytes:
-    """A serialized event."""
+def message(number: int) -> AnyMessage:
+    """An event with a number."""
     event = ImpactEvent(NS_PER_S + number, (Switch("stop"),), number, 0, NS_PER_S)
-    return bytes(serialize_message(ros_messages().event(event)))
+    return ros_messages().event(event)
 
 
 def taken(intake: EventIntake) -> list[Item]:
     """What becomes of all that waits."""
     found: list[Item] = []
     while intake.is_busy:
-        found.extend(intake.slice())
+        found.extend(intake.apply_waiting())
     return found
 
 
@@ -77,13 +76,13 @@ def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.Mo
     slow = SlowObserver(seconds=0.5)
     intake = intake_of(slow, monkeypatch)
     for number in range(1, 501):
-        assert not intake.add(event_bytes(number))
+        assert not intake.take_message(message(number))
     rulings = Counter(verdicts[0].ruling for _, verdicts in taken(intake))
     applied = rulings[Ruling.APPLIED]
     assert rulings == {Ruling.APPLIED: applied, Ruling.REJECTED: 500 - applied}
     assert intake.counts["waited"] == 500 - applied
     assert PATIENCE / NS_PER_S <= applied * slow.seconds <= 2 * PATIENCE / NS_PER_S
-    intake.add(event_bytes(501))
+    intake.take_message(message(501))
     ((event, (verdict,)),) = taken(intake)
     assert event.sequence == 501
     assert verdict.ruling is Ruling.APPLIED
@@ -96,7 +95,7 @@ def test_a_quick_observer_is_given_ever_more_events_together(
     quick = SlowObserver(seconds=1e-5)
     intake = intake_of(quick, monkeypatch)
     for number in range(1, MOST_WAITING + 1):
-        intake.add(event_bytes(number))
+        intake.take_message(message(number))
     assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
     assert sum(quick.batches) == MOST_WAITING
     assert len(quick.batches) < 10
@@ -108,8 +107,8 @@ def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch)
     intake = intake_of(slow, monkeypatch)
     assert intake.backlog() == (0, 0.0)
     for number in range(1, 21):
-        intake.add(event_bytes(number))
-    next(intake.slice())
+        intake.take_message(message(number))
+    next(intake.apply_waiting())
     assert intake.backlog() == (19, 0.5)
     taken(intake)
     assert intake.backlog() == (0, 0.0)

@@ -2,7 +2,7 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -337,7 +337,7 @@ def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
     assert "lag: 99 found; expected at most history, 10" in answer("lag", 99.0)
     assert "read-only" in answer("history", 5.0)
     assert [answer(*each) for each in (("rate", 50), ("lag", 0.01), ("agreed", 0.5))] == [""] * 3
-    assert rig.node._observer.agreed == 0.5
+    assert rig.node.observer.agreed == 0.5
     before = len(rig.states)
     rig.tick(EPOCH + 95_000_000)
     rig.spinner.until(lambda: len(rig.states) >= before + 3)
@@ -345,15 +345,55 @@ def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
     assert later == [40_000_000, 60_000_000, 80_000_000]
 
 
-def test_bytes_that_are_no_event_are_counted_and_ignored(rig: Rig) -> None:
-    """A header alone, and a message that ends before its switches do."""
+def test_bytes_that_are_no_event_do_not_end_the_node(rig: Rig) -> None:
+    """A header alone, and a message that ends before its switches do, are left out."""
     rig.tick(EPOCH + 50_000_000)
     whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
     for data in (whole[:4], whole[:-20] + b"\xff" * 20):
         rig.impacts.publish(data)
-    rig.spinner.until(lambda: rig.values()["invalid messages"] == "2")
     rig.send(event(EPOCH + 20_000_000, 2))
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+    assert [each.sequence for each in rig.verdicts] == [2]
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda message: setattr(message.header.stamp, "nanosec", 0), "header.stamp is"),
+        (lambda message: setattr(message.header.stamp, "nanosec", 10**9), "nanosec is 1000000000"),
+        (lambda message: setattr(message.epoch, "sec", -1), "epoch is"),
+        (lambda message: setattr(message.switches[0], "kind", 7), "kind is 7"),
+    ],
+)
+def test_an_event_with_an_invalid_value_is_counted_and_named(
+    rig: Rig, change: Callable[[ImpactEvent], None], what: str
+) -> None:
+    """The diagnostics say what was found; the next event is applied."""
+    rig.tick(EPOCH + 50_000_000)
+    message = ros_messages().event(event(NS_PER_S // 2, 1))
+    change(message)
+    rig.impacts.publish(message)
+    rig.spinner.until(lambda: rig.values()["invalid messages"] == "1")
+    assert what in rig.diagnostics[-1].message
+    rig.send(event(EPOCH + 20_000_000, 2))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_an_estimate_that_is_not_finite_is_not_published(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The log says so, and the node goes on."""
+    rig.node.get_logger().set_level(LoggingSeverity.INFO)  # another test may have changed it
+    estimate = rig.node.observer.estimate
+    with monkeypatch.context() as patch:
+        wrong = np.array([0.0, np.nan])
+        patch.setattr(rig.node.observer, "estimate", lambda t: replace(estimate(t), q=wrong))
+        rig.tick(EPOCH + 15_000_000)
+    assert not rig.states
+    error = "/observer/state: not published: ObserverState.position[1] is nan"
+    assert error in "".join(capfd.readouterr())
+    rig.tick(EPOCH + 30_000_000)
+    assert [each.stamp - EPOCH for each in rig.estimates()] == [20_000_000, 30_000_000]
 
 
 def test_services_do_not_wait_for_a_queue_of_events(
@@ -361,13 +401,13 @@ def test_services_do_not_wait_for_a_queue_of_events(
 ) -> None:
     """Events that take long are taken for some milliseconds, not until none is left."""
     rig.tick(EPOCH + 950_000_000)
-    receive = rig.node._observer.receive
+    receive = rig.node.observer.receive
 
     def slow(what: Event) -> object:
         time.sleep(0.05)
         return receive(what)
 
-    monkeypatch.setattr(rig.node._observer, "receive", slow)
+    monkeypatch.setattr(rig.node.observer, "receive", slow)
     client = rig.spinner.probe.create_client(Trigger, "/observer/reset")
     rig.spinner.until(client.service_is_ready)
     for k in range(40):
@@ -510,7 +550,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     future = client.call_async(SetState.Request(position=wanted[:2], velocity=wanted[2:]))
     spinner.until(future.done)
     assert future.result().success, future.result().message
-    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    estimate = rig.node.observer.estimate(EPOCH + 20_000_000)
     np.testing.assert_allclose(np.r_[estimate.q, estimate.u], wanted, rtol=1e-14)
 
     future = client.call_async(SetState.Request(position=[1.0], velocity=[0.0, 0.0]))
@@ -523,7 +563,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     future = client.call_async(request)
     spinner.until(future.done)
     assert future.result().success, future.result().message
-    narrow = rig.node._observer.estimate(rig.node._last_stamp).convergence
+    narrow = rig.node.observer.estimate(EPOCH + 20_000_000).convergence
     assert 0 < narrow < 1e-2 * estimate.convergence
 
     request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=[1.0] * 4)
@@ -537,7 +577,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     future = reset.call_async(Trigger.Request())
     spinner.until(future.done)
     assert future.result().success
-    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    estimate = rig.node.observer.estimate(EPOCH + 20_000_000)
     np.testing.assert_allclose(
         np.r_[estimate.q, estimate.u],
         np.concatenate(initial_state("random:1", SYSTEM)),
@@ -674,20 +714,23 @@ def test_misfit_is_logged_once_though_its_accounts_take_turns() -> None:
     misfit = replace(fits, misfit="wrong")
     better = replace(fits, misfit="better", parameters=(("stiffness-scale", 1.1, 0.1),))
     news, turns = MisfitNews(), [fits, misfit, misfit, *[better, misfit] * 10, fits, fits]
-    logged = [line for each in turns if (line := news.of(each))]
+    logged = [line for each in turns if (line := news.line_for(each))]
     assert logged == ["wrong", "better", "the model explains the impacts again"]
-    assert news.of(misfit) == "wrong"
+    assert news.line_for(misfit) == "wrong"
 
 
 def test_the_end_of_a_misfit_is_logged_too(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A warning, then a line of another severity, which rclpy takes from another place only."""
-    fits = make_observer(SYSTEM, Options(epoch=EPOCH)).estimate(EPOCH)
     rig.node.get_logger().set_level(LoggingSeverity.INFO)  # another test may have changed it
-    for each in (replace(fits, misfit="wrong"), fits):
-        monkeypatch.setattr(rig.node._observer, "estimate", lambda _, each=each: each)
-        rig.node._publish(EPOCH)
+    estimate = rig.node.observer.estimate
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            rig.node.observer, "estimate", lambda t: replace(estimate(t), misfit="wrong")
+        )
+        rig.tick(EPOCH + 15_000_000)
+    rig.tick(EPOCH + 25_000_000)
     logged = "".join(capfd.readouterr())
     assert "[WARN]" in logged
     assert "the model explains the impacts again" in logged
@@ -705,7 +748,7 @@ def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
 ) -> None:
     """Long before they are refused."""
     with monkeypatch.context() as patch:
-        patch.setattr(rig.node._intake, "backlog", lambda: (7, 24.1))
+        patch.setattr(rig.node.intake, "backlog", lambda: (7, 24.1))
         behind = "7 events wait, the oldest for 24.1 s: the observer cannot keep up"
         rig.spinner.until(lambda: rig.diagnostics and rig.diagnostics[-1].message == behind)
         assert rig.diagnostics[-1].level == DiagnosticStatus.WARN

@@ -64,7 +64,7 @@ class Rig:
 
     def counts(self, index: int) -> dict[str, int]:
         """What the node has counted of a sensor."""
-        return self.node._observer.samples.counts[index]
+        return self.node.observer.samples.counts[index]
 
     def send_encoder(self, stamp: int, value: float) -> None:
         """Publish a position of x1."""
@@ -156,7 +156,7 @@ def test_live_estimates_are_those_of_the_same_samples_offline(
             (rig.send_laser if kind else rig.send_encoder)(stamp, value)
         for each in whole.events:
             rig.impacts.publish(ros_messages().event(each))
-        node = rig.node._observer
+        node = rig.node.observer
         rig.spinner.until(lambda: node.samples.counts[0]["samples"] == len(encoder))
         rig.spinner.until(lambda: node.samples.counts[1]["samples"] == len(laser))
         rig.spinner.until(lambda: node.last_event == whole.events[-1].stamp)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The base class of the nodes: parameters, topics, timers, log and diagnostics."""
+
+from collections.abc import Callable, Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, Interface
+from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.options import Option
+from impact_observer.plain_text import printable
+from impact_observer.ros import parameters
+from impact_observer.ros.log_lines import LogLines
+from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.qos import qos_profile
+
+_OF_ROS = {"/rosout", "/parameter_events", "/clock"}
+"""Topics that every node has."""
+
+
+class BaseNode(Node):
+    """A node of the package.
+
+    Attributes:
+        values: the parameters of the node.
+        lines: the log of the node.
+        make: makes ROS messages of our values.
+    """
+
+    def __init__(self, name: str, table: tuple[Option, ...]) -> None:
+        """Declare the parameters of ``table``.
+
+        Raises:
+            UsageError: a parameter is of the wrong type, out of range, or missing.
+        """
+        super().__init__(name)
+        self.values = parameters.declare(self, table)
+        self.lines = LogLines(self.get_logger())
+        self.make = ros_messages()
+        self.repeat(1.0, self.lines.end_second)
+
+    def stamp_now(self) -> int:
+        """The time of the node's clock, ns; 0 under simulated time that has not begun."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def publisher(self, interface: Interface) -> Publisher:
+        """A publisher of a topic; a topic of the node itself is named relative to the node."""
+        owner, _, last = interface.name.rpartition("/")
+        topic = f"~/{last}" if owner else interface.name
+        return self.create_publisher(
+            message_class(interface.type), topic, qos_profile(interface.quality)
+        )
+
+    def publish(
+        self, publisher: Publisher, convert: Callable[..., AnyMessage], *values: object
+    ) -> None:
+        """Publish ``convert(*values)``; log an error if no message may carry the values.
+
+        So neither a number that is not finite leaves a node, nor does the node end.
+        """
+        try:
+            message = convert(*values)
+        except MessageError as error:
+            self.lines.error(f"{publisher.topic_name}: not published: {error}")
+        else:
+            publisher.publish(message)
+
+    def repeat(self, period: float, callback: Callable[[], None]) -> None:
+        """Call ``callback`` every ``period`` seconds of a steady clock."""
+        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def when_clock_jumps_back(self, callback: Callable[[], None]) -> None:
+        """Call ``callback`` after a backward jump of the clock, as of a bag that is looped."""
+        backwards = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+        self._jump = self.get_clock().create_jump_callback(
+            backwards, post_callback=lambda _: callback()
+        )
+
+    def diagnose(self, statuses: Callable[[], Sequence[DiagnosticStatus]]) -> None:
+        """Publish ``statuses()`` to ``/diagnostics`` every second."""
+        publisher = self.publisher(DIAGNOSTIC_ARRAYS)
+
+        def publish() -> None:
+            array = DiagnosticArray(status=[*statuses()])
+            array.header.stamp = self.get_clock().now().to_msg()
+            publisher.publish(array)
+
+        self.repeat(1.0, publish)
+
+    def introduce(self, what: str, waits_for: str) -> None:
+        """Log what the node runs, its topics, and what the node waits for."""
+        parts = [what]
+        for verb, owners in (("receives", self.subscriptions), ("publishes", self.publishers)):
+            if topics := sorted({each.topic_name for each in owners} - _OF_ROS):
+                parts.append(f"{verb} {', '.join(topics)}")
+        self.get_logger().info(printable("; ".join([*parts, f"waits for {waits_for}"])))
