@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The detector: turns what sensors publish into impact events. No ROS, no bags.
+"""The detector: turns messages of sensors into impact events.
 
-A :class:`Detector` is fed with messages in the order in which they were received. The node and the
-command ``detect`` feed it with the same messages, so both find the same events.
+The node and the command ``detect`` feed a :class:`Detector` with the same messages in the order of
+reception, so both detect the same events.
 """
 
 from impact_observer.detector.detection import Detection, Detector, SensorCounts

@@ -28,10 +28,10 @@ class BagDetection:
         sources: the sensors that are in the bag, complete.
         counts: of each one.
         events: how many events were written.
-        problems: what was not found or not copied, a line each.
-        doubts: what was declared and is hardly meant, a line each.
-        rows: of a signal, 0 of a bag.
-        seconds: from the first of them to the last.
+        problems: topics without a message or not copied, a line each.
+        doubts: doubtful declarations, a line each.
+        rows: number of rows of a signal; 0 of a bag.
+        seconds: from the first row to the last one, s.
     """
 
     sources: list[Source]
@@ -43,7 +43,7 @@ class BagDetection:
     seconds: float = 0.0
 
     def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
-        """Count what the ``detector`` has found in ``path``, whose ``model`` may be known.
+        """Count the events that the ``detector`` has detected in ``path``.
 
         Raises:
             BagError: no impact.
@@ -74,15 +74,15 @@ def detect_bag(
 ) -> BagDetection:
     """Write a bag with the impacts detected in another one; all other topics are copied.
 
-    An event's log time is when it was decided. Messages are streamed, so memory is constant.
+    The log time of an event is the time of its decision. Memory is constant.
 
     Args:
         reader: the bag to read.
         sources: the sensors, as declared.
         output: the bag to make.
-        model: to put into it; None for the one in the bag, if there is one.
-        epoch: stamp of the forcing's ``t = 0``, ns; 0 for that of the first pulse of a drive, and
-            unknown where there is none.
+        model: the model of the new bag; None for the model of the bag that is read, if any.
+        epoch: stamp of the forcing's ``t = 0``, ns. With 0 the first pulse of a drive is the
+            epoch; without a pulse the epoch is unknown.
         flush: longest time until a message is on the disk, s.
         progress: called with the messages read and how many there are.
 
@@ -91,12 +91,12 @@ def detect_bag(
         BagError: no impact was found, or a bag cannot be read or written. Then no bag is left.
     """
     types = {topic: info.type for topic, info in reader.topics.items()}
-    found, problems = present(reader.path, types, sources)
+    declared, problems = present(reader.path, types, sources)
     known = model
     if model is not None or reader.model_text() is not None:
         known = model or model_of(reader)
-        check_contacts(known, found)
-    detector = Detector(found, epoch=epoch or first_pulse(reader))
+        check_contacts(known, declared)
+    detector = Detector(declared, epoch=epoch or first_pulse(reader))
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
@@ -108,36 +108,36 @@ def detect_bag(
 def present(
     path: Path, types: Mapping[str, str], sources: Sequence[Source]
 ) -> tuple[list[Source], list[str]]:
-    """The sources whose topic is there, complete; and a line for each other one.
+    """Returns the complete sources whose topic is present, and a line for each other source.
 
     Args:
         path: of a bag or a signal.
-        types: of what is published, by topic.
+        types: of the messages, by topic.
         sources: as declared.
 
     Raises:
         UsageError: a source does not fit its topic.
-        BagError: none of the topics is there.
+        BagError: no topic of a source is present.
     """
-    found, missing = [], []
+    complete, missing = [], []
     for source in sources:
         topic = f"/{source.topic.lstrip('/')}"
         if topic in types:
-            found.append(replace(source, topic=topic).complete(types[topic]))
+            complete.append(replace(source, topic=topic).complete(types[topic]))
         else:
             missing.append(f"{source.contact}: no topic {topic}")
-    if not found:
+    if not complete:
         raise UnfitBagError(
             f"{path}: {'; '.join(missing)}; topics in it: {', '.join(types) or 'none'}"
         )
-    return found, missing
+    return complete, missing
 
 
 def check_contacts(model: Model, sources: Sequence[Source]) -> None:
     """Check the contacts of the sensors against a model.
 
     Raises:
-        UsageError: one is none of the model.
+        UsageError: the model has no contact of a sensor's name.
     """
     names = model.system.contact_names
     for source in sources:
@@ -158,7 +158,7 @@ def write_model(writer: BagWriter, model: Model, stamp: int) -> None:
 def _declared(
     reader: BagReader, writer: BagWriter, model: Model | None, problems: list[str]
 ) -> set[str]:
-    """Declare the topics of the new bag and write the model; the topics to be copied."""
+    """Declare the topics of the new bag and write the model; returns the topics to copy."""
     own = _OWN if model is not None else _OWN[:1]
     if interfaces.IMPACTS.topic in reader.topics:
         problems.append(f"{interfaces.IMPACTS.topic} of the bag is left out for the one found")

@@ -28,10 +28,10 @@ _SENSORS: dict[str, type[Sensor]] = {
 
 
 class Detection(NamedTuple):
-    """An event, and when it was certain.
+    """An event, and the time at which the event was certain.
 
     Attributes:
-        decided: on the clock of reception, ns; never before that of an earlier detection.
+        decided: on the clock of reception, ns; detections come in this order.
         event: the event.
     """
 
@@ -41,7 +41,7 @@ class Detection(NamedTuple):
 
 @dataclass(slots=True)
 class SensorCounts:
-    """How many messages of one source were received, and what was detected in them.
+    """Counts of the messages of one source, and of the events detected in them.
 
     Attributes:
         messages: received.
@@ -67,14 +67,14 @@ class SensorCounts:
 class Detector:
     """Turns messages into events, in the order in which the messages are received.
 
-    The events are a function of the messages and of the times of reception. They do not depend on
-    how often and when :meth:`advance` is called in between, as long as each message is fed within
-    ``MAX_DELAY`` of its reception. Memory is constant.
+    The events are a function of the messages and of the times of reception. Calls of
+    :meth:`advance` in between change no event, as long as each message is fed within ``MAX_DELAY``
+    of its reception. Memory is constant.
 
     Attributes:
         sources: the sensors.
         counts: one for each source.
-        episode: how often it was restarted.
+        episode: the number of restarts.
         epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
         first_event: stamp of the first event, ns; 0 before it.
     """
@@ -83,7 +83,7 @@ class Detector:
         """The first event has sequence number 1.
 
         Args:
-            sources: as for :meth:`add`.
+            sources: as for :meth:`add_source`.
             epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
         """
         self.sources: list[Source] = []
@@ -97,10 +97,10 @@ class Detector:
         self._sequence = 0
         self._now = 0
         for source in sources:
-            self.add(source)
+            self.add_source(source)
 
-    def add(self, source: Source) -> int:
-        """Add a complete source; the index that :meth:`feed` takes."""
+    def add_source(self, source: Source) -> int:
+        """Take a complete source; returns the index that :meth:`feed` needs."""
         self.sources.append(source)
         self.counts.append(SensorCounts())
         self._sensors.append(_SENSORS[source.kind or ""](source))
@@ -109,7 +109,7 @@ class Detector:
         return len(self.sources) - 1
 
     def restart(self) -> None:
-        """Begin a new episode, as when the clock has jumped back."""
+        """Begin a new episode, for example after the clock has jumped back."""
         self.episode += 1
         self._sensors = [_SENSORS[source.kind or ""](source) for source in self.sources]
         self._newest = [0] * len(self.sources)
@@ -117,11 +117,11 @@ class Detector:
         self._now = 0
 
     def feed(self, index: int, message: object, received: int) -> list[Detection]:
-        """The events that a message of the source ``index``, received at this time (ns), decides.
+        """Returns the events that a message of source ``index`` decides; ``received`` is in ns.
 
         Raises:
-            UsageError: the first message has no such field, or a message has no stamp in a header
-                though that is wanted.
+            UsageError: the first message has no such field, or a message has no header although
+                the source declares ``stamp: header``.
         """
         detections = self.advance(received)
         counts = self.counts[index]
@@ -139,7 +139,7 @@ class Detector:
         return detections
 
     def advance(self, now: int) -> list[Detection]:
-        """The events that are decided if no other message is received until ``now``, ns."""
+        """Returns the events that are decided if no message is received until ``now``, ns."""
         switches = [
             (switch, index)
             for index, sensor in enumerate(self._sensors)
@@ -151,17 +151,17 @@ class Detector:
 
     @property
     def epoch_doubt(self) -> str:
-        """Why the epoch is hardly meant; empty where it may be, and before the first event."""
+        """The reason to doubt the epoch; empty without a reason, and before the first event."""
         return odd_epoch(self.epoch, self.first_event) if self.first_event else ""
 
     @property
     def doubts(self) -> list[str]:
-        """What was declared and is hardly meant, such as times in another unit; a line each."""
+        """Doubtful declarations, such as times in another unit, a line each."""
         lines = [f"{each.contact}: {each.doubt}" for each in self.sources if each.doubt]
         return [*lines, self.epoch_doubt] if self.epoch_doubt else lines
 
     def problem(self, index: int) -> str:
-        """Why a source has no events, or what was left out; empty if nothing is wrong."""
+        """Returns why a source has no events or left out messages; empty if nothing is wrong."""
         source, counts = self.sources[index], self.counts[index]
         problems = [
             f"{count} {what}"
@@ -184,7 +184,7 @@ class Detector:
         return f"{source.contact}: {', '.join(problems)}" if problems else ""
 
     def _sample(self, index: int, message: object, received: int) -> Sample:
-        """The time and the values of a message."""
+        """Returns the time and the values of a message."""
         source = self.sources[index]
         stamp = None if source.stamp == "receive" else header_stamp(message)
         if stamp is None and source.stamp == "header":
@@ -199,7 +199,7 @@ class Detector:
         return Sample(SampleTime(received, received if stamp is None else stamp), values)
 
     def _events(self, switches: Iterable[tuple[DetectedSwitch, int]]) -> list[Detection]:
-        """The events of detected switches, each with the index of its source."""
+        """Returns the events of detected switches; each switch has the index of its source."""
         detections = []
         for (decided, measured, kind), index in switches:
             source, counts = self.sources[index], self.counts[index]

@@ -18,7 +18,7 @@ class _Peak:
     """The signal since it exceeded the threshold.
 
     Attributes:
-        onset: when it did.
+        onset: the time at which the signal exceeded the threshold.
         top: the first sample with the largest value.
         last: stamp of the last sample in a row with the largest value, as at the limit of the
             sensor's range.
@@ -32,8 +32,8 @@ class _Peak:
     left: Point | None
     right: Point | None = None
 
-    def add(self, before: Point, point: Point) -> None:
-        """Add the sample ``point``; the one before it was ``before``."""
+    def extend(self, before: Point, point: Point) -> None:
+        """Take the next sample ``point``, whose predecessor was ``before``."""
         if point[1] > self.top[1]:
             self.top, self.last, self.left, self.right = point, point[0], before, None
         elif self.right is None and point[1] == self.top[1]:
@@ -42,7 +42,7 @@ class _Peak:
             self.right = point
 
     def instant(self) -> int:
-        """Stamp of the peak, ns."""
+        """Returns the stamp of the peak, ns."""
         if self.last > self.top[0]:
             return (self.top[0] + self.last) // 2
         if self.left is None or self.right is None:
@@ -51,7 +51,7 @@ class _Peak:
 
 
 def vertex(left: Point, top: Point, right: Point) -> int:
-    """The vertex of the parabola through three points, ns after ``top``.
+    """Returns the vertex of the parabola through three points, ns after ``top``.
 
     For ``cos(w t)``, sampled every ``h``, the error is at most ``w^2 h^2 / 62`` samples, to
     leading order; for a half-sine of ten samples this is 0.0016 of a sample.
@@ -69,9 +69,9 @@ def vertex(left: Point, top: Point, right: Point) -> int:
 class PeakSensor(Sensor):
     """An IMPACT at each peak of a signal, interpolated between samples.
 
-    A peak begins when the signal reaches the threshold after it was below
-    ``threshold - hysteresis``. It ends when the signal is below that again, or ``dead_time`` after
-    it began. Within ``dead_time`` after the top no other peak begins.
+    A peak begins when the signal reaches the threshold after the signal was below
+    ``threshold - hysteresis``. The peak ends when the signal is below ``threshold - hysteresis``
+    again, or ``dead_time`` after the onset. No other peak begins within ``dead_time`` of the top.
     """
 
     def __init__(self, source: Source) -> None:
@@ -88,10 +88,10 @@ class PeakSensor(Sensor):
         self._dead_until = 0
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """See :class:`Sensor`.
+        """Returns the switches that a sample decides.
 
         Raises:
-            UsageError: a vector has no direction up or down.
+            UsageError: the field is a vector, and the direction is up or down.
         """
         time, switches = sample.time, []
         point = (time.stamp, self._signal(sample))
@@ -99,7 +99,7 @@ class PeakSensor(Sensor):
         if (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches = self._on_deadline(time.received)
         if self._peak is not None:
-            self._peak.add(self._before or point, point)
+            self._peak.extend(self._before or point, point)
             if point[1] < self._low:
                 switches += self._on_deadline(time.received)
         elif point[1] >= self._high and self._armed and time.stamp >= self._dead_until:
@@ -114,7 +114,7 @@ class PeakSensor(Sensor):
         return switches
 
     def _signal(self, sample: Sample) -> float:
-        """What is compared with the threshold."""
+        """Returns the number that is compared with the threshold."""
         values = self._without_mean(sample) if self._baseline else sample.values
         if self._source.direction == "both":
             return math.hypot(*values)
@@ -122,7 +122,7 @@ class PeakSensor(Sensor):
         return value if self._source.direction == "up" else -value
 
     def _without_mean(self, sample: Sample) -> tuple[float, ...]:
-        """The values minus their running mean, which starts at the first sample.
+        """Returns the values minus their running mean, which starts at the first sample.
 
         The mean is a first-order low pass with the time constant ``baseline``.
         """
@@ -131,13 +131,13 @@ class PeakSensor(Sensor):
         return tuple(x - m for x, m in zip(sample.values, self._mean, strict=True))
 
     def _deadline(self) -> SampleTime | None:
-        """When a peak ends even if the signal stays high."""
+        """Returns the time at which a peak ends even if the signal stays high."""
         if self._peak is None or self._dead_time == 0:
             return None
-        return self._peak.onset.after(self._dead_time)
+        return self._peak.onset.later_by(self._dead_time)
 
     def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
-        """The peak has ended."""
+        """End the peak; returns its IMPACT."""
         assert self._peak is not None
         stamp, self._peak = self._peak.instant(), None
         self._dead_until = stamp + from_seconds(self._dead_time)

@@ -16,21 +16,21 @@ _TEXTS = ("contact", "topic", "kind", "field", "direction", "stamp")
 
 
 def read_sources(path: str | Path) -> tuple[Source, ...]:
-    """The sensors that a file declares, or a sample by its name, such as ``switch``.
+    """Returns the sensors that a file or a sample such as ``switch`` declares.
 
     Raises:
         UsageError: one line that names the file, the key and what is wanted.
     """
-    found, text = read_file_or_sample(path, "config/detector", "a file of sensors, or a sample")
-    return parse_sources(text, str(found))
+    file, text = read_file_or_sample(path, "config/detector", "a file of sensors, or a sample")
+    return parse_sources(text, str(file))
 
 
 def parse_sources(text: str, name: str) -> tuple[Source, ...]:
-    """The sensors that the text of a file declares.
+    """Returns the sensors that the text of a file declares.
 
     Args:
         text: the YAML.
-        name: what to call it in errors.
+        name: the name of the file in errors.
 
     Raises:
         UsageError: one line that names the file, the key and what is wanted.
@@ -40,24 +40,23 @@ def parse_sources(text: str, name: str) -> tuple[Source, ...]:
         if not isinstance(document, Mapping):
             raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
         members = Section("", document, ("sources",)).items("sources")
-        found = [_source(key, value, name) for key, value in members]
-        if not found:
+        sources = tuple(_source(key, value, name) for key, value in members)
+        if not sources:
             raise ModelError("sources", "is missing or empty; expected a list of sensors")
     except ModelError as error:
         raise UsageError(f"{name}: {error}") from None
     first: dict[str, Source] = {}
-    for source in found:
+    for source in sources:
         if (other := first.setdefault(source.contact, source)) is not source:
-            # Each impact would be two events.
             both = f"{other.topic} and {source.topic}"
             raise source.wrong(
                 "contact", f"{source.contact!r} has two sensors, {both}; expected one a contact"
             )
-    return tuple(found)
+    return sources
 
 
 def _source(key: str, value: Value, name: str) -> Source:
-    """The sensor in one member of the list."""
+    """Returns the sensor in one member of the list."""
     section = Section(key, value, _KEYS)
     keys = [each for each in _KEYS if each in section or each in {"contact", "topic"}]
     given = {each: _value(section, each) for each in keys}
@@ -65,7 +64,7 @@ def _source(key: str, value: Value, name: str) -> Source:
 
 
 def _value(section: Section, key: str) -> object:
-    """The value of a key, of the right type."""
+    """Returns the value of a key, of the right type."""
     if key in _TEXTS:
         return section.text(key)
     if key == "inverted":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all kinds of sensors have in common, and the simplest kind."""
+"""The base class of all kinds of sensors, and the simplest kind."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -9,8 +9,10 @@ from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds
 
 MAX_DELAY = 20_000_000
-"""How long a message may take from the sensor to here, ns. Only when this time is over, too, does
-the absence of a sample decide something."""
+"""The longest time that a message takes from the sensor to the detector, ns.
+
+The absence of a sample decides something only when this time is over, too.
+"""
 
 
 class SampleTime(NamedTuple):
@@ -24,14 +26,14 @@ class SampleTime(NamedTuple):
     received: int
     stamp: int
 
-    def after(self, seconds: float) -> "SampleTime":
-        """So many seconds later."""
+    def later_by(self, seconds: float) -> "SampleTime":
+        """Returns the time ``seconds`` later, s."""
         length = from_seconds(seconds)
         return SampleTime(self.received + length, self.stamp + length)
 
 
 class Sample(NamedTuple):
-    """What one message holds.
+    """The time and the numbers of one message.
 
     Attributes:
         time: of the message.
@@ -47,8 +49,8 @@ class DetectedSwitch(NamedTuple):
     """A switch of a sensor's contact.
 
     Attributes:
-        decided: when it was certain, on the clock of reception, ns.
-        stamp: when it happened, before the latency is subtracted, ns.
+        decided: the time on the clock of reception at which the switch was certain, ns.
+        stamp: the instant of the switch, before the latency is subtracted, ns.
         kind: IMPACT, CLOSE or OPEN.
     """
 
@@ -65,38 +67,41 @@ class Sensor(ABC):
     """
 
     def __init__(self, source: Source) -> None:
-        """Detect by what ``source`` declares."""
+        """Make the sensor that ``source`` declares."""
         self._source = source
         self.largest_signal = 0.0
 
     @property
     def due(self) -> int | None:
-        """From when on (received, ns) the absence of samples decides something; None for never."""
+        """The time of reception from which on the absence of samples decides something, ns.
+
+        None means that the absence of samples decides nothing.
+        """
         deadline = self._deadline()
         return None if deadline is None else deadline.received + MAX_DELAY
 
     @abstractmethod
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """The switches that a sample decides, and the time up to it."""
+        """Returns the switches that a sample and the time up to this sample decide."""
 
     def advance(self, now: int) -> list[DetectedSwitch]:
-        """The switches that are decided if no sample is received until ``now``, ns."""
+        """Returns the switches that are decided if no sample is received until ``now``, ns."""
         switches = []
         while (decided := self.due) is not None and decided <= now:
             switches += self._on_deadline(decided)
         return switches
 
     def _deadline(self) -> SampleTime | None:
-        """The time that decides something, if no sample before it follows."""
+        """Returns the time that decides something if no earlier sample follows."""
         return None
 
     def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
-        """The switches that the deadline decides; never called without a ``_deadline``."""
+        """Returns the switches that the deadline decides."""
         raise AssertionError(f"deadline at {decided}, but {type(self).__name__} has none")
 
 
 class ArrivalSensor(Sensor):
-    """A sensor that publishes one message at each impact; what it holds does not matter.
+    """A sensor that publishes one message of any content at each impact.
 
     Each message is an IMPACT, except within ``dead_time`` after an impact.
     """
@@ -107,7 +112,7 @@ class ArrivalSensor(Sensor):
         self._dead_until = 0
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """See :class:`Sensor`."""
+        """Returns the IMPACT of a message outside the dead time."""
         time = sample.time
         if time.stamp < self._dead_until:
             return []

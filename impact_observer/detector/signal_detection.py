@@ -49,7 +49,7 @@ def detect_signal(
         signal: the file, of which no row was read yet.
         sources: the sensors, as declared; the topic of each is that of a column.
         output: the bag to make.
-        model: to put into it; None for none.
+        model: the model of the new bag, or None.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
         flush: longest time until a message is on the disk, s.
         progress: called with the number of rows read.
@@ -59,10 +59,12 @@ def detect_signal(
             is at ``output``.
         BagError: no impact was found, or the bag cannot be written. Then no bag is left.
     """
-    found, problems = present(signal.path, dict.fromkeys(signal.topics.values(), _TYPE), sources)
+    present_sources, problems = present(
+        signal.path, dict.fromkeys(signal.topics.values(), _TYPE), sources
+    )
     if model is not None:
-        check_contacts(model, found)
-    detector = Detector(found, epoch=epoch)
+        check_contacts(model, present_sources)
+    detector = Detector(present_sources, epoch=epoch)
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         if model is not None:

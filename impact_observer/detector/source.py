@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One sensor as its user declares it: its contact, its topic, and how impacts are detected."""
+"""The declaration of one sensor: its contact, its topic, and how impacts are detected."""
 
 import dataclasses
 import math
@@ -28,7 +28,7 @@ _IMU_BASELINE = 1.0
 """Default ``baseline`` of an accelerometer, s. It removes gravity, and an impact of some
 milliseconds changes the mean by less than a percent of its peak."""
 _USUAL = 1.0
-"""The longest latency or dead time of a sensor as a rule, s."""
+"""A latency or dead time that is longer is doubted, s."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
     SWITCH: {
@@ -53,7 +53,9 @@ _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A sensor of one contact; a default that depends on the topic's type is None at first.
+    """The declaration of the sensor of one contact.
+
+    None stands for a default that :meth:`complete` fills in, as it depends on the topic's type.
 
     Attributes:
         contact: name of the contact in the model.
@@ -61,15 +63,15 @@ class Source:
         kind: ``switch``, ``peak`` or ``arrival``.
         field: path of the number in a message, such as ``wrench.force.z`` or ``data[3]``; of a
             vector the norm is used.
-        threshold: from which on a switch is closed, or a signal is a peak; in the field's own
-            unit.
-        hysteresis: how far below the threshold a switch opens, or a peak ends; same unit.
+        threshold: a switch is closed, or a signal is a peak, from this value on; in the field's
+            own unit.
+        hysteresis: a switch opens, or a peak ends, so far below the threshold; same unit.
         direction: of peaks, ``both`` (the magnitude), ``up`` or ``down``.
         baseline: time constant of the running mean that is subtracted, s; 0 for none.
-        dead_time: after an event, in which there is no other, s.
-        latency: of the stamps, subtracted from them, s.
-        min_contact_duration: after which a closed switch is persistent contact, s; 0 for every
-            closure.
+        dead_time: the time after an event without another event, s.
+        latency: delay of the stamps, which is subtracted, s.
+        min_contact_duration: a closure that lasts longer is persistent contact, s; with 0
+            every closure is.
         inverted: whether the switch is closed when its value is low.
         stamp: ``header`` or ``receive``; None for the header's where there is one.
         origin: put before a key in errors, such as ``rig.yaml: sources[0].``.
@@ -118,18 +120,18 @@ class Source:
             raise self.wrong("hysteresis", f"{self.hysteresis:g} found; expected 0 or more")
 
     def wrong(self, key: str, problem: str) -> UsageError:
-        """The error that names the file, the ``key`` and the ``problem``."""
+        """Returns the error that names the file, the ``key`` and the ``problem``."""
         return UsageError(" ".join(f"{self.origin}{key}: {problem}".split()))
 
     @property
     def doubt(self) -> str:
-        """What looks like another unit than seconds; empty where nothing does."""
+        """Times that look as if they were not in seconds; empty if none does."""
         times = {key: getattr(self, key) for key in ("latency", "dead_time")}
         long = [f"{key} {s:g} s" for key, s in times.items() if s is not None and s > _USUAL]
         return f"{' and '.join(long)}: more than a second; was it given in ms?" if long else ""
 
     def path(self) -> tuple[str | int, ...]:
-        """The parts of ``field``.
+        """Returns the parts of ``field``.
 
         Raises:
             UsageError: ``field`` is no path.
@@ -140,7 +142,7 @@ class Source:
             raise self.wrong("field", str(error)) from None
 
     def complete(self, type_name: str) -> "Source":
-        """The source with defaults filled in.
+        """Returns the source with its defaults filled in.
 
         Args:
             type_name: of the topic's messages, such as ``std_msgs/msg/Bool``.
@@ -168,7 +170,7 @@ class Source:
         return complete
 
     def _peak_defaults(self, type_name: str) -> dict[str, object]:
-        """The defaults that depend on the threshold or on the type of the topic."""
+        """Returns the defaults that depend on the threshold or on the type of the topic."""
         if self.threshold is None:
             raise self.wrong("threshold", "is missing; expected a number in the field's own unit")
         if self.threshold <= 0:
@@ -191,14 +193,14 @@ class Source:
             raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s{doubt}")
 
     def number(self, key: str) -> float:
-        """A number of a complete source."""
+        """Returns a number of a complete source."""
         return float(getattr(self, key))
 
     def scalar(self, values: tuple[float, ...]) -> float:
-        """The number of a field that must not be a vector.
+        """Returns the number of a field that must not be a vector.
 
         Raises:
-            UsageError: it is one.
+            UsageError: the field is a vector.
         """
         if len(values) != 1:
             problem = f"{self.field} found, a vector of {len(values)}; name one of its numbers"

@@ -7,15 +7,16 @@ from impact_observer.events import Kind
 
 
 class SwitchSensor(Sensor):
-    """A signal that is high while the contact is closed, or low where it is inverted.
+    """A signal that is high while the contact is closed, or low if the switch is inverted.
 
     The rising edge is an IMPACT, at once. If the switch is still closed after
     ``min_contact_duration``, a CLOSE with the stamp of that edge supersedes the IMPACT, and the
     falling edge is an OPEN. A shorter closure is an IMPACT only.
 
-    Debouncing: for ``dead_time`` after an edge the level is held. If the signal differs at its
-    end, the edge is that of the signal's last change. So chatter up to the dead time is one edge,
-    with the stamp of the first one. A change that begins and ends in the dead time is ignored.
+    Debouncing: the level is held for ``dead_time`` after an edge. If the signal differs at the end
+    of the dead time, the signal's last change is the next edge. So chatter up to the dead time is
+    one edge with the stamp of the first change. A change that begins and ends in the dead time is
+    ignored.
     """
 
     def __init__(self, source: Source) -> None:
@@ -32,7 +33,7 @@ class SwitchSensor(Sensor):
         self._input_changed = self._edge = SampleTime(0, 0)
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """See :class:`Sensor`.
+        """Returns the switches that a sample decides.
 
         Raises:
             UsageError: the field is a vector.
@@ -45,28 +46,28 @@ class SwitchSensor(Sensor):
         closed = self._level != self._inverted
         if closed != self._input_closed:
             self._input_closed, self._input_changed = closed, time
-            dead_until = self._edge.after(self._dead_time).stamp if self._has_edge else 0
+            dead_until = self._edge.later_by(self._dead_time).stamp if self._has_edge else 0
             if time.stamp >= dead_until:
                 switches += self._follow_input(time.received)
         return switches
 
     def _deadline(self) -> SampleTime | None:
-        """When the end of the dead time, or of the shortest persistent contact, is decided."""
+        """Returns the end of the dead time, or of the shortest persistent contact."""
         if self._input_closed != self._closed:
-            return self._edge.after(self._dead_time)
+            return self._edge.later_by(self._dead_time)
         if self._closed and not self._persistent:
-            return self._edge.after(self._duration)
+            return self._edge.later_by(self._duration)
         return None
 
     def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
-        """The deadline is over: chatter has ended, or the contact is persistent."""
+        """End the chatter, or begin persistent contact, as the deadline is over."""
         if self._input_closed != self._closed:
             return self._follow_input(decided)
         self._persistent = True
         return [DetectedSwitch(decided, self._edge.stamp, Kind.CLOSE)]
 
     def _follow_input(self, decided: int) -> list[DetectedSwitch]:
-        """An edge, where the input last changed."""
+        """Make an edge at the last change of the input."""
         self._closed, self._edge, self._has_edge = self._input_closed, self._input_changed, True
         if not self._closed:
             was_persistent, self._persistent = self._persistent, False

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a new rig: its model, its sensors, and what launches its nodes."""
+"""The files of a new rig: its model, its sensors and its launch file."""

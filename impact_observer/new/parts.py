@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of a rig in one line each, as a command line or an answer has them."""
+"""Parts of a rig, each written in one line on the command line or as an answer."""
 
 import re
 from collections.abc import Callable
@@ -12,7 +12,7 @@ Item = dict[str, str | float | list[str]]
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _WORDS = {"null", "true", "false"}
-"""That YAML takes for something else than text."""
+"""Words that YAML does not take for text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,11 +20,11 @@ class PartKind:
     """A kind of part.
 
     Attributes:
-        name: in the command line, ``--NAME``, and in questions.
-        forms: how a part is written; the first one is that of examples.
+        name: the option ``--NAME`` of the command line, and the word in questions.
+        forms: the ways to write a part; examples have the first one.
         example: of the first form.
         meaning: in a few words, with units.
-        read: makes an item of the fields between commas.
+        read: makes an item from the fields between commas.
     """
 
     name: str
@@ -34,10 +34,10 @@ class PartKind:
     read: Callable[[list[str]], Item]
 
     def parse(self, text: str) -> Item:
-        """The item that ``text`` means.
+        """Returns the item that ``text`` describes.
 
         Raises:
-            UsageError: one line with what was found and the forms.
+            UsageError: ``text`` has none of the forms.
         """
         try:
             return self.read([field.strip() for field in text.split(",")])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new rig: what it is made of, and the texts of its three files."""
+"""A new rig: its parts, and the texts of its three files."""
 
 import re
 from collections.abc import Mapping
@@ -17,9 +17,9 @@ from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP,
 from impact_observer.states import Vector
 
 _CLEAR = 0.01
-"""Gap that a start outside a stop gets, relative to how far zero is inside."""
+"""Gap of a start outside its stops, relative to the penetration at zero."""
 _NONE = 1e-9
-"""Residual, of one, below which no positions are outside all stops."""
+"""With a smaller residual no positions are outside all stops."""
 _FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
 _MODEL = """\
 # {name}: a model of a rig, made by `impact-observer new`. SI units: kg, m, s, N, rad.
@@ -99,14 +99,14 @@ where a drive publishes its index pulses on phase_reference.
 
 @dataclass(frozen=True, slots=True)
 class NewRig:
-    """What a rig is made of.
+    """The parts of a rig.
 
     Attributes:
         name: of the model and of its files.
         parts: items of the lists in its files, by their kind.
 
     Raises:
-        UsageError: the name is none of a file.
+        UsageError: the name cannot be that of a file.
     """
 
     name: str
@@ -120,10 +120,11 @@ class NewRig:
             )
 
     def with_part(self, kind: PartKind, text: str) -> "NewRig":
-        """The rig with one more part, checked as far as it goes.
+        """Returns the rig with one more part, which is checked.
 
         Raises:
-            UsageError, ModelError: one line that names what is wrong with the part.
+            UsageError: the part has none of its forms, or its stop does not exist.
+            ModelError: the part makes no valid model.
         """
         items = (*self.items(kind), kind.parse(text))
         grown = replace(self, parts={**self.parts, kind: items})
@@ -134,40 +135,40 @@ class NewRig:
         return grown
 
     def items(self, kind: PartKind) -> tuple[Item, ...]:
-        """The parts of a kind."""
+        """Returns the parts of a kind."""
         return self.parts.get(kind, ())
 
     @property
     def stops_without_sensor(self) -> tuple[str, ...]:
-        """Names of stops, in order."""
+        """Names of the stops without a sensor, in order."""
         sensed = {each["contact"] for each in self.items(SENSOR)}
         return tuple(str(each["name"]) for each in self.items(STOP) if each["name"] not in sensed)
 
     @property
     def needs_epoch(self) -> bool:
-        """Whether something is a function of time."""
+        """Whether a force or a ground is a function of time."""
         return bool(self.items(GROUND)) or any("frequency" in each for each in self.items(FORCE))
 
     @property
     def asks_for_epoch(self) -> bool:
-        """Whether the epoch must be given: no index pulse of a drive says it."""
+        """Whether the user has to give the epoch, as no drive publishes index pulses."""
         return self.needs_epoch and not any("order" in each for each in self.items(FORCE))
 
     @property
     def deviation(self) -> str:
-        """Of the initial state, where the default is of another size than the rig; else empty."""
+        """The deviation of the initial state that suits the rig; empty if the default does."""
         return suggested_deviation(self.model().system)
 
     def model(self) -> Model:
-        """The model, read from its text.
+        """Returns the model, read from its text.
 
         Raises:
-            ModelError: one line that names the file, the key and what is wanted.
+            ModelError: the parts make no valid model.
         """
         return parse_model(self.model_text(), f"{self.name}.yaml")
 
     def model_text(self) -> str:
-        """The model file."""
+        """Returns the text of the model file."""
         without_start = self._model_text("")
         q = outside_stops(parse_model(without_start, f"{self.name}.yaml").system)
         speed = 0.0 if self.needs_epoch else 1.0  # else nothing would ever move
@@ -177,28 +178,28 @@ class NewRig:
         )
 
     def _model_text(self, start: str) -> str:
-        """The model file, with the line of its initial state."""
+        """Returns the text of the model file with the line of its initial state."""
         parts = {kind.name: _lines(self.items(kind)) for kind in (GROUND, SPRING, FORCE, STOP)}
         mass = _lines(self.items(MASS)).removeprefix("\n")
         return _MODEL.format(name=self.name, mass=mass, start=start, **parts)
 
     def sensors_text(self) -> str:
-        """The file of sensors."""
+        """Returns the text of the file of sensors."""
         sensor = _lines(self.items(SENSOR)).strip("\n")
         return _SENSORS.format(name=self.name, sensor=sensor)
 
     def launch_text(self) -> str:
-        """The launch file."""
+        """Returns the text of the launch file."""
         epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.asks_for_epoch else ("", "")
         suggested = self.deviation
         deviation = f'\n        "initial_deviation": "{suggested}",' if suggested else ""
         return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark, deviation=deviation)
 
     def check_sensors(self) -> None:
-        """Check that each is of a stop, and that a detector reads them.
+        """Check that each sensor belongs to a stop and can be read by a detector.
 
         Raises:
-            UsageError: one line.
+            UsageError: a sensor belongs to no stop, or cannot be read.
         """
         stops = [str(each["name"]) for each in self.items(STOP)]
         for each in self.items(SENSOR):
@@ -209,10 +210,10 @@ class NewRig:
 
 
 def complete(rig: NewRig) -> NewRig:
-    """The rig, with a switch on the topic of its name for each stop that has no sensor.
+    """Returns the rig with a switch for each stop without a sensor, on the topic of its name.
 
     Raises:
-        UsageError: nothing moves, or nothing hits.
+        UsageError: the rig has no mass or no stop.
     """
     for kind in (MASS, STOP):
         if not rig.items(kind):
@@ -226,10 +227,10 @@ def complete(rig: NewRig) -> NewRig:
 
 
 def write(rig: NewRig, folder: Path) -> list[Path]:
-    """Write the three files of a rig that is complete; none if one of them exists.
+    """Write the three files of a complete rig, or none of them; returns their paths.
 
     Raises:
-        UsageError: one exists, or cannot be written.
+        UsageError: a file exists or cannot be written.
     """
     texts = {
         folder / f"{rig.name}.yaml": rig.model_text(),
@@ -253,14 +254,14 @@ def write(rig: NewRig, folder: Path) -> list[Path]:
 
 
 def outside_stops(system: System) -> Vector:
-    """The least positions at the epoch at which no body is inside a stop, m, shape (n,).
+    """Returns the least positions at the epoch with no body inside a stop, m, shape (n,).
 
     With gaps ``W^T q + g_0`` this is the least distance problem of Lawson and Hanson (Solving
     Least Squares Problems, chapter 23): the residual of a fit with factors that are not negative
     is proportional to ``q``.
 
     Raises:
-        UsageError: there are none.
+        UsageError: every position is inside some stop.
     """
     rest = np.zeros(2 * system.n)
     at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), rest[None])[0]
@@ -278,14 +279,14 @@ def outside_stops(system: System) -> Vector:
 
 
 def _lines(items: tuple[Item, ...]) -> str:
-    """A list in YAML, a member a line."""
+    """Returns a list in YAML with one member a line."""
     if not items:
         return " []\n"
     return "".join(f"\n  - {{{', '.join(map(_entry, each.items()))}}}" for each in items) + "\n"
 
 
 def _entry(pair: tuple[str, str | float | list[str]]) -> str:
-    """A key with its value."""
+    """Returns a key with its value in YAML."""
     key, value = pair
     if isinstance(value, list):
         return f"{key}: [{', '.join(value)}]"

@@ -93,7 +93,7 @@ class DetectorNode(Node):
             publishers = self.get_publishers_info_by_topic(topic)
             if publishers:
                 complete = source.complete(publishers[0].topic_type)
-                self._indices.setdefault(topic, []).append(self._detector.add(complete))
+                self._indices.setdefault(topic, []).append(self._detector.add_source(complete))
                 self._wanted.remove(source)
         for topic in self._indices:
             self._subscribe(topic)
