@@ -14,7 +14,7 @@ from typing import TypeVar, final
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io.bag_metadata import Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
-from impact_observer.io.mcap_writer import Item, McapWriter
+from impact_observer.io.mcap_file import Item, McapFile
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 
@@ -49,10 +49,10 @@ def check_free(path: Path) -> None:
 class BagWriter:
     """A bag, open for writing; a context manager.
 
-    However its block ends, the bag is closed and complete: the file is written in a thread of its
-    own, where no ``KeyboardInterrupt`` can cut a record short. Where the block never ends, as the
-    process is killed or the machine loses power, what was written ``flush`` seconds before is on
-    the disk, in whole chunks: written to the file, and the file synchronized.
+    However its block ends, the bag is closed and complete: a thread of its own writes the file,
+    where no ``KeyboardInterrupt`` can cut a record short. If the process is killed or the machine
+    loses power, the disk has every message that was written ``flush`` seconds before: a chunk of
+    the file ends after at most that time, also if no further message comes.
 
     Attributes:
         path: the folder that is written.
@@ -84,6 +84,7 @@ class BagWriter:
         self._topics: dict[str, Topic] = {}
         self._pending: deque[Item] = deque()
         self._pending_bytes = 0
+        self._unflushed = False
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
         self._made = False
         self._closing = threading.Event()
@@ -211,24 +212,37 @@ class BagWriter:
 
     def _topic(self, topic: str) -> Topic:
         """A topic, which is declared if it is one of ours."""
-        if not self._open:
-            raise UsageError(f"{self.path}: is closed; nothing more can be written")
+        self._check_open()
         if topic not in self._topics:
             self.declare(topic)
         return self._topics[topic]
 
-    def _make_file(self, compressed: bool) -> McapWriter:
+    def _check_open(self) -> None:
+        """Raise UsageError if the bag is closed."""
+        if not self._open:
+            raise UsageError(f"{self.path}: is closed; nothing more can be written")
+
+    def _make_file(self, compressed: bool) -> McapFile:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
         self._made = True
-        file = McapWriter(self.path / bag_file(self.path), compressed=compressed)
-        file.synchronize()
+        file = McapFile(self.path / bag_file(self.path), compressed=compressed)
         _synchronize(self.path)
         _synchronize(self.path.absolute().parent)
         return file
 
+    def flush(self) -> None:
+        """Return when the disk has every message that was written so far.
+
+        Raises:
+            UsageError: the bag is closed.
+            BagError: the disk is full or gone.
+        """
+        self._check_open()
+        self._run(self._flush)
+
     def _flush_every(self, period: float) -> None:
-        """In a thread that never waits for the disk: have it written to again and again."""
+        """In a thread of its own: flush every ``period`` seconds until the bag is closed."""
         try:
             while not self._closing.wait(period):
                 self._thread.submit(self._flush).result()
@@ -238,14 +252,17 @@ class BagWriter:
             return  # the bag, or Python itself, is being closed
 
     def _flush(self) -> None:
-        """In the thread: write what waits, and have the disk take it."""
-        self._write_pending()
-        self._file.flush()
+        """In the thread: write the messages that wait, and wait until the disk has them."""
+        if self._pending or self._unflushed:
+            self._write_pending()
+            self._file.flush()
+            self._unflushed = False
 
     def _write_pending(self) -> None:
         """In the thread: write the messages that wait."""
         if self._failure is not None:
             raise self._failure
+        self._unflushed = True
         self._file.write([self._pending.popleft() for _ in range(len(self._pending))])
 
     def _finish(self) -> None:
@@ -255,7 +272,6 @@ class BagWriter:
         self._closing.set()
         try:
             self._write_pending()
-            self._file.end_chunk()
         finally:
             whole, inner = metadata(bag_file(self.path), self._file, self._topics.values())
             self._file.finish(inner)

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,8 +16,9 @@ from pathlib import Path
 
 import pytest
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
 
 from impact_observer.check.salvage import Salvage, salvage
 from impact_observer.errors import BagError, UsageError
@@ -67,12 +69,17 @@ def salvaged(bag: Path) -> list[int]:
     return stamps
 
 
-def records(data: bytes) -> list[McapRecord]:
+def records(data: bytes, *, whole_chunks: bool = False) -> list[McapRecord]:
     """The records of a file from its beginning, up to where it ends too early."""
     found: list[McapRecord] = []
     with suppress(EndOfFile):
-        found.extend(StreamReader(BytesIO(data)).records)
+        found.extend(StreamReader(BytesIO(data), emit_chunks=whole_chunks).records)
     return found
+
+
+def chunks(data: bytes) -> list[Chunk]:
+    """The chunks of a file from its beginning, up to where it ends too early."""
+    return [each for each in records(data, whole_chunks=True) if isinstance(each, Chunk)]
 
 
 def wait(done: Callable[[], object]) -> None:
@@ -81,6 +88,37 @@ def wait(done: Callable[[], object]) -> None:
     while not done():
         assert time.monotonic() < latest, "it never came"
         time.sleep(0.01)
+
+
+def test_an_event_is_on_the_disk_though_no_message_follows(tmp_path: Path) -> None:
+    """Another library reads the event from a whole chunk of the open file."""
+    file = tmp_path / "bag" / "bag_0.mcap"
+
+    def log_times() -> list[int]:
+        return [each.log_time for each in records(file.read_bytes()) if isinstance(each, Message)]
+
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 7, event(7))
+        wait(lambda: log_times() == [7])
+
+
+def test_flush_of_the_library_ends_a_chunk_with_a_message_and_no_other(tmp_path: Path) -> None:
+    """All that a killed recorder leaves rests on this method of ``mcap``."""
+    path = tmp_path / "file.mcap"
+    with path.open("xb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.flush()  # type: ignore[no-untyped-call]
+        assert not chunks(path.read_bytes())
+        for count in (1, 2, 3):
+            writer.add_message(channel, count, b"text", count)
+            writer.flush()  # type: ignore[no-untyped-call]
+            writer.flush()  # type: ignore[no-untyped-call]
+            written = chunks(path.read_bytes())
+            assert [each.message_start_time for each in written] == [*range(1, count + 1)]
+            assert all(each.uncompressed_crc for each in written)
 
 
 @pytest.mark.slow
@@ -123,7 +161,7 @@ def test_events_that_come_one_by_one_are_salvaged_wherever_the_file_ends(
     with BagWriter(bag, flush=1.0) as writer:
         for second in range(1, 6001):
             writer.write("/impacts", second * 1_000_000_000, event(second))
-            writer._thread.submit(writer._flush).result()
+            writer.flush()
             sizes.append((bag / "bag_0.mcap").stat().st_size)
     data = (bag / "bag_0.mcap").read_bytes()
     assert len(data) < 6000 * 500
@@ -152,7 +190,7 @@ def test_what_is_flushed_is_on_the_disk_and_zeros_behind_it_do_no_harm(
         assert {"bag", tmp_path.name, "bag_0.mcap"} <= synchronized.keys()
         for stamp in range(1, 101):
             writer.write("/impacts", stamp, event(stamp))
-        writer._thread.submit(writer._flush).result()
+        writer.flush()
         lost.mkdir()
         data = (bag / "bag_0.mcap").read_bytes()[: synchronized["bag_0.mcap"]]
     assert synchronized["metadata.yaml"] == (bag / "metadata.yaml").stat().st_size
@@ -195,17 +233,26 @@ def test_reindexing_finds_all_it_needs_in_the_chunks(tmp_path: Path) -> None:
 def test_a_disk_that_fills_up_between_two_messages_is_reported_by_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One line; also where the next batch would be hours away."""
-    writer = BagWriter(tmp_path / "bag", flush=0.02)
+    """One line, though no further batch of messages is full."""
+    failed = threading.Event()
 
-    def full(_: object) -> None:
+    def full(_: int) -> None:
+        failed.set()
         raise OSError(28, "No space left on device")
 
+    writer = BagWriter(tmp_path / "bag", flush=0.02)
     writer.write("/impacts", 1, event(1))
-    monkeypatch.setattr(writer._file, "flush", lambda: full(None))
-    wait(lambda: writer._failure)
+    monkeypatch.setattr(os, "fsync", full)
+
+    def write_until_refused() -> None:
+        latest = time.monotonic() + PATIENCE
+        while time.monotonic() < latest:
+            writer.write("/impacts", 2, event(2))
+            time.sleep(0.01)
+
     with pytest.raises(BagError, match="bag: cannot be written: No space left on device"):
-        writer.write("/impacts", 2, event(2))
+        write_until_refused()
+    assert failed.is_set()
     with pytest.raises(BagError, match="No space left"):
         writer.close()
 
