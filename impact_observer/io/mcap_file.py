@@ -86,7 +86,7 @@ class McapFile:
         """
         with self._file:
             self._writer.flush()  # type: ignore[no-untyped-call]
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata})  # type: ignore[no-untyped-call]
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata})
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._synchronize()
 
