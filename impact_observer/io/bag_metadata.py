@@ -10,7 +10,7 @@ from rosbags.interfaces import QosTime
 from ruamel.yaml import YAML
 
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.mcap_file import McapFile
+from impact_observer.io.mcap_output import McapOutput
 
 _NO_MESSAGE = 2**63 - 1
 """What rosbag2 writes as the starting time of a bag without messages, ns."""
@@ -34,7 +34,7 @@ class Topic(NamedTuple):
     quality: Quality
 
 
-def metadata(file_name: str, file: McapFile, topics: Iterable[Topic]) -> tuple[str, str]:
+def metadata(file_name: str, file: McapOutput, topics: Iterable[Topic]) -> tuple[str, str]:
     """The text of ``metadata.yaml``, and what of it the MCAP file holds too.
 
     Args:
@@ -69,7 +69,7 @@ def metadata(file_name: str, file: McapFile, topics: Iterable[Topic]) -> tuple[s
     return _yaml({"rosbag2_bagfile_information": information}), _yaml(information).strip()
 
 
-def _extent(file: McapFile) -> dict[str, object]:
+def _extent(file: McapOutput) -> dict[str, object]:
     """How many messages there are, and from when to when."""
     count = file.counts.total()
     return {

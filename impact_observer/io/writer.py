@@ -14,7 +14,7 @@ from typing import TypeVar, final
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io.bag_metadata import Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
-from impact_observer.io.mcap_file import Item, McapFile
+from impact_observer.io.mcap_output import Item, McapOutput
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 
@@ -222,11 +222,11 @@ class BagWriter:
         if not self._open:
             raise UsageError(f"{self.path}: is closed; nothing more can be written")
 
-    def _make_file(self, compressed: bool) -> McapFile:
+    def _make_file(self, compressed: bool) -> McapOutput:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
         self._made = True
-        file = McapFile(self.path / bag_file(self.path), compressed=compressed)
+        file = McapOutput(self.path / bag_file(self.path), compressed=compressed)
         _synchronize(self.path)
         _synchronize(self.path.absolute().parent)
         return file

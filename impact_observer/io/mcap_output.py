@@ -15,7 +15,7 @@ Item: TypeAlias = tuple[int, int, bytes]
 """A message: the number of its channel, its log time (ns), its bytes."""
 
 
-class McapFile:
+class McapOutput:
     """An MCAP file of profile ``ros2`` with checksums of chunks, data and index.
 
     Attributes:
