@@ -99,7 +99,8 @@ def test_an_event_is_on_the_disk_though_no_message_follows(tmp_path: Path) -> No
 
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(7))
-        wait(lambda: log_times() == [7])
+        wait(log_times)
+        assert log_times() == [7]
 
 
 def test_flush_of_the_library_ends_a_chunk_with_a_message_and_no_other(tmp_path: Path) -> None:
