@@ -25,9 +25,7 @@ pytest.importorskip("impact_observer_msgs")
 from plotting_tools import DIAGNOSTICS, message_path, plotjuggler_series, resolved
 from processes import PATIENCE, ros_arguments, running_node
 
-from impact_observer.draw.curves import CurveGroup, curves
-from impact_observer.draw.layouts import message_path as path_of
-from impact_observer.draw.layouts import series
+from impact_observer.draw.curves import curves
 from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.model import read_model
@@ -193,13 +191,13 @@ def check_diagnostics(data: list[bytes]) -> None:
     name = "diagnostic_msgs/msg/DiagnosticArray"
     message = deserialize(typestore(), data[-1], name)
     found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")])
-    own = [curve for curve in found if curve.group is CurveGroup.DIAGNOSTICS]
+    own = [curve for curve in found if curve.tab == "diagnostics"]
     assert len(own) > 5
     flat = plotjuggler_series("/diagnostics", message)
     for curve in own:
-        (value,) = resolved(message_path(path_of(curve)), message)
+        (value,) = resolved(message_path(curve.path), message)
         assert float(value) >= 0  # type: ignore[arg-type]
-        assert isinstance(flat[series(curve)], float)
+        assert isinstance(flat[curve.series], float)
     said = {key.rpartition("/")[2] for key in flat}
     assert DIAGNOSTICS.keys() <= said
 
