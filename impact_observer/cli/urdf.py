@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A URDF of a model: one prismatic joint a coordinate, with its name, and the stops.
 
-The joint states of plant or observer move it, through robot_state_publisher. Springs are left out,
-as are contacts that are neither a wall nor a bumper: no link of a URDF can show them.
+The joint states of plant or observer move the robot through robot_state_publisher. Springs, and
+contacts that are neither a wall nor a bumper, are left out: no link of a URDF changes its length.
 """
 
 import argparse
@@ -21,10 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
-    add("-o", "--output", metavar="FILE", type=Path, help="where to (default: standard output)")
+    add("-o", "--output", metavar="FILE", type=Path, help="the file (default: standard output)")
     add("--prefix", metavar="P", default="", help="before the names of all links but the first")
     add("--frame", metavar="NAME", default="world", help="the first link (default world)")
-    add("--row", metavar="N", type=seed, default=0, help="which row of the viewer (default 0)")
+    add("--row", metavar="N", type=seed, default=0, help="number of the viewer's row (default 0)")
     amplitude = (
         "largest displacement of a body, by which they are spaced, m (default: the model's)"
     )
@@ -56,10 +56,10 @@ def urdf(
 
     Args:
         model: a model file or a sample's name.
-        output: where to; None for standard output.
+        output: the file; None for standard output.
         prefix: before the names of all links but the first.
         frame: name of the first link.
-        row: how many rows of the viewer to shift it by.
+        row: number of the viewer's row.
         amplitude: how far each coordinate may move, m; 0 to take it from the model.
 
     Returns:
@@ -79,7 +79,7 @@ def urdf(
             raise UsageError(f"--{name} {value:g}: expected at most {_MOST[name]:g}")
     read = read_model(model)
     start = () if read.position is None else [read.position]
-    scene = Scene.of(read.system, start, amplitude)
+    scene = Scene.of_system(read.system, start, amplitude)
     text = urdf_text(scene, prefix=prefix, frame=frame, row=row)
     if output is None:
         say(text.removesuffix("\n"))

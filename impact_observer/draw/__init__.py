@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures, films and layouts: what is drawn, and where."""
+"""Pictures, films, robot models, and layouts for plotting tools."""

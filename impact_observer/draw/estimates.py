@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which estimates of a bag are drawn, and how they are called."""
+"""The choice of the estimates that are drawn of a bag, and their labels."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,10 +18,10 @@ def chosen_observers(
         reader: the bag.
         observers: prefixes of the estimates' topics, with or without the first slash; None for
             all.
-        most: that there is room for.
+        most: largest number of estimates that fit.
 
     Raises:
-        UsageError: an observer that is not in the bag, or too many of them.
+        UsageError: an observer that is not in the bag, or too many observers.
     """
     present = reader.observers()
     chosen = present if observers is None else tuple(f"/{each.lstrip('/')}" for each in observers)
@@ -39,7 +39,7 @@ def chosen_observers(
 
 
 def law_of(states: JointStates) -> str:
-    """The law of an estimate; empty if the messages do not name it."""
+    """The law of an estimate; empty if the messages do not name a law."""
     return states.law if isinstance(states, ObserverStates) else ""
 
 
@@ -47,7 +47,7 @@ def labels_by_law(laws: Mapping[str, str]) -> dict[str, str]:
     """Each estimate by its law, with the topic's prefix if several have the same law.
 
     Args:
-        laws: by prefix; empty where the messages do not name it.
+        laws: by prefix; empty where the messages do not name a law.
     """
     named = {prefix: law or prefix.lstrip("/") for prefix, law in laws.items()}
     count = Counter(named.values())

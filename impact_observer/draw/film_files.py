@@ -76,7 +76,7 @@ def write_film(
     """Draw a film and write it; an existing file is replaced when all is written.
 
     Args:
-        film: what is shown.
+        film: the content.
         path: the film; its suffix is the format.
         title: written above the scene.
         speed: recorded seconds a second of the film.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The film of a part of a bag; only that part is kept in memory."""
+"""The film of a part of a bag; only the states of the part are kept in memory."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -23,7 +23,7 @@ from impact_observer.stamps import from_seconds, text
 from impact_observer.states import Stamps
 
 MOST_ESTIMATES = 6
-"""Most estimates above each other."""
+"""Most estimates in a film."""
 
 
 def read_film(
@@ -40,13 +40,13 @@ def read_film(
         reader: the bag.
         system: of the plant.
         start: of the part, s since the epoch.
-        duration: of the part, s; it may be longer than the bag.
+        duration: of the part, s; may be longer than the bag.
         observers: prefixes of the estimates' topics, with or without the first slash; None for
             all.
 
     Raises:
         BagError: the bag has neither truth nor estimates, none in this part, or is damaged.
-        UsageError: an observer that is not in the bag, or too many of them.
+        UsageError: an observer that is not in the bag, or too many observers.
     """
     prefixes = chosen_observers(reader, observers, MOST_ESTIMATES)
     truth_topic = reader.truth_topic()
@@ -90,17 +90,17 @@ def _states_between(
     """The states of each topic from stamp ``low`` to stamp ``high``, ns.
 
     Raises:
-        BagError: there is none on any topic, or as ``BagReader.blocks``.
+        BagError: no topic has a state between the stamps, or as ``BagReader.blocks``.
     """
-    found: dict[str, list[JointStates]] = {topic: [] for topic in topics}
+    parts: dict[str, list[JointStates]] = {topic: [] for topic in topics}
     beyond: set[str] = set()
     for topic, block in reader.blocks(topics, system.coordinates):
-        found[topic].append(_rows(block, (block.stamps >= low) & (block.stamps <= high)))
+        parts[topic].append(_rows(block, (block.stamps >= low) & (block.stamps <= high)))
         if np.any(block.stamps > high + HOLD):
             beyond.add(topic)
-        if len(beyond) == len(found):
+        if len(beyond) == len(parts):
             break
-    states = {topic: joined(blocks) for topic, blocks in found.items()}
+    states = {topic: joined(blocks) for topic, blocks in parts.items()}
     if not any(each.stamps.size for each in states.values()):
         raise UnfitBagError(
             f"{reader.path}: no states between {text(low)} and {text(high)} s; choose another"
@@ -125,10 +125,11 @@ def _track(label: str, states: JointStates, jumps: set[int]) -> Track:
 
 
 def _with_all_events(states: JointStates, received: Stamps) -> JointStates:
-    """The estimates that contain all events before them, of the stamps ``received``.
+    """The estimates that contain all events before their stamp.
 
-    The others were published before an event arrived, and lack its jump.
+    ``received`` are the stamps of the events. Other estimates were published before an event
+    arrived, and lack the jump of the event.
     """
     if not isinstance(states, ObserverStates) or not states.last_event.any():
-        return states  # they do not say which events they contain
+        return states  # the messages do not name the events that an estimate contains
     return _rows(states, arrived(states.stamps, states.last_event, received))

@@ -14,10 +14,10 @@ from impact_observer.options import Options
 from impact_observer.stamps import NS_PER_S
 
 _TAIL = 2 * NS_PER_S
-"""The part of a bag, from its end, that is searched for an observer's last state, ns."""
+"""Length of the end of a bag in which an observer's last state is searched, ns."""
 
 _LEARNED = ("clock_error", "model error", "bounce error")
-"""What a filter with its defaults estimates besides the state."""
+"""Names of the parameters that a filter with its defaults estimates besides the state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +26,9 @@ class ObserverTopics:
 
     Attributes:
         prefix: the node's absolute name, such as ``/rig/observer_geometric``.
-        bounded: whether it certifies a bound of V.
-        filters: whether it has a covariance, and weighs events by it.
-        learned: names of the parameters that it estimates with the state.
+        bounded: whether the observer certifies a bound of V.
+        filters: whether the observer has a covariance.
+        learned: names of the parameters that the observer estimates with the state.
     """
 
     prefix: str
@@ -61,7 +61,7 @@ class ObserverTopics:
         """The topics of a node called ``name``; ``observer_<law>`` runs that law.
 
         Raises:
-            UsageError: no node can have that name.
+            UsageError: no node can be called ``name``.
         """
         prefix = name if name.startswith("/") else f"/{name}"
         if not all(part.isidentifier() and part.isascii() for part in prefix[1:].split("/")):
@@ -74,7 +74,7 @@ class ObserverTopics:
 
 
 def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:
-    """The observers of a bag, and what each of them publishes.
+    """The observers of a bag, with the topics that each observer publishes.
 
     Raises:
         BagError: the bag is damaged.
@@ -83,16 +83,16 @@ def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:
 
 
 def _observer_in(reader: BagReader, prefix: str) -> ObserverTopics:
-    """One observer, by its last state."""
+    """One observer, described by its last state."""
     bound = interfaces.OBSERVER_BOUND.of(prefix)
     bounded = bound in reader.topics and reader.topics[bound].count > 0
     state = interfaces.OBSERVER_STATES.of(prefix)
     if state not in reader.topics:
         return ObserverTopics(prefix, bounded)
     tail = deque(reader.raw([state], max(reader.end - _TAIL, 0)), maxlen=1)
-    found = tail or list(islice(reader.raw([state]), 1))
-    if not found:
+    messages = tail or list(islice(reader.raw([state]), 1))
+    if not messages:
         return ObserverTopics(prefix, bounded)
-    message = reader.decoder(state)(found[0].data)
+    message = reader.decoder(state)(messages[0].data)
     filters = len(message.covariance) > 0
     return ObserverTopics(prefix, bounded, filters, tuple(message.parameter_name))

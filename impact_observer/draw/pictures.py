@@ -35,9 +35,9 @@ _OTHER_DASHES = ("-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 _OTHER_MARKERS = "sv*Xph"
 _ROW_MARKERS = "|^x<>d+v"
 MOST_ROWS = len(_ROW_MARKERS)
-"""Number of rows of marks that differ."""
+"""Most rows of marks: each row has another marker."""
 _ROW = 0.05
-"""Height of a row of marks, over that of the axes."""
+"""Height of a row of marks, over the height of the axes."""
 
 
 def styles(laws: Sequence[str]) -> list[Style]:
@@ -46,7 +46,7 @@ def styles(laws: Sequence[str]) -> list[Style]:
     Args:
         laws: name of each curve's law.
     """
-    found: list[Style] = []
+    chosen: list[Style] = []
     seen: Counter[str] = Counter()
     others, markers = count(), count()
     for law in laws:
@@ -57,15 +57,15 @@ def styles(laws: Sequence[str]) -> list[Style]:
         if seen[law] or law not in STYLES:
             style = {**style, "marker": _OTHER_MARKERS[next(markers) % len(_OTHER_MARKERS)]}
         seen[law] += 1
-        found.append({"markersize": 4.5, "markerfacecolor": "white", **style})
-    return found
+        chosen.append({"markersize": 4.5, "markerfacecolor": "white", **style})
+    return chosen
 
 
 def mark_rows(axes: Axes, rows: Mapping[str, Vector]) -> None:
     """Rows of marks along the upper edge of logarithmic axes, above all curves.
 
     Args:
-        axes: with all curves in them.
+        axes: axes that have all curves.
         rows: positions of the marks, s, by label; at most ``MOST_ROWS``.
     """
     below, above = axes.get_ylim()
@@ -90,8 +90,8 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
     """Write ``figure`` to ``path`` as PNG, SVG or PDF, by the suffix.
 
     Args:
-        figure: what to write.
-        path: where; an existing file is replaced.
+        figure: of matplotlib.
+        path: of the file; an existing file is replaced.
         about: title in the metadata of the file.
 
     Raises:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A URDF of a model: one prismatic joint a coordinate, with its name, and the stops.
 
-The joint states of plant or observer move it, through robot_state_publisher. Springs and bars are
-left out: no link of a URDF can show them.
+The joint states of plant or observer move the robot through robot_state_publisher. Springs and
+bars are left out: no link of a URDF changes its length.
 """
 
 from collections.abc import Iterable, Iterator
@@ -28,10 +28,10 @@ def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int 
     """A scene as the text of a URDF.
 
     Args:
-        scene: what to describe.
+        scene: positions of bodies and stops.
         prefix: before the names of all links but the first.
         frame: name of the first link.
-        row: how many rows of the viewer to shift it by, along -y.
+        row: number of the viewer's row; rows go along -y.
 
     Raises:
         UsageError: a body's link would have the name of the first.
@@ -59,7 +59,7 @@ def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int 
 
 
 def _body(scene: Scene, slot: int) -> Iterator[Box]:
-    """A body about its middle, with the rods of its bumpers."""
+    """The boxes of a body and of its bumpers' rods, from the body's middle."""
     yield Box(-scene.half, 0.0, 2 * scene.half, 1.0)
     home = float(scene.homes[slot])
     ends = pads(scene, scene.frame(np.zeros(scene.system.n)))
@@ -70,7 +70,7 @@ def _body(scene: Scene, slot: int) -> Iterator[Box]:
 
 
 def _walls(scene: Scene, prefix: str, used: set[str]) -> Iterator[tuple[str, float, Box]]:
-    """Name of the link, position of the face, and shape relative to it, of each wall."""
+    """Name of the link, position of the face, and box in the frame of the face, of each wall."""
     for wall in scene.walls:
         name = f"{prefix}{scene.system.contact_names[wall.contact]}"
         while name in used or f"{name}{_FIXED}" in scene.names:
@@ -99,9 +99,9 @@ def _add_link(
     """A link of boxes, each as deep as a body is wide.
 
     Args:
-        robot: to add it to.
+        robot: gets the link.
         name: of the link.
-        boxes: in its frame.
+        boxes: in the frame of the link.
         colour: red, green, blue.
         height: of a body, m.
         y: of all boxes, m.
@@ -117,7 +117,7 @@ def _add_link(
 
 
 def _add_origin(element: ET.Element, x: float, y: float, z: float = 0.0) -> None:
-    """The position of an element in its parent's frame, m."""
+    """Write the position of an element in the frame of its parent, m."""
     ET.SubElement(element, "origin", xyz=_numbers(x, y, z), rpy="0 0 0")
 
 

@@ -37,7 +37,7 @@ class ViewerNode(Node):
         model = read_model(values.text("model"))
         self._system = model.system
         states = () if model.position is None else [model.position]
-        scene = Scene.of(model.system, states, values.number("amplitude"))
+        scene = Scene.of_system(model.system, states, values.number("amplitude"))
         self._painter = Painter(scene, values.text("frame"))
         self._rows = _rows(values.text("observers"))
         self._states: dict[str, JointState] = {}

@@ -17,7 +17,7 @@ def test_the_model_is_printed_with_its_initial_state(capsys: pytest.CaptureFixtu
     """The scene has room for it."""
     assert main(["urdf", "two_mass"]) == 0
     model = read_model("two_mass")
-    scene = Scene.of(model.system, [model.initial_state()[0]])
+    scene = Scene.of_system(model.system, [model.initial_state()[0]])
     assert capsys.readouterr().out == urdf_text(scene)
 
 

@@ -36,7 +36,7 @@ def places(robot: ET.Element, joints: dict[str, float], root: str = "world") -> 
 def test_joint_states_move_bodies_as_in_the_scene(name: str) -> None:
     """Bodies are where the viewer has them, and reach their stops when gaps are zero."""
     model = read_model(name)
-    scene = Scene.of(model.system, [model.initial_state()[0]])
+    scene = Scene.of_system(model.system, [model.initial_state()[0]])
     robot = ET.fromstring(urdf_text(scene))
     moving = [j.attrib["name"] for j in robot.findall("joint") if j.attrib["type"] == "prismatic"]
     assert sorted(moving) == sorted(model.system.coordinates)
@@ -54,7 +54,7 @@ def test_joint_states_move_bodies_as_in_the_scene(name: str) -> None:
 
 def test_it_is_a_valid_urdf() -> None:
     """Every joint has a parent, a child and limits; every link but the first is a child of one."""
-    scene = Scene.of(read_model("three_mass").system)
+    scene = Scene.of_system(read_model("three_mass").system)
     robot = ET.fromstring(urdf_text(scene))
     assert (robot.tag, robot.attrib["name"]) == ("robot", "three_mass")
     links = [link.attrib["name"] for link in robot.findall("link")]
@@ -77,7 +77,7 @@ def test_rod_of_a_bumper_moves_with_its_body() -> None:
     """It ends at the next body's face when their gap is zero."""
     contacts = [([-1.0, 1.0], 0.3, 0.5)]
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=contacts)
-    scene = Scene.of(model)
+    scene = Scene.of_system(model)
     robot = ET.fromstring(urdf_text(scene))
     left = next(link for link in robot.findall("link") if link.attrib["name"] == "x1")
     right_end = max(
@@ -93,7 +93,7 @@ def test_rod_of_a_bumper_moves_with_its_body() -> None:
 
 def test_prefix_row_and_frame_let_plant_and_estimate_stand_side_by_side() -> None:
     """Joints keep their names: they are those of the joint states."""
-    scene = Scene.of(read_model("two_mass").system)
+    scene = Scene.of_system(read_model("two_mass").system)
     robot = ET.fromstring(urdf_text(scene, prefix="estimate_", frame="map", row=1))
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert links == ["map", "estimate_x1", "estimate_x2", "estimate_stop"]
@@ -112,6 +112,6 @@ def test_stop_with_the_name_of_a_body_gets_another() -> None:
     both = type(model)(
         model.name, model.coordinates, model.M, model.C, model.K, model.forcing, (twin,)
     )
-    robot = ET.fromstring(urdf_text(Scene.of(both)))
+    robot = ET.fromstring(urdf_text(Scene.of_system(both)))
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert links == ["world", "x1", "x1_stop"]

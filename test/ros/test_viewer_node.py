@@ -36,7 +36,7 @@ pytestmark = pytest.mark.ros
 
 EPOCH = 5_000_000_000
 MODEL = read_model("two_mass")
-SCENE = Scene.of(MODEL.system, [MODEL.initial_state()[0]])
+SCENE = Scene.of_system(MODEL.system, [MODEL.initial_state()[0]])
 OBSERVERS = ("observer_geometric", "observer_kinematic")
 
 
@@ -212,7 +212,7 @@ def test_markers_of_all_kinds_of_contacts_are_valid() -> None:
         ([1.0, 1.0, 1.0, 0.0], 0.3, 0.5),
     ]
     model = system(np.eye(4), np.zeros((4, 4)), K, contacts=contacts)
-    found = markers(Scene.of(model), np.array([0.1, 0.0, -0.1, 0.2]), lit=(1,))
+    found = markers(Scene.of_system(model), np.array([0.1, 0.0, -0.1, 0.2]), lit=(1,))
     keys = [(each.ns, each.id) for each in found]
     assert len(set(keys)) == len(keys)
     assert sorted(shapes(found, "row", "stops")) == [0, 1, 2]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds over time: coordinates, velocities, gaps, and what became of impacts."""
+"""Plots of a recording over time: coordinates, velocities, gaps, and verdicts on impacts."""

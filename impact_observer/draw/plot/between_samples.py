@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States between samples, for curves that are smooth where the motion is.
+"""States between samples, so that the curve of a smooth motion is smooth.
 
-A cubic with the positions and velocities of two neighbours (Hermite's). It is off by
-``(omega dt)^4 / 384`` of an amplitude: 1 % with four samples a period. Where one impact lies
-between two neighbours, the model's motion leads to it from both sides.
+Between two neighbours the positions are a cubic with the neighbours' positions and velocities
+(Hermite's). The cubic is off by ``(omega dt)^4 / 384`` of an amplitude: 1 % with four samples a
+period. To an impact between two neighbours the model's motion leads from both sides.
 """
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from impact_observer.dynamics import Phases
 from impact_observer.model import System
@@ -16,12 +17,13 @@ from impact_observer.states import Matrix, Stamps, Vector
 PARTS = 8
 """Into how many parts the time between two samples is divided."""
 MOST = 1000
-"""Most samples between which states are put in; more of them make a smooth line anyway."""
+"""Most samples between which states are put; more samples make a smooth line by themselves."""
 _MEET = 0.05
-"""Distance at which the two ways to an impact miss each other, over the range of the motion, above
-which it is not where its stamp says: then the line stays straight."""
+"""Largest distance between the two motions at an impact, over the range of all motion. If the
+motions are farther apart, the stamp of the impact is wrong, and the line stays straight."""
 _COARSE = 0.3
-"""Part of a velocity's change that neighbours may disagree by: at some 3 samples a period."""
+"""Disagreement of positions and velocities, over the change of velocities, above which the samples
+are too few: some 3 a period."""
 
 
 class FreeMotion:
@@ -44,16 +46,17 @@ class FreeMotion:
 def with_states_between(
     stamps: Stamps, x: Matrix, jumps: Stamps, free: FreeMotion | None = None
 ) -> tuple[Stamps, Matrix]:
-    """Samples of one motion, and states between them where it is smooth or has one jump.
+    """Samples of one motion, and states between neighbours with no jump or one jump between them.
 
     Args:
         stamps: ascending, shape (N,), ns.
         x: states (q, u), shape (N, 2n).
         jumps: instants at which velocities jump, ascending, ns.
-        free: the motion up to a jump and from it on; None for straight lines.
+        free: the motion up to a jump and from the jump on; None for straight lines.
 
     Returns:
-        The same, where there are too many samples, or too few for the motion.
+        Stamps and states in order of time; ``stamps`` and ``x`` themselves if the samples are too
+        many, or too few for the motion.
     """
     if not 2 < stamps.size <= MOST or np.any(np.diff(stamps) <= 0):
         return stamps, x
@@ -65,43 +68,31 @@ def with_states_between(
     off = np.abs(np.diff(q, axis=0) - dt * (u[1:] + u[:-1]) / 2)[smooth]
     if off.size == 0 or np.sum(off) > _COARSE * np.sum((dt * np.abs(np.diff(u, axis=0)))[smooth]):
         return stamps, x
-    at, between = _cubics(stamps, q, u, dt)
-    every, states = [stamps, at[:, smooth].ravel()], [x, between[:, smooth].reshape(-1, 2 * n)]
+    parts = np.arange(1, PARTS)[:, None] / PARTS
+    between = (stamps[:-1] + np.round(parts * np.diff(stamps)).astype(np.int64))[:, smooth].ravel()
+    cubic = CubicHermiteSpline((stamps - stamps[0]) / NS_PER_S, q, u)
+    seconds = (between - stamps[0]) / NS_PER_S
+    every = [stamps, between]
+    states = [x, np.hstack([cubic(seconds), cubic(seconds, nu=1)])]
     size = np.ptp(x, axis=0)
     for k in np.flatnonzero(count == 1).tolist():
         if free is None:
             break
         jump = int(jumps[np.searchsorted(jumps, stamps[k], "right")])
-        own, made = _to_a_jump(free, stamps[k : k + 2], x[k : k + 2], jump)
-        before, after = made[PARTS // 2 - 1 : PARTS // 2 + 1, :n]
-        if np.all(np.abs(after - before) <= _MEET * size[:n]):
-            every.append(own)
-            states.append(made)
-    merged, found = np.concatenate(every), np.concatenate(states)
+        around, motion = _up_to_a_jump(free, stamps[k : k + 2], x[k : k + 2], jump)
+        before, behind = motion[PARTS // 2 - 1 : PARTS // 2 + 1, :n]
+        if np.all(np.abs(behind - before) <= _MEET * size[:n]):
+            every.append(around)
+            states.append(motion)
+    merged = np.concatenate(every)
     order = np.argsort(merged, kind="stable")
-    return merged[order], found[order]
+    return merged[order], np.concatenate(states)[order]
 
 
-def _cubics(stamps: Stamps, q: Matrix, u: Matrix, dt: Matrix) -> tuple[Stamps, Matrix]:
-    """States between all neighbours, shapes (``PARTS`` - 1, N - 1) and (..., 2n)."""
-    s = (np.arange(1, PARTS) / PARTS)[:, None, None]
-    a, b = q[:-1], q[1:]
-    va, vb = dt * u[:-1], dt * u[1:]
-    position = (
-        (2 * s**3 - 3 * s**2 + 1) * a
-        + (s**3 - 2 * s**2 + s) * va
-        + (3 * s**2 - 2 * s**3) * b
-        + (s**3 - s**2) * vb
-    )
-    slope = 6 * (s**2 - s) * (a - b) + (3 * s**2 - 4 * s + 1) * va + (3 * s**2 - 2 * s) * vb
-    at = stamps[:-1] + np.round(s[..., 0] * np.diff(stamps)).astype(np.int64)
-    return at, np.concatenate([position, slope / dt], axis=2)
-
-
-def _to_a_jump(free: FreeMotion, stamps: Stamps, x: Matrix, jump: int) -> tuple[Stamps, Matrix]:
-    """States between two samples: ``PARTS`` / 2 of them before a jump, as many after it."""
+def _up_to_a_jump(free: FreeMotion, stamps: Stamps, x: Matrix, jump: int) -> tuple[Stamps, Matrix]:
+    """States between two samples: ``PARTS`` / 2 before a jump, as many from the jump on."""
     parts = np.arange(1, PARTS // 2 + 1) / (PARTS // 2)
     before = stamps[0] + np.round(parts * (jump - 1 - stamps[0])).astype(np.int64)
-    after = stamps[1] - np.round(parts[::-1] * (stamps[1] - jump)).astype(np.int64)
-    states = [free.states(int(stamps[0]), x[0], before), free.states(int(stamps[1]), x[1], after)]
-    return np.concatenate([before, after]), np.concatenate(states)
+    behind = stamps[1] - np.round(parts[::-1] * (stamps[1] - jump)).astype(np.int64)
+    states = [free.states(int(stamps[0]), x[0], before), free.states(int(stamps[1]), x[1], behind)]
+    return np.concatenate([before, behind]), np.concatenate(states)

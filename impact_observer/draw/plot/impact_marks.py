@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What became of the impacts in a bag: reported, applied, rejected, inserted."""
+"""The impacts in a bag by their verdict: reported, applied, rejected, inserted."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,11 +10,11 @@ from impact_observer.io.reader import BagReader
 
 
 class Mark(NamedTuple):
-    """What is said of an impact.
+    """The contact of an impact, and the verdict on the impact.
 
     Attributes:
-        contact: its name.
-        estimate: label of the estimate whose verdict this is; empty for a report of the sensor.
+        contact: name of the contact.
+        estimate: label of the estimate whose observer ruled; empty for a report of the sensor.
         ruling: of the verdict; None for a report of the sensor.
     """
 
@@ -26,7 +26,7 @@ class Mark(NamedTuple):
 def impact_marks(
     reader: BagReader, labels: Mapping[str, str], events: Sequence[ImpactEvent]
 ) -> dict[Mark, set[int]]:
-    """Stamps of impacts, ns, by the final verdicts; without verdicts by the reports.
+    """Stamps of impacts, ns, by the final verdicts; by the sensor's reports without verdicts.
 
     Args:
         reader: the bag.
@@ -36,22 +36,22 @@ def impact_marks(
     Raises:
         BagError: a verdict is not valid.
     """
-    found = defaultdict[Mark, set[int]](set)
+    marks = defaultdict[Mark, set[int]](set)
     for prefix, label in labels.items():
         for stamp, contact, ruling in _decided(reader, f"{prefix}/verdicts", events):
-            found[Mark(contact, label, ruling)].add(stamp)
-    if not found:
+            marks[Mark(contact, label, ruling)].add(stamp)
+    if not marks:
         for event in events:
             for switch in event.switches:
                 if switch.kind is not Kind.OPEN:
-                    found[Mark(switch.contact)].add(event.stamp)
-    return dict(found)
+                    marks[Mark(switch.contact)].add(event.stamp)
+    return dict(marks)
 
 
 def _decided(
     reader: BagReader, topic: str, events: Sequence[ImpactEvent]
 ) -> Iterator[tuple[int, str, Ruling]]:
-    """Stamp, contact and final ruling of the impacts that an observer decided on."""
+    """Stamp, contact and final ruling of each impact that an observer ruled on."""
     if topic not in reader.topics:
         return
     switches = {(event.stamp, event.sequence): event.switches for event in events}

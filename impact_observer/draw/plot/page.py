@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page of HTML with a recording's curves, to zoom in, by plotly; it needs no network."""
+"""A page of HTML with a recording's curves, to zoom in, by plotly; no network is needed."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -32,7 +32,7 @@ _SYMBOLS = {"|": "line-ns-open", "x": "x-thin-open", "^": "triangle-up-open"}
 
 
 def check_plotly(path: Path) -> None:
-    """Raise unless plotly is installed, which the page ``path`` needs.
+    """Raise unless plotly, which makes the page ``path``, is installed.
 
     Raises:
         UsageError: plotly is not installed.
@@ -201,7 +201,7 @@ def _mark_traces(recording: PlotContent) -> Iterator[Any]:
 
 
 def _note(recording: PlotContent) -> str:
-    """What the reader of the page must know about the curves, and how to zoom."""
+    """How to read the curves of the page, and how to zoom."""
     note = f"Shaded: ± {BAND:g} standard deviations. Wheel: zoom. Drag: move. Double click: all."
     if recording.left_out:
         note += f" {recording.left_out} coordinates that move less are not drawn."
@@ -211,5 +211,5 @@ def _note(recording: PlotContent) -> str:
 
 
 def _text(name: str) -> str:
-    """A name of a file, which may come from a stranger, as text of plotly."""
+    """A name from a bag as text of plotly; the bag may come from a stranger."""
     return markup(printable(name))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a recording: quantities over time with their deviations, and the impacts."""
+"""The picture of a recording: quantities over time with their deviations, and impacts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,25 +17,25 @@ from impact_observer.events import Ruling
 from impact_observer.states import Vector
 
 WIDTH = 10.0
-"""Of a picture for which no other is named, inches."""
+"""Default width of a picture, inches."""
 _TWO_COLUMNS = 6.5
 """Least width with two columns of panels, inches."""
 _PANEL, _ROW, _REST = 1.45, 0.2, 1.2
 """Height of a panel, of a row of marks and of the rest, inches."""
 _NAMED_ROW = 0.34
-"""Height of a row of marks with its name above it, inches; where there is one column of panels."""
+"""Height of a row of marks with its name above, inches, in a picture with one column of panels."""
 _SHORT = 3.0
 """Width below which the axis of time has a short name, inches."""
 MOST_ROWS = 8
-"""Most rows of marks; where there are more, the contacts of an estimate share one."""
+"""Most rows of marks; beyond this number the contacts of an estimate share a row."""
 BAND = 2.0
 """Half the width of a band, in standard deviations."""
 _TAIL = 5.0
-"""Percentage of values at either end that do not count where an estimate has no band."""
+"""Percentage of values at either end that do not count for an estimate without a band."""
 _NARROW = 0.25
-"""Width of a band, over that of the motion, up to which an estimate is known."""
+"""Width of a band up to which an estimate is known, over the range of the motion."""
 _FARTHER = 2.0
-"""Range of all lines over that of what is known, above which they are cut off."""
+"""Range of all lines above which lines are cut off, over the range of all known values."""
 _MARGIN = 0.06
 """Space above and below the curves, over their range."""
 _TRUTH: Style = {"color": "0.75", "linewidth": 3.2}
@@ -46,7 +46,7 @@ _SPARSE: Style = {
     "markersize": 4.5,
     "markevery": 1,
 }
-"""How the truth is drawn where its samples are too few for a line."""
+"""Style of a truth whose samples are too few for a line."""
 _IMPACT: Style = {"marker": "|", "color": "0.2", "markersize": 7}
 MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
     None: ("impact", _IMPACT),
@@ -57,7 +57,7 @@ MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
         {"marker": "^", "color": "#0072B2", "markerfacecolor": "white", "markersize": 5},
     ),
 }
-"""What is said of an impact, and its mark."""
+"""Name and mark of each verdict on an impact."""
 _DOTS: dict[str, Any] = {
     "linestyle": "none",
     "marker": ".",
@@ -65,7 +65,7 @@ _DOTS: dict[str, Any] = {
     "color": "0.1",
     "zorder": 20,
 }
-"""How samples of sensors are drawn."""
+"""Style of the samples of sensors."""
 
 
 def styles_of_recording(recording: PlotContent) -> list[Style]:
@@ -88,14 +88,14 @@ def styles_of_recording(recording: PlotContent) -> list[Style]:
 
 
 def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector]]:
-    """Rows of marks by their label: one a contact, and where estimates differ one for each."""
+    """Rows of marks by their label: a row for each contact, and for each of several estimates."""
     estimates = {mark.estimate for mark in recording.marks}
     contacts = {mark.contact for mark in recording.marks}
     shared = len(contacts) * len(estimates) > MOST_ROWS
     rows: dict[str, dict[Ruling | None, list[Vector]]] = {}
     for mark, seconds in sorted(recording.marks.items(), key=lambda item: item[0][:2]):
-        what = "impacts" if shared else mark.contact
-        label = f"{what}, {mark.estimate}" if len(estimates) > 1 else what
+        contact = "impacts" if shared else mark.contact
+        label = f"{contact}, {mark.estimate}" if len(estimates) > 1 else contact
         rows.setdefault(label, {}).setdefault(mark.ruling, []).append(seconds)
     return {
         label: {ruling: np.sort(np.concatenate(parts)) for ruling, parts in row.items()}
@@ -104,10 +104,10 @@ def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector
 
 
 def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure:
-    """Draw a recording; with two columns of panels if there is room for them.
+    """Draw a recording, in two columns of panels if the picture is wide enough.
 
     Args:
-        recording: what to draw.
+        recording: content of the picture.
         width: of the picture, inches.
     """
     count = len(recording.quantities)
@@ -150,7 +150,7 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
 
 
 def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style]) -> None:
-    """One quantity of all series, with bands of deviations, within the range of the lines."""
+    """Draw one quantity of all series, with bands of deviations, within the range of the lines."""
     count = len(recording.series)
     for k, (each, style) in enumerate(zip(recording.series, drawn, strict=True)):
         t, y, deviation = (a[:, column] for a in (each.seconds, each.values, each.deviations))
@@ -178,14 +178,14 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
 
 
 def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
-    """The range of an axis, and in words what the range cuts off: a long way from a wrong start.
+    """The range of an axis, and a note if the range cuts off a long way from a wrong start.
 
     The range is that of all lines, unless the lines go twice as far as the truth and the known
     values of the estimates. Known are values whose band is narrow beside the motion. Of estimates
     without a band beside a truth, all values but a twentieth at either end are known.
 
     Args:
-        recording: what is drawn.
+        recording: content of the picture.
         column: index of the quantity.
 
     Returns:
@@ -216,7 +216,7 @@ def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
 def _draw_marks(
     axes: Axes, rows: Mapping[str, Mapping[Ruling | None, Vector]], *, named: bool, above: bool
 ) -> None:
-    """A strip with a row of marks for each contact, its name beside it or ``above`` it."""
+    """Draw a row of marks for each contact, with its name beside or ``above`` the marks."""
     for k, (label, row) in enumerate(rows.items()):
         for ruling, seconds in row.items():
             at = np.full(seconds.size, k)
@@ -232,7 +232,7 @@ def _draw_marks(
 
 
 def _handles(recording: PlotContent, drawn: Sequence[Style]) -> list[Line2D | Patch]:
-    """The legend's lines of the series, and of the bands if there are any."""
+    """The legend's entries of the series and of the bands."""
     handles: list[Line2D | Patch] = [
         Line2D([], [], label=each.label, **style)
         for each, style in zip(recording.series, drawn, strict=True)
@@ -250,7 +250,7 @@ def _handles(recording: PlotContent, drawn: Sequence[Style]) -> list[Line2D | Pa
 
 
 def _dot_handles(recording: PlotContent) -> list[Line2D]:
-    """The legend's dots, where sensors have samples of what is drawn."""
+    """The legend's entry of samples of sensors; empty without samples of a drawn quantity."""
     shown = {each.name for each in recording.quantities}
     names = [each.name for k, some in recording.dots.items() if k in shown for each in some]
     if not names:
@@ -259,7 +259,7 @@ def _dot_handles(recording: PlotContent) -> list[Line2D]:
 
 
 def _mark_handles(rows: Mapping[str, Mapping[Ruling | None, Vector]]) -> list[Line2D]:
-    """The legend's marks, those that occur."""
+    """The legend's entries of the marks that occur."""
     present = {ruling for row in rows.values() for ruling in row}
     return [
         Line2D([], [], linestyle="none", label=label, **style)

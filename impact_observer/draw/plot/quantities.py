@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities of a state that are drawn over time: coordinates, velocities, gaps."""
+"""The quantities that plots show: coordinates, velocities, and gaps, which depend on the state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ class Quantity:
 
     Attributes:
         name: as in the columns of ``export``: ``q_x1``, ``u_x1``; of a gap ``g_stop``.
-        label: with its unit, for an axis.
+        label: for an axis, with the unit.
         row: coefficients, shape (2n,).
         offset: m.
-        contact: index of the contact whose gap it is; None of others.
+        contact: index of the contact, of a gap; None of other quantities.
     """
 
     name: str
@@ -39,64 +39,64 @@ def values_of(quantities: Sequence[Quantity], x: Matrix, motion: Matrix | None =
     Args:
         quantities: k of them.
         x: states (q, u), shape (N, 2n).
-        motion: what moving grounds add to the gaps, shape (N, m), m; None for nothing.
+        motion: addition of moving grounds to the gaps, shape (N, m), m; None for no addition.
 
     Returns:
         Shape (N, k).
     """
     rows = np.array([each.row for each in quantities])
-    found = np.asarray(x @ rows.T + [each.offset for each in quantities])
+    values = np.asarray(x @ rows.T + [each.offset for each in quantities])
     for k, each in enumerate(quantities):
         if each.contact is not None and motion is not None:
-            found[:, k] += motion[:, each.contact]
-    return found
+            values[:, k] += motion[:, each.contact]
+    return values
 
 
 def deviations_of(quantities: Sequence[Quantity], covariance: Matrix) -> Matrix:
     """The standard deviation of each quantity, shape (N, k), of covariances, (N, 2n, 2n)."""
-    found = np.empty((len(covariance), len(quantities)))
+    variances = np.empty((len(covariance), len(quantities)))
     for column, each in enumerate(quantities):
         (used,) = np.nonzero(each.row)
         factors = each.row[used]
         parts = covariance[:, used[:, None], used]
-        found[:, column] = np.einsum("i,kij,j->k", factors, parts, factors)
+        variances[:, column] = np.einsum("i,kij,j->k", factors, parts, factors)
     # Rounding may leave a variance slightly below zero.
-    return np.asarray(np.sqrt(np.where(found < 0, 0.0, found)))
+    return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
 
 
 def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quantity]:
-    """All quantities that can be drawn, by name: coordinates with velocities, then gaps.
+    """All quantities of a model by name: coordinates with their velocities, then gaps.
 
     Args:
         names: of the coordinates.
-        system: of the model, whose coordinates are ``names``; None without a model: no gaps.
+        system: of the model, whose coordinates are ``names``; None, without a model, for no gaps.
     """
-    n, found = len(names), list[Quantity]()
+    n, quantities = len(names), list[Quantity]()
     m = UNKNOWN_UNIT if system is None else system.unit
     unit = np.eye(2 * n)
     for i, name in enumerate(names):
-        found.append(Quantity(f"q_{name}", f"{name} [{m}]", unit[i]))
-        found.append(Quantity(f"u_{name}", f"d{name}/dt [{per_second(m)}]", unit[n + i]))
+        quantities.append(Quantity(f"q_{name}", f"{name} [{m}]", unit[i]))
+        quantities.append(Quantity(f"u_{name}", f"d{name}/dt [{per_second(m)}]", unit[n + i]))
     if system is not None:
         for i, contact in enumerate(system.contacts):
             row = np.concatenate([contact.direction, np.zeros(n)])
             name, label = f"g_{contact.name}", f"gap of {contact.name} [{m}]"
-            found.append(Quantity(name, label, row, contact.gap, i))
-    return {each.name: each for each in found}
+            quantities.append(Quantity(name, label, row, contact.gap, i))
+    return {each.name: each for each in quantities}
 
 
 def selected(every: dict[str, Quantity], words: Sequence[str]) -> tuple[Quantity, ...]:
-    """The quantities that a user names, in that order, each once.
+    """The quantities that a user names, each once, in the order of the words.
 
     Args:
-        every: as ``quantities_of`` gives them.
+        every: the result of ``quantities_of``.
         words: names of quantities, such as ``q_x1``; of coordinates, for position and velocity; of
             contacts, for their gaps; or ``positions``, ``velocities``, ``gaps``.
 
     Raises:
-        UsageError: a word names none of them.
+        UsageError: a word names no quantity.
     """
-    found: dict[str, Quantity] = {}
+    chosen: dict[str, Quantity] = {}
     for word in words:
         if word in every:
             names = [word]
@@ -109,5 +109,5 @@ def selected(every: dict[str, Quantity], words: Sequence[str]) -> tuple[Quantity
                 f"--select {word}: nothing of that name; expected {', '.join(_GROUPS)}, a"
                 f" coordinate, a contact of the model, or one of {', '.join(every)}"
             )
-        found |= {name: every[name] for name in names}
-    return tuple(found.values())
+        chosen |= {name: every[name] for name in names}
+    return tuple(chosen.values())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Series of a recording: what is drawn over time, thinned so that no peak is lost."""
+"""Series of a recording over time, read from a bag and thinned without losing a peak."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,13 +35,13 @@ from impact_observer.states import Matrix, Stamps, Vector
 MOST_ESTIMATES = 6
 """Most estimates in one picture."""
 MOST_COORDINATES = 8
-"""Most coordinates that are drawn unless quantities are named."""
+"""Most coordinates in a plot for which no quantities are named."""
 MOST_SAMPLES = 8192
-"""Most samples of a curve that are kept; of longer ones the extremes."""
+"""Most samples of a curve; of longer curves the extremes are kept."""
 DENSE = 3
-"""Samples of an estimate for one of the truth, from which on these are too few for a line."""
+"""Samples of an estimate for one of the truth, from which on a line through the truth is wrong."""
 MOST_DOTS = 4000
-"""Most samples of a sensor that are drawn."""
+"""Most samples of a sensor in a plot."""
 TRUTH = "truth"
 
 
@@ -50,13 +50,13 @@ class Series:
     """The quantities of the plant or of an estimate over time.
 
     Attributes:
-        label: its name in the picture.
-        law: of an estimate, or what stands for it where it is not known; empty for the truth.
+        label: name in the legend.
+        law: of an estimate, or its topic's prefix if the law is not known; empty for the truth.
         seconds: since the epoch, ascending in each column, shape (N, k).
         values: of k quantities, shape (N, k).
-        deviations: standard deviations, shape (N, k); NaN where there are none.
-        samples: how many were read; more than N where the series is thinned, fewer where states
-            were put in between.
+        deviations: standard deviations, shape (N, k); NaN of states without a covariance.
+        samples: number of samples in the bag; more than N if the series is thinned, fewer if
+            states were put between the samples.
     """
 
     label: str
@@ -84,17 +84,17 @@ class Dots:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlotContent:
-    """What is drawn of a bag.
+    """The content of a plot.
 
     Attributes:
         name: of the model; empty without one.
         quantities: k of them.
-        series: the truth first, if there is one, then the estimates.
+        series: the truth, if the bag has one, then the estimates.
         marks: instants of impacts, s since the epoch, ascending.
-        start: of what is drawn, s since the epoch.
-        end: of what is drawn, s since the epoch.
-        left_out: how many coordinates are not drawn as there are too many.
-        dots: samples of sensors that measure one of the quantities, by its name.
+        start: of the plot, s since the epoch.
+        end: of the plot, s since the epoch.
+        left_out: number of coordinates that are not drawn, because they move less than others.
+        dots: samples of sensors, by the name of the quantity that they measure.
     """
 
     name: str
@@ -118,24 +118,24 @@ def read_recording(
     measurements: Sequence[Measurement] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> PlotContent:
-    """Read what is drawn of a bag, block by block.
+    """Read the content of a plot from a bag, block by block.
 
     As in ``compare``, estimates that were published before their events arrived are left out.
 
     Args:
         reader: the bag.
-        system: of the model; None where it is not known, and gaps then neither.
-        select: words as of ``quantities.selected``; None for positions and velocities of the
+        system: of the model; None for an unknown model, whose gaps cannot be drawn.
+        select: words of ``quantities.selected``; None for positions and velocities of the
             coordinates that move most.
         observers: prefixes of the estimates' topics; None for all.
         start: of the part that is drawn, s since the epoch.
-        duration: of that part, s; None for all.
-        measurements: whose samples are drawn as dots, where they are of one quantity.
+        duration: of the part, s; None for all.
+        measurements: sensors; samples of sensors that measure one quantity are drawn as dots.
         progress: called with the number of states read, and of all.
 
     Raises:
-        UsageError: a quantity or an observer that is not there, or too many observers.
-        BagError: there are no states, none in this part, or the bag is damaged.
+        UsageError: a quantity or an observer that the bag lacks, or too many observers.
+        BagError: the bag has no states, has none in this part, or is damaged.
     """
     topics = _topics(reader, observers)
     first = first_block(reader, topics)
@@ -167,7 +167,7 @@ def read_recording(
     }
     done, total = 0, sum(counts.values())
     for topic, block in reader.blocks(topics, names, covariance=True):
-        curves[topic].add(block, (block.stamps >= low) & (block.stamps <= high))
+        curves[topic].take_rows(block, (block.stamps >= low) & (block.stamps <= high))
         progress(done := done + block.stamps.size, total)
     laws = {prefix: curves[topic].law for topic, prefix in topics.items() if prefix}
     labels = labels_by_law(laws)
@@ -198,8 +198,8 @@ def read_recording(
 def _dots(
     reader: BagReader, measurements: Sequence[Measurement], recording: PlotContent, epoch: int
 ) -> dict[str, tuple[Dots, ...]]:
-    """Samples by the quantity that their sensor measures, thinned to ``MOST_DOTS``."""
-    found: dict[str, tuple[Dots, ...]] = {}
+    """Samples of sensors by the quantity that they measure, thinned to ``MOST_DOTS``."""
+    dots: dict[str, tuple[Dots, ...]] = {}
     samples = samples_in(reader, measurements).samples
     for i, each in enumerate(measurements):
         name, factor = _measured_alone(each)
@@ -209,12 +209,12 @@ def _dots(
         seconds, values = own[:, 0] / NS_PER_S, (own[:, 1] - each.offset) / factor
         inside = (seconds >= recording.start) & (seconds <= recording.end)
         kept = np.flatnonzero(inside)[:: 1 + int(inside.sum()) // MOST_DOTS]
-        found[name] = (*found.get(name, ()), Dots(each.name, seconds[kept], values[kept]))
-    return found
+        dots[name] = (*dots.get(name, ()), Dots(each.name, seconds[kept], values[kept]))
+    return dots
 
 
 def _measured_alone(measurement: Measurement) -> tuple[str, float]:
-    """The name of the one quantity that a sensor measures, and its factor; empty for others."""
+    """Name and factor of the quantity of a sensor; an empty name if several are measured."""
     if measurement.gap:
         return f"g_{measurement.gap}", 1.0
     terms = [("q", *each) for each in measurement.position]
@@ -226,12 +226,12 @@ def _measured_alone(measurement: Measurement) -> tuple[str, float]:
 
 
 def _gap_motion(system: System | None, ns: Stamps) -> Matrix | None:
-    """What moving grounds add to gaps, ns since the epoch; None where nothing moves."""
+    """Addition of moving grounds to gaps at ``ns`` since the epoch; None if no ground moves."""
     return None if system is None or system.frame is None else system.gap_motion(ns)
 
 
 def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
-    """Topics of the states that are drawn, with the observer's prefix; the truth has none."""
+    """The observers' prefixes by the topics of their states; the prefix of the truth is empty."""
     truth = reader.truth_topic()
     topics = {} if truth is None else {truth: ""}
     prefixes = chosen_observers(reader, observers, MOST_ESTIMATES)
@@ -241,18 +241,18 @@ def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str
 def _within(
     recording: PlotContent, marks: Mapping[Mark, Iterable[int]], epoch: int
 ) -> dict[Mark, Vector]:
-    """The marks in the part that is drawn, s since ``epoch`` (ns)."""
-    found = {}
+    """The marks in the part that the plot shows, s since ``epoch`` (ns)."""
+    within = {}
     for mark, stamps in marks.items():
         seconds = (np.array(sorted(stamps), dtype=np.int64) - epoch) / NS_PER_S
         seconds = seconds[(seconds >= recording.start) & (seconds <= recording.end)]
         if seconds.size:
-            found[mark] = seconds
-    return found
+            within[mark] = seconds
+    return within
 
 
 def _largest(recording: PlotContent) -> PlotContent:
-    """Positions and velocities of the coordinates that move most, where there are many."""
+    """The plot of the coordinates that move most; the same plot if there are few coordinates."""
     n = len(recording.quantities) // 2
     if n <= MOST_COORDINATES:
         return recording
@@ -275,8 +275,8 @@ def _largest(recording: PlotContent) -> PlotContent:
 class _Curve:
     """Collects the quantities of one topic.
 
-    Of too many samples every four next to each other become two in each column: the least and the
-    greatest value.
+    If the samples are too many, the least and the greatest value of every four neighbours are kept
+    in each column.
     """
 
     def __init__(
@@ -287,11 +287,14 @@ class _Curve:
         motion: Callable[[Stamps], Matrix | None],
         free: FreeMotion | None = None,
     ) -> None:
-        """Collect ``quantities`` of the truth, or with ``outcomes`` of an estimate.
+        """Begin with no samples.
 
-        ``reported`` are the stamps of all events (ns); None to put no states between samples.
-        ``motion`` is what moving grounds add to the gaps at stamps; see ``values_of``.
-        ``free``: see ``with_states_between``.
+        Args:
+            quantities: of the plot.
+            outcomes: of the events, for an estimate; None for the truth.
+            reported: stamps of all events, ns; None to put no states between samples.
+            motion: gives the addition of moving grounds to the gaps at stamps.
+            free: as of ``with_states_between``.
         """
         self.count = 0
         self._motion = motion
@@ -302,8 +305,8 @@ class _Curve:
         self._jumps = outcomes.instants if outcomes and reported is not None else reported
         self._kept: list[tuple[Stamps, Matrix, Matrix]] = []
 
-    def add(self, block: JointStates, rows: NDArray[np.bool_]) -> None:
-        """Add the states of some rows of a block."""
+    def take_rows(self, block: JointStates, rows: NDArray[np.bool_]) -> None:
+        """Take the states of some rows of a block."""
         if isinstance(block, ObserverStates):
             self.law = block.law or self.law
             if self._outcomes is not None and block.last_event.any():
@@ -326,7 +329,7 @@ class _Curve:
             self._kept = [_extremes(*self._joined())]
 
     def _joined(self) -> tuple[Stamps, Matrix, Matrix]:
-        """All that is kept, by stamp."""
+        """Stamps, values and deviations that are kept, in order of the stamps."""
         stamps, values, deviations = map(np.concatenate, zip(*self._kept, strict=True))
         order = np.argsort(stamps, axis=0, kind="stable")
         return (
@@ -344,7 +347,7 @@ class _Curve:
 
 
 def _extremes(stamps: Stamps, values: Matrix, deviations: Matrix) -> tuple[Stamps, Matrix, Matrix]:
-    """Of every four rows, in each column, those with the least and the greatest value."""
+    """The rows with the least and the greatest value of every four rows, in each column."""
     whole, k = len(values) // 4 * 4, values.shape[1]
     groups = values[:whole].reshape(-1, 4, k)
     pair = np.sort(np.stack([groups.argmin(axis=1), groups.argmax(axis=1)], axis=1), axis=1)

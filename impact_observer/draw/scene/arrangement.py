@@ -10,25 +10,25 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _EQUAL = 1e-9
-"""Relative difference of two factors of a direction that counts as rounding."""
+"""Largest relative difference of two equal factors of a direction, by rounding."""
 _BODY, _THICKNESS, _SPRING = 0.45, 0.3, 1.1
-"""Half a body's width over the typical motion; over that half width, the thickness of a plate and
-the least length of a spring."""
+"""Half a body's width over the typical motion; thickness of a plate and least length of a spring,
+both over half a body's width."""
 _LEAST = 0.08
 """Least half width of a body, over the range of all motion."""
 _BEYOND = 1.2
 """Assumed motion of bodies, over the distance of the farthest stop."""
 _FAR = 8.0
-"""Largest distance of a stop that is drawn in place, over the range of all motion."""
+"""Largest distance of a stop that is drawn at its place, over the range of all motion."""
 
 
 class Wall(NamedTuple):
     """A stop that one body hits.
 
     Attributes:
-        contact: its index.
+        contact: index of the contact.
         slot: the body's place in the row.
-        side: +1 where the stop is on its right, -1 on its left.
+        side: +1 for a stop on the right of the body, -1 on the left.
         travel: displacement of the body at which ``g = 0``, m.
     """
 
@@ -42,7 +42,7 @@ class Bumper(NamedTuple):
     """A stop between two neighbours: a rod on the left one's right face.
 
     Attributes:
-        contact: its index.
+        contact: index of the contact.
         slot: the left body's place in the row.
         travel: displacement of left minus right at which ``g = 0``, m.
     """
@@ -81,8 +81,8 @@ class Arrangement(NamedTuple):
 def body_order(system: System, shown: int) -> tuple[int, ...]:
     """The coordinates from the left to the right, the first ``shown`` of them.
 
-    The order is that of the model, but the body that a contact stops from the left stands on the
-    left of the other body. Contacts that contradict each other are ignored.
+    The order is the model's, but of two bodies that a contact keeps apart the left one stands on
+    the left. Contacts that contradict each other are ignored.
     """
     before = {j: set[int]() for j in range(shown)}
     for direction in system.W.T:
@@ -100,14 +100,14 @@ def body_order(system: System, shown: int) -> tuple[int, ...]:
 def arranged(
     system: System, order: Sequence[int], positions: Matrix, amplitude: float = 0.0
 ) -> Arrangement:
-    """Lengths at which nothing overlaps in the given states.
+    """Lengths at which no bodies or walls overlap in the given states.
 
     Args:
-        system: what is drawn.
+        system: whose bodies and contacts are arranged.
         order: coordinates from the left.
-        positions: coordinates, shape (samples, n), m; if all are equal, or there are fewer than
-            two, bodies are assumed to move somewhat farther than the stops.
-        amplitude: how far each body may move instead, m; 0 to use ``positions``.
+        positions: coordinates, shape (samples, n), m; with fewer than two different samples,
+            bodies are assumed to move somewhat farther than the stops.
+        amplitude: largest displacement of each body instead, m; 0 to use ``positions``.
     """
     walls, bumpers = _contacts(system, order)
     states = positions[:, list(order)]
@@ -118,7 +118,7 @@ def arranged(
         farthest = float(max(map(abs, [*stops, *states.flat]), default=0.0))
         states = _opposed(_BEYOND * farthest or 1.0, len(order))
     low, high = states.min(axis=0, initial=0.0), states.max(axis=0, initial=0.0)
-    # The rms amplitude: after a large transient, small motion is still to be seen.
+    # The rms amplitude: after a large transient, small motion is still visible.
     typical = 2 * float(np.sqrt(np.var(states, axis=0).max()))
     far = _FAR * float(np.max(high - low))
     walls = tuple(each for each in walls if abs(each.travel) <= far)
@@ -155,7 +155,7 @@ def _opposed(amplitude: float, bodies: int) -> Matrix:
 
 
 def _contacts(system: System, order: Sequence[int]) -> tuple[tuple[Wall, ...], tuple[Bumper, ...]]:
-    """Contacts of single bodies and of neighbours among those that are drawn."""
+    """Contacts of single bodies and of neighbours among the bodies that are drawn."""
     slots = {coordinate: slot for slot, coordinate in enumerate(order)}
     walls, bumpers = [], []
     for i, contact in enumerate(system.contacts):
@@ -183,7 +183,7 @@ def _pair(direction: Vector) -> tuple[int, int] | None:
 
 
 def _plates(walls: Sequence[Wall], bodies: int, thickness: float) -> tuple[Vector, Vector]:
-    """Outer edges of the walls beside each body, from its face at ``q = 0``.
+    """Outer edges of the walls beside each body, from the body's face at ``q = 0``.
 
     Returns:
         Right and left edges, each of shape (bodies,), m; without a wall -inf and inf.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The content of a film: tracks of a plant and its estimates, and their contacts over time.
+"""The content of a film: tracks of a plant and its estimates, and the contacts over time.
 
-Between two samples a track is interpolated linearly. If an impact lies between them, it holds the
-earlier sample before the impact and the later one after it, as the velocity jumps there.
+Between two samples a track is interpolated linearly. If an impact lies between two samples, the
+track holds the earlier sample before the impact, and the later sample from the impact on.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +19,7 @@ from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Stamps, Vector
 
 _MOST_POSITIONS = 20_000
-"""Most samples of a track from which the scene is made."""
+"""Most samples of a track by which the scene is arranged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +27,12 @@ class Track:
     """The motion of the plant or of an estimate; made by ``Track.of_states``.
 
     Attributes:
-        label: its name in the film.
+        label: name in the film.
         law: name of an estimate's law; empty for a plant.
         stamps: strictly ascending, ns, shape (samples,).
         q: coordinates, shape (samples, n).
         u: velocities, shape (samples, n).
-        jumps: stamps of its impacts, ascending, ns.
+        jumps: stamps of impacts, ascending, ns.
     """
 
     label: str
@@ -49,10 +49,10 @@ class Track:
         """The track of states in any order; of equal stamps the last one counts.
 
         Args:
-            label: its name in the film.
+            label: name in the film.
             law: name of an estimate's law; empty for a plant.
             states: stamps (ns), coordinates and velocities.
-            jumps: stamps of its impacts, ns.
+            jumps: stamps of impacts, ns.
         """
         stamps, q, u = states
         unique, from_end = np.unique(stamps[::-1], return_index=True)
@@ -79,7 +79,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distance:
-    """``V`` of an estimate at the stamps that it shares with the truth.
+    """``V`` of an estimate at the common stamps of estimate and truth.
 
     Attributes:
         stamps: ns, shape (samples,).
@@ -91,7 +91,7 @@ class Distance:
 
     @classmethod
     def between(cls, system: System, truth: Track, estimate: Track) -> "Distance":
-        """``V`` of the difference of estimate and truth; empty if they share no stamp."""
+        """``V`` of the difference of estimate and truth; empty without common stamps."""
         common, i, j = np.intersect1d(truth.stamps, estimate.stamps, True, return_indices=True)
         q, u = estimate.q[j] - truth.q[i], estimate.u[j] - truth.u[i]
         return cls(common, np.asarray(distance(system, q, u)))
@@ -111,7 +111,7 @@ class ContactHistory:
 
     @classmethod
     def of_events(cls, system: System, events: Sequence[ImpactEvent]) -> "ContactHistory":
-        """The history in a stream of events; contacts that the system has not are left out."""
+        """The history of a stream of events; contacts of other systems are left out."""
         index = {name: i for i, name in enumerate(system.contact_names)}
         stamps: dict[int, list[int]] = {}
         switches: dict[int, list[int]] = {}
@@ -138,9 +138,9 @@ class ContactHistory:
 
     def highlight(self, contact: int, stamp: int, duration: int) -> float:
         """1 at an impact, fading to 0 within ``duration``, ns."""
-        found = self.hits.get(contact, np.empty(0, np.int64))
-        last = int(np.searchsorted(found, stamp, side="right")) - 1
-        return max(1.0 - (stamp - int(found[last])) / duration, 0.0) if last >= 0 else 0.0
+        hits = self.hits.get(contact, np.empty(0, np.int64))
+        last = int(np.searchsorted(hits, stamp, side="right")) - 1
+        return max(1.0 - (stamp - int(hits[last])) / duration, 0.0) if last >= 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +149,7 @@ class Film:
 
     Attributes:
         scene: positions of everything, the same for every track.
-        truth: the plant's track; None if there is none.
+        truth: the plant's track; None without true states.
         estimates: the estimates' tracks.
         distances: V of each estimate, as many; none without truth.
         contacts: impacts and persistent contact over time.
@@ -169,11 +169,11 @@ class Film:
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """The plant's track, if there is one, and those of the estimates."""
+        """The plant's track, unless the film has none, and the estimates' tracks."""
         return self.estimates if self.truth is None else (self.truth, *self.estimates)
 
-    def moved(self, stamp: int) -> Vector:
-        """What moving grounds add to the gaps at ``stamp`` (ns), m, shape (m,)."""
+    def ground_motion(self, stamp: int) -> Vector:
+        """Addition of moving grounds to the gaps at ``stamp`` (ns), m, shape (m,)."""
         system = self.scene.system
         return np.asarray(system.gap_motion(np.array([stamp - self.epoch]))[0])
 
@@ -199,7 +199,7 @@ class Film:
 def scene_of(system: System, tracks: Sequence[Track]) -> Scene:
     """A scene with room for all ``tracks``."""
     positions = [each.q[:: max(len(each.q) // _MOST_POSITIONS, 1)] for each in tracks]
-    return Scene.of(system, np.vstack([np.empty((0, system.n)), *positions]))
+    return Scene.of_system(system, np.vstack([np.empty((0, system.n)), *positions]))
 
 
 def _arrays(stamps: Mapping[int, Sequence[int]]) -> dict[int, Stamps]:

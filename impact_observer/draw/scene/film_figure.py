@@ -43,7 +43,7 @@ class FilmFigure:
         """Draw the rows of the scene and the axes of V.
 
         Args:
-            film: what is shown.
+            film: the content.
             title: of the film.
             speed: recorded seconds a second of the film.
         """
@@ -60,7 +60,7 @@ class FilmFigure:
             self._clock = _write_title(self.figure, film, title)
 
     def show(self, stamp: int) -> None:
-        """Move everything to its place at ``stamp``, ns."""
+        """Move bodies, stops and cursor to their places at ``stamp``, ns."""
         film = self._film
         truth = None if film.truth is None else film.truth.position(stamp)
         for row in self._rows:
@@ -86,7 +86,7 @@ def _rows(figure: Figure, film: Film, placement: Placement) -> list[SceneRow]:
 
 
 def _write_title(figure: Figure, film: Film, title: str) -> Text:
-    """Write the title and what is left out; return the text that will be the time."""
+    """Write the title and a line of omitted parts; return the text that shows the time."""
     top = 1 - 0.14 / float(figure.get_figheight())
     figure.text(0.026, top, title, weight="bold", va="top")
     if film.scene.omitted:
@@ -108,7 +108,7 @@ class _DistancePlot:
         self._curves = []
         for track, each, style in zip(film.estimates, film.distances, drawn, strict=True):
             t = film.seconds(each.stamps)
-            # Zero has no logarithm: it becomes a gap.
+            # Zero has no logarithm: zero becomes a gap.
             V = np.where(each.V > 0, each.V, np.nan)
             plain = {k: v for k, v in style.items() if not k.startswith("marker")}
             axes.semilogy(t, V, label=track.label, **plain)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the tracks of a film are in its pictures, and at which scale.
+"""Places and scale of the tracks of a film in its pictures.
 
-Tracks lie in rows above each other. A single coordinate that falls stands upright, as the tracks
-then do beside each other.
+Tracks lie in rows above each other. The tracks of a single coordinate that falls stand upright,
+beside each other.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ WIDTH = 9.6
 SIDE = 0.25
 """Margin beside the scene, inches."""
 _UPRIGHT = 3.6
-"""Length of a scene that stands upright, inches."""
+"""Length of an upright scene, inches."""
 _HEIGHT, _CLOSEST = 0.75, 0.36
 """Largest and least size of a body across the line, inches."""
 _LABEL, _BELOW_FLOOR = 0.36, 0.22
@@ -29,11 +29,11 @@ _LABEL, _BELOW_FLOOR = 0.36, 0.22
 
 @dataclass(frozen=True)
 class Placement:
-    """How a scene is laid out in its axes: along the line in m, across it in sizes of a body.
+    """The place of a scene in its axes: along the line in m, across the line in sizes of a body.
 
     Attributes:
-        scene: what is drawn.
-        tracks: how many.
+        scene: positions of bodies and stops.
+        tracks: number of tracks.
     """
 
     scene: Scene
@@ -41,30 +41,30 @@ class Placement:
 
     @property
     def up(self) -> int:
-        """Which sign of the coordinate points up; 0 where the line lies."""
+        """Sign of the coordinate's upward direction; 0 for a scene that lies."""
         return self.scene.up
 
     @cached_property
     def length(self) -> float:
-        """Of the scene along the line, inches."""
+        """Length of the scene along the line, inches."""
         return _UPRIGHT if self.up else WIDTH - 2 * SIDE
 
     @cached_property
     def body(self) -> float:
-        """Size of a body across the line, inches: about that along it, within limits."""
+        """Size of a body across the line, inches: about the size along the line, within limits."""
         start, end = self.scene.extent
         return min(max(2 * self.scene.half / (end - start) * self.length, _CLOSEST), _HEIGHT)
 
     @property
     def top(self) -> float:
-        """Upper end of a row that lies, in sizes of a body."""
+        """Upper end of a lying row, in sizes of a body."""
         scene = self.scene
         drawn = lane_height(scene.lanes) + 0.15 if scene.lanes else 1.0
         return drawn + _LABEL / self.body
 
     @property
     def bottom(self) -> float:
-        """Lower end of a row that lies, in sizes of a body."""
+        """Lower end of a lying row, in sizes of a body."""
         scene = self.scene
         drawn = bar_height(scene.bar_lanes - 1) - 0.15 if scene.bar_lanes else 0.0
         return drawn - _BELOW_FLOOR / self.body

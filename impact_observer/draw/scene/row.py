@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One row of a film: the bodies, springs and stops of the plant or an estimate.
 
-A stop is vermilion, after Okabe and Ito, during an impact or persistent contact; in grey it is
-darker than the others. A star marks an impact.
+A stop is vermilion, after Okabe and Ito, during an impact or persistent contact. In grey vermilion
+is darker than the other stops. A star marks an impact.
 """
 
 from dataclasses import dataclass
@@ -38,11 +38,11 @@ _LIT = "#D55E00"
 
 @dataclass(frozen=True, slots=True)
 class DrawStyle:
-    """How a track is drawn.
+    """Colours and lines of a track's bodies.
 
     Attributes:
         fill: colour of bodies.
-        line: colour of their edges, which are solid; dashed is the plant behind an estimate.
+        line: colour of the bodies' edges.
         width: of the edges, points.
     """
 
@@ -57,7 +57,7 @@ class SceneRow:
     def __init__(
         self, axes: Axes, placement: Placement, film: Film, track: Track, style: DrawStyle
     ) -> None:
-        """Draw what does not move, and make the artists that do."""
+        """Draw floor, walls and plates, and make the artists of bodies, couplings and stops."""
         self.axes, self._film, self._track = axes, film, track
         scene = film.scene
         self._scene = scene
@@ -129,7 +129,7 @@ class SceneRow:
             artist.set_zorder(3 + place / len(above))
 
     def show(self, stamp: int, truth: Vector | None, highlight: int) -> None:
-        """Move everything to its place at ``stamp``, ns.
+        """Move bodies, couplings and stops to their places at ``stamp``, ns.
 
         Args:
             stamp: of the picture.
@@ -145,8 +145,9 @@ class SceneRow:
         if truth is not None:
             for ghost, x in zip(self._ghosts, scene.frame(truth).bodies, strict=False):
                 ghost.set_x(x - scene.half)
-        moved = self._film.moved(stamp)
-        frame = scene.frame(np.zeros(scene.system.n) if q is None else q, moved)
+        frame = scene.frame(
+            np.zeros(scene.system.n) if q is None else q, self._film.ground_motion(stamp)
+        )
         for contact, box in plates(scene, frame):
             if (wall := self._walls.get(contact)) is not None:
                 wall.set_x(box.left)
@@ -210,21 +211,21 @@ def _box(
     width: float,
     **style: Any,  # noqa: ANN401 (matplotlib's)
 ) -> Rectangle:
-    """A box as large as a body across the line, to be placed later."""
+    """A box that is as large as a body across the line and gets its place later."""
     box = Rectangle((0, 0), width, 1, transform=placed, **style)
     axes.add_patch(box)
     return box
 
 
 def _lines(axes: Axes, placed: Transform, width: float) -> LineCollection:
-    """Lines whose points are set later."""
+    """A collection of lines that get their points later."""
     lines = LineCollection([], colors="0.15", linewidths=width, transform=placed)
     axes.add_collection(lines)
     return lines
 
 
 def _name_size(placement: Placement) -> tuple[float, float]:
-    """Font size and rotation of the names, so that they stay within the bodies."""
+    """Font size and rotation of names that fit into the bodies."""
     scene = placement.scene
     start, end = scene.extent
     along = 72 * 2 * scene.half / (end - start) * placement.length
@@ -272,6 +273,6 @@ def _hatch(axes: Axes, placed: Transform, box: Box) -> Rectangle:
 
 
 def _round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above ``length``."""
+    """The largest of 1, 2, 5 times a power of ten up to ``length``."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(next(f * power for f in (5.0, 2.0, 1.0) if f * power <= length * (1 + 1e-9)))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where bodies, springs and stops of a system are drawn: boxes on one line, in true distances.
+"""Places of bodies, springs and stops of a system in a drawing: boxes on one line, at true scale.
 
 A coordinate is a box, home at its place in the row and displaced by ``q``. A contact of one
-coordinate is a wall that the box's face reaches exactly when ``g = 0``; one that compares two
-neighbours is a bumper between them, which fills the room between their faces exactly then. Any
-other contact is a bar with a pin, whose distance from the plate is ``g``. Along the line all is
-in metres (rad where a coordinate is an angle), across it in heights of a body.
+coordinate is a wall, which the face of the box reaches exactly when ``g = 0``. A contact of two
+neighbours is a bumper, which fills the room between their faces exactly when ``g = 0``. Any other
+contact is a bar with a pin, whose distance from the plate is ``g``. Lengths along the line are in
+metres (rad for an angle), across the line in heights of a body.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ from impact_observer.model.system import Guide
 from impact_observer.states import Matrix, Vector, frozen
 
 MOST_BODIES = 24
-"""Most bodies that are drawn: more could not be distinguished."""
+"""Most bodies in a drawing: more bodies could not be distinguished."""
 MOST_LANES = 3
 """Most couplings above each other over the bodies."""
 _GROUND = 0.6
@@ -39,20 +39,20 @@ class SceneJoint(Enum):
     DAMPER = "damper"
     """Damping alone."""
     LINK = "link"
-    """A coupling of the opposite sign, which no spring or damper between two bodies has."""
+    """Stiffness or damping of the sign that no spring or damper between two bodies has."""
     GUIDE = "guide"
-    """Dry friction, always above the bodies: beside it there often is a spring."""
+    """Dry friction, always above the bodies: a spring often joins the same bodies."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """Any other contact: a pin that moves towards a plate.
+    """A contact that is neither wall nor bumper: a pin that moves towards a plate.
 
     Attributes:
-        contact: its index.
-        plate: where the plate is, m.
-        span: the largest gap that is shown, m; the pin stops there.
-        lane: which bar below the bodies, from 0.
+        contact: index of the contact.
+        plate: position of the plate, m.
+        span: largest distance of the pin from the plate, m.
+        lane: number of the bar below the bodies, from 0.
     """
 
     contact: int
@@ -66,10 +66,10 @@ class Coupling:
     """A spring, a damper, a link or a guide, drawn from its left to its right end.
 
     Attributes:
-        joint: what it is.
-        left: place of the body at its left end; None for the ground.
-        right: place of the body at its right end; None for the ground.
-        ground: where the ground is, m; 0 where there is none.
+        joint: kind of the coupling.
+        left: place of the body at the left end; None for the ground.
+        right: place of the body at the right end; None for the ground.
+        ground: position of the ground, m; 0 between two bodies.
         lane: 0 between the faces of neighbours or of a body and a wall; above the bodies from 1.
     """
 
@@ -82,13 +82,13 @@ class Coupling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Positions of everything that moves, m along the line.
+    """Positions of all moving parts, m along the line.
 
     Attributes:
         bodies: middles of the boxes, shape (bodies,).
         couplings: left and right ends, shape (couplings, 2).
-        bumpers: where each rod begins and ends, shape (bumpers, 2).
-        pins: shape (bars,).
+        bumpers: beginning and end of each rod, shape (bumpers, 2).
+        pins: of the bars, shape (bars,).
         gaps: ``g`` of all contacts of the system, shape (m,).
         walls: left ends of the walls' faces, shape (walls,).
     """
@@ -103,10 +103,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Positions of everything of a system; made by ``Scene.of``.
+    """Positions of all parts of a system; made by ``Scene.of_system``.
 
     Attributes:
-        system: what is drawn.
+        system: whose parts are drawn.
         order: coordinate of each body in the row, from the left.
         homes: middles of the boxes at ``q = 0``, m, shape (bodies,).
         half: half the width of a box, m.
@@ -116,7 +116,7 @@ class Scene:
         bars: other contacts.
         couplings: springs, dampers, links, guides.
         extent: left and right end of the picture, m.
-        omitted: what is not drawn, a line each.
+        omitted: a line for each kind of parts that are not drawn.
     """
 
     system: System
@@ -132,16 +132,18 @@ class Scene:
     omitted: tuple[str, ...]
 
     @classmethod
-    def of(cls, system: System, positions: ArrayLike = (), amplitude: float = 0.0) -> "Scene":
+    def of_system(
+        cls, system: System, positions: ArrayLike = (), amplitude: float = 0.0
+    ) -> "Scene":
         """The scene of a system, with room for given states.
 
-        No two boxes or walls overlap in any of these states as long as they obey the stops.
+        No two boxes or walls overlap in any of these states, unless the states violate the stops.
 
         Args:
-            system: what to draw.
-            positions: coordinates, shape (samples, n), m; with fewer than two, coordinates are
-                assumed to move somewhat farther than the stops.
-            amplitude: how far each coordinate may move instead, m; 0 to use ``positions``.
+            system: whose parts are drawn.
+            positions: coordinates, shape (samples, n), m; with fewer than two samples, coordinates
+                are assumed to move somewhat farther than the stops.
+            amplitude: largest displacement of each coordinate instead, m; 0 to use ``positions``.
 
         Raises:
             UsageError: positions of another shape, or not finite.
@@ -181,7 +183,7 @@ class Scene:
 
     @property
     def up(self) -> int:
-        """Which sign of a single coordinate that falls points up; 0 for any other system."""
+        """Sign of the upward direction of a single coordinate that falls; 0 for other systems."""
         system = self.system
         falls = system.n == 1 and not system.K.any()
         return -int(np.sign(system.forcing.constant[0])) if falls else 0
@@ -197,18 +199,18 @@ class Scene:
         return max((each.lane + 1 for each in self.bars), default=0)
 
     def face(self, wall: Wall) -> float:
-        """The position of a wall's face, m: that of its body's face at ``g = 0``."""
+        """The position of a wall's face, m, which the body's face reaches at ``g = 0``."""
         return float(self.homes[wall.slot]) + wall.side * self.half + wall.travel
 
     def rod(self, bumper: Bumper) -> float:
-        """The length of a bumper's rod, m: it reaches the right body's face at ``g = 0``."""
+        """The length of a bumper's rod, m, which reaches the right body's face at ``g = 0``."""
         left, right = self.homes[bumper.slot : bumper.slot + 2]
         return float(right - left) - 2 * self.half - bumper.travel
 
     def frame(self, q: Vector, moved: Vector | None = None) -> Frame:
-        """Positions at ``q``, shape (n,), m.
+        """Positions at coordinates ``q``, shape (n,), m.
 
-        ``moved`` is what moving grounds add to the gaps, shape (m,), m; None for nothing.
+        ``moved`` is the addition of moving grounds to the gaps, shape (m,), m; None for none.
         """
         bodies = self.homes + np.asarray(q, dtype=np.float64)[list(self.order)]
         moved = np.zeros(self.system.m) if moved is None else moved
@@ -234,7 +236,7 @@ class Scene:
         )
 
     def _yields(self, stop: Wall | Bumper, moved: Vector) -> float:
-        """How far a stop goes away from its body where its gap is larger by ``moved``, m."""
+        """Distance by which a moving ground takes a stop away from its body, m."""
         size = float(np.max(np.abs(self.system.W[:, stop.contact])))
         return float(moved[stop.contact]) / size
 
@@ -259,7 +261,7 @@ def _extent(homes: Vector, row: Arrangement, couplings: Sequence[Coupling]) -> t
 def _bars(
     system: System, homes: Vector, order: Sequence[int], row: Arrangement, end: float
 ) -> Iterable[Bar]:
-    """Bars below the bodies that move the contacts most, in lanes where they would overlap."""
+    """Bars below the bodies with the largest factors, in several lanes if bars would overlap."""
     ends: list[float] = []
     span = row.pitch - 2 * row.thickness
     for contact in row.others:
@@ -267,7 +269,7 @@ def _bars(
         if not weights.any():
             continue
         beneath = float(homes[int(np.argmax(weights))]) - row.half
-        # At its farthest the pin, as wide as a plate, must still be within the picture.
+        # The pin, as wide as a plate, must be within the picture at its farthest, too.
         plate = min(beneath, end - span - row.thickness)
         lane = next((k for k, taken in enumerate(ends) if taken <= plate), len(ends))
         ends[lane : lane + 1] = [plate + row.pitch * (1 - _ZERO)]
@@ -277,20 +279,20 @@ def _bars(
 def _couplings(
     system: System, order: Sequence[int], homes: Vector, row: Arrangement
 ) -> tuple[tuple[Coupling, ...], int]:
-    """The couplings that have a lane, and the number of those that have none.
+    """The couplings with a lane, and the number of couplings without one.
 
     Couplings of neighbours, and of the outer bodies to the ground, lie between faces. Others take
     the lowest free lane above the bodies, short and strong ones first.
     """
     last = len(order) - 1
-    # A coupling to the ground counts by its drawn length.
-    found = sorted(
+    # The length of a coupling to the ground is the drawn length.
+    shortest_first = sorted(
         _joined(system, order),
         key=lambda each: (_GROUND if each[1] < 0 else each[2] - each[1], -each[3]),
     )
     lanes: list[list[tuple[float, float]]] = [[] for _ in range(MOST_LANES)]
     drawn, left_out = [], sum(_rubbing(guide, order) is None for guide in system.guides)
-    for joint, first, second, _ in found:
+    for joint, first, second, _ in shortest_first:
         above = joint is SceneJoint.GUIDE
         if first < 0 and second == 0 and not above:
             drawn.append(Coupling(joint, None, 0, row.start + row.thickness, 0))
@@ -323,24 +325,24 @@ def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int,
     stiffness, damping = (
         _parts(matrix, slots) for matrix in (system.K, (system.C + system.C.T) / 2)
     )
-    found = []
+    joined = []
     for second in range(len(slots)):
         for first in range(-1, second):
             k, c = stiffness[first, second], damping[first, second]
             if k > 0:
-                found.append((SceneJoint.SPRING, first, second, float(k)))
+                joined.append((SceneJoint.SPRING, first, second, float(k)))
             elif k == 0 and c > 0:
-                found.append((SceneJoint.DAMPER, first, second, float(c)))
+                joined.append((SceneJoint.DAMPER, first, second, float(c)))
             elif k < 0 or c < 0:
-                found.append((SceneJoint.LINK, first, second, float(abs(k) + abs(c))))
+                joined.append((SceneJoint.LINK, first, second, float(abs(k) + abs(c))))
     rubbed = [(_rubbing(guide, order), guide.force) for guide in system.guides]
-    return [*found, *((SceneJoint.GUIDE, *ends, force) for ends, force in rubbed if ends)]
+    return [*joined, *((SceneJoint.GUIDE, *ends, force) for ends, force in rubbed if ends)]
 
 
 def _rubbing(guide: Guide, order: Sequence[int]) -> tuple[int, int] | None:
-    """The two places in the row between which a guide rubs, -1 for the ground, in order.
+    """The two places in the row between which a guide rubs, in order, -1 for the ground.
 
-    None where it is not between two bodies or a body and the ground.
+    Returns None for a guide that joins neither two bodies nor a body and the ground.
     """
     ends = np.flatnonzero(guide.direction[list(order)])
     weights = guide.direction[list(order)][ends]
@@ -365,7 +367,10 @@ def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:
 
 
 def _omitted(system: System, bodies: int, contacts: int, couplings: int) -> Iterable[str]:
-    """What is not drawn; ``bodies`` and ``contacts`` are drawn, ``couplings`` are not."""
+    """Lines on the parts that are not drawn.
+
+    ``bodies`` and ``contacts`` are numbers of drawn parts, ``couplings`` of parts not drawn.
+    """
     if bodies < system.n:
         yield f"the first {bodies} of {system.n} bodies"
     if contacts < system.m:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes of a scene in a plane: metres along the line, heights of a body across it."""
+"""Shapes of a scene in a plane: metres along the line, heights of a body across the line."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -13,16 +13,19 @@ from impact_observer.states import Matrix
 SPRING_HEIGHT, ROD_HEIGHT, STOP_HEIGHT = 0.72, 0.24, 0.46
 """Heights of springs between faces, of a bumper's rod, of a wall's top, over a body's height."""
 ROWS = 2.2
-"""Distance of rows of bodies that stand side by side, over a body's height."""
+"""Distance between rows of bodies, over a body's height."""
 _PAD, _PIN, _WIDE = 0.14, 0.11, 0.1
 """Half the heights of a bumper's pad, of a bar's pin, and of a spring's teeth, over a body's."""
 _LANE, _FIRST_LANE = 0.3, 1.26
+"""Distance between lanes of couplings, and height of the first lane, over a body's height."""
 _BAR, _FIRST_BAR = 0.34, -0.36
+"""Distance between bars, and height of the first bar, over a body's height."""
 _TEETH = 11
+"""Number of teeth of a spring."""
 _ENDS = 0.1
-"""Part of a spring at each end that is straight."""
+"""Straight part of a spring at each end, over the length."""
 _CUP = 0.55
-"""Where a damper's cup begins, over the length."""
+"""Beginning of a damper's cup, over the length."""
 
 
 class Box(NamedTuple):
@@ -77,7 +80,7 @@ def pins(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
 
 
 def grounds(scene: Scene) -> Iterator[Box]:
-    """The blocks in which springs to the ground end."""
+    """The blocks at the ends of springs to the ground."""
     for each in scene.couplings:
         if each.left is None or each.right is None:
             left = each.ground - (scene.thickness if each.left is None else 0.0)
@@ -88,7 +91,7 @@ def grounds(scene: Scene) -> Iterator[Box]:
 
 
 def rails(scene: Scene) -> Matrix:
-    """The lines on which pins of bars move, as pairs of points, shape (strokes, 2, 2)."""
+    """The lines along which pins of bars move, as pairs of points, shape (strokes, 2, 2)."""
     ends = [
         [[x, bar_height(bar.lane) - _PIN] for x in (bar.plate, bar.plate + bar.span)]
         for bar in scene.bars
@@ -103,19 +106,19 @@ def rods(frame: Frame) -> Matrix:
 
 
 def couplings(scene: Scene, frame: Frame) -> Matrix:
-    """All couplings as pairs of points, with posts to those above the bodies.
+    """All couplings as pairs of points, with posts below couplings above the bodies.
 
     Returns:
         Shape (strokes, 2, 2).
     """
-    found: list[Matrix] = [np.empty((0, 2, 2))]
+    drawn: list[Matrix] = [np.empty((0, 2, 2))]
     for each, (left, right) in zip(scene.couplings, frame.couplings.tolist(), strict=True):
         height = lane_height(each.lane)
-        found.append(strokes(each.joint, left, right, height, _WIDE))
+        drawn.append(strokes(each.joint, left, right, height, _WIDE))
         for slot, x in ((each.left, left), (each.right, right)):
             if each.lane and slot is not None:
-                found.append(np.array([[[x, 1.0], [x, height]]]))
-    return np.concatenate(found)
+                drawn.append(np.array([[[x, 1.0], [x, height]]]))
+    return np.concatenate(drawn)
 
 
 def strokes(joint: SceneJoint, start: float, end: float, height: float, width: float) -> Matrix:
@@ -125,8 +128,8 @@ def strokes(joint: SceneJoint, start: float, end: float, height: float, width: f
         joint: a spring is a zigzag, a damper a dashpot, a link a line, a guide a rod between pads.
         start: left end, m.
         end: right end, m.
-        height: of its middle.
-        width: of its teeth or its cup, from the middle to each side.
+        height: of the coupling's middle.
+        width: of teeth or cup, from the middle to each side.
     """
     if joint is SceneJoint.SPRING:
         shape = _path(_zigzag())
@@ -148,7 +151,7 @@ def _zigzag() -> NDArray[np.float64]:
 
 
 def _dashpot() -> NDArray[np.float64]:
-    """A cup on the right end's rod, and in it a piston on the left one's."""
+    """A cup on the right rod, and a piston in the cup on the left rod."""
     piston = (_CUP + 1 - _ENDS) / 2
     cup = [[_CUP, 1.0], [1 - _ENDS, 1.0], [1 - _ENDS, -1.0], [_CUP, -1.0]]
     return np.vstack(
@@ -162,7 +165,7 @@ def _dashpot() -> NDArray[np.float64]:
 
 
 def _rubbed_rod() -> NDArray[np.float64]:
-    """A rod on the left end, and a holder on the right one, whose pads press on it."""
+    """A rod on the left end, and a holder on the right end whose pads press on the rod."""
     begin, end, pad = _CUP - 0.2, _CUP + 0.1, 0.4
     middle, last = (begin + end) / 2, 1 - _ENDS
     holder = [[middle, pad], [middle, 1.0], [last, 1.0], [last, -1.0], [middle, -1.0]]

@@ -50,7 +50,7 @@ def test_a_body_is_as_far_from_its_stop_as_the_gap_says(
 ) -> None:
     """Over the direction's factor, so they meet exactly where the gap is zero; stops may move."""
     model, states = case
-    scene = Scene.of(model, states)
+    scene = Scene.of_system(model, states)
     for q in states:
         moved = data.draw(st.just(np.zeros(model.m)) | vectors(model.m))
         frame, gaps = scene.frame(q, moved), model.gap(q) + moved
@@ -74,7 +74,7 @@ def test_a_body_is_as_far_from_its_stop_as_the_gap_says(
 def test_nothing_overlaps_while_stops_are_obeyed(case: tuple[System, Array]) -> None:
     """Neither bodies nor walls nor the room between; all of it is in the picture."""
     model, states = case
-    scene = Scene.of(model, states)
+    scene = Scene.of_system(model, states)
     for q in states:
         if model.penetrated(q):
             continue
@@ -96,7 +96,7 @@ def test_any_model_has_a_scene(model: System, data: st.DataObject) -> None:
     """Full matrices, any direction: every contact is drawn once, every number is finite."""
     q = data.draw(vectors(model.n))
     for positions in ([], [q], [q, -q], [np.zeros(model.n)] * 2):
-        scene = Scene.of(model, positions)
+        scene = Scene.of_system(model, positions)
         drawn = [each.contact for each in scene.walls]
         drawn += [each.contact for each in scene.bumpers]
         drawn += [each.contact for each in scene.bars]
@@ -115,7 +115,7 @@ def test_pin_of_a_bar_is_as_far_from_its_plate_as_the_gap_says(
 ) -> None:
     """As far as the bar goes, and there it stays."""
     q = data.draw(vectors(model.n))
-    scene = Scene.of(model, [q, -q])
+    scene = Scene.of_system(model, [q, -q])
     frame = scene.frame(q)
     for bar, pin in zip(scene.bars, frame.pins, strict=True):
         gap = frame.gaps[bar.contact]
@@ -126,7 +126,7 @@ def test_pin_of_a_bar_is_as_far_from_its_plate_as_the_gap_says(
 
 def test_chain_between_walls_has_springs_to_both() -> None:
     """three_mass: four springs in a line, stops on the sides where their limits are."""
-    scene = Scene.of(sample("three_mass").system)
+    scene = Scene.of_system(sample("three_mass").system)
     assert joints(scene) == {
         (SceneJoint.SPRING, None, 0, 0),
         (SceneJoint.SPRING, 0, 1, 0),
@@ -145,7 +145,7 @@ def test_chain_between_walls_has_springs_to_both() -> None:
 
 def test_matrix_model_shows_the_springs_that_its_elements_would() -> None:
     """two_mass is written as matrices: ground, x1, x2, and nothing beyond."""
-    scene = Scene.of(sample("two_mass").system)
+    scene = Scene.of_system(sample("two_mass").system)
     assert joints(scene) == {(SceneJoint.SPRING, None, 0, 0), (SceneJoint.SPRING, 0, 1, 0)}
     (wall,) = scene.walls
     assert scene.extent[1] == pytest.approx(scene.face(wall) + 2 * scene.thickness)
@@ -153,7 +153,7 @@ def test_matrix_model_shows_the_springs_that_its_elements_would() -> None:
 
 def test_ball_is_free() -> None:
     """No stiffness, no spring; the floor is on the side of the smaller coordinates."""
-    scene = Scene.of(sample("bouncing_ball").system, [[1.0]])
+    scene = Scene.of_system(sample("bouncing_ball").system, [[1.0]])
     assert scene.couplings == ()
     (floor,) = scene.walls
     assert (floor.side, scene.face(floor)) == (-1, scene.homes[0] - scene.half)
@@ -163,7 +163,7 @@ def test_couplings_are_what_their_signs_say() -> None:
     """Damping alone is a dashpot; a coupling that no spring makes is a line."""
     K = np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
     C = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 1.0]])
-    scene = Scene.of(system(np.eye(3), C, K))
+    scene = Scene.of_system(system(np.eye(3), C, K))
     assert joints(scene) == {
         (SceneJoint.SPRING, None, 0, 0),
         (SceneJoint.SPRING, None, 1, 1),
@@ -176,7 +176,7 @@ def test_couplings_over_other_bodies_never_share_a_lane() -> None:
     """Those without a lane are counted, not drawn over each other."""
     n = 8
     K = (n + 1) * np.eye(n) - np.ones((n, n))
-    scene = Scene.of(system(np.eye(n), np.zeros((n, n)), K))
+    scene = Scene.of_system(system(np.eye(n), np.zeros((n, n)), K))
     above: dict[int, list[tuple[float, float]]] = {}
     for each in scene.couplings:
         left, right = scene._ends(each, scene.homes)
@@ -191,7 +191,7 @@ def test_couplings_over_other_bodies_never_share_a_lane() -> None:
 
 def test_bumper_puts_its_bodies_in_order() -> None:
     """A body that is stopped from the left stands on the left, whatever its number."""
-    scene = Scene.of(free(3, ([1.0, 0.0, -1.0], 0.5)))
+    scene = Scene.of_system(free(3, ([1.0, 0.0, -1.0], 0.5)))
     assert scene.order == (1, 2, 0)
     (bumper,) = scene.bumpers
     assert bumper.slot == 1
@@ -200,7 +200,7 @@ def test_bumper_puts_its_bodies_in_order() -> None:
 
 def test_contradicting_bumpers_leave_the_order_alone() -> None:
     """The second of two contacts that contradict each other is a bar."""
-    scene = Scene.of(free(2, ([-1.0, 1.0], 0.5), ([1.0, -1.0], 0.5)))
+    scene = Scene.of_system(free(2, ([-1.0, 1.0], 0.5), ([1.0, -1.0], 0.5)))
     assert scene.order == (0, 1)
     assert [each.contact for each in scene.bumpers] == [0]
     assert [each.contact for each in scene.bars] == [1]
@@ -209,7 +209,7 @@ def test_contradicting_bumpers_leave_the_order_alone() -> None:
 def test_distant_stop_is_drawn_as_a_bar() -> None:
     """Its pin is at the end of the bar, so the motion stays visible."""
     motion = 0.1 * np.sin(np.arange(50.0))[:, None]
-    scene = Scene.of(free(1, ([-1.0], 100.0)), motion)
+    scene = Scene.of_system(free(1, ([-1.0], 100.0)), motion)
     assert scene.walls == ()
     (bar,) = scene.bars
     assert scene.extent[1] - scene.extent[0] < 2.0
@@ -222,7 +222,7 @@ def test_very_long_chain_shows_its_first_bodies_and_says_so() -> None:
     n = 1000
     last = np.eye(n)[-1]
     model = chain(n, contacts=[(-last, 0.5, 0.5), (np.eye(n)[0], 0.5, 0.5)])
-    scene = Scene.of(model, 0.1 * np.ones((2, n)) * [[1.0], [-1.0]])
+    scene = Scene.of_system(model, 0.1 * np.ones((2, n)) * [[1.0], [-1.0]])
     assert len(scene.homes) == MOST_BODIES
     assert scene.omitted == (
         f"the first {MOST_BODIES} of 1000 bodies",
@@ -234,7 +234,7 @@ def test_very_long_chain_shows_its_first_bodies_and_says_so() -> None:
 def test_the_amplitude_sets_the_distance_of_bodies() -> None:
     """For views that begin before anything has moved."""
     model = sample("three_mass").system
-    near, far = Scene.of(model, amplitude=0.5), Scene.of(model, amplitude=5.0)
+    near, far = Scene.of_system(model, amplitude=0.5), Scene.of_system(model, amplitude=5.0)
     assert far.homes[-1] == pytest.approx(10 * near.homes[-1], rel=0.1)
     swing = 5.0 * np.array([1.0, -1.0, 1.0])
     bodies = far.frame(swing).bodies
@@ -243,7 +243,7 @@ def test_the_amplitude_sets_the_distance_of_bodies() -> None:
 
 def test_scene_cannot_be_changed() -> None:
     """Its arrays are read-only, and so are those of its frames."""
-    scene = Scene.of(sample("two_mass").system)
+    scene = Scene.of_system(sample("two_mass").system)
     for array in (scene.homes, scene.frame(np.zeros(2)).bodies):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
@@ -254,16 +254,16 @@ def test_scene_cannot_be_changed() -> None:
 def test_positions_that_fit_no_model_are_refused(positions: Array) -> None:
     """The error has the expected shape."""
     with pytest.raises(UsageError, match=r"expected \(samples, 2\), all finite"):
-        Scene.of(sample("two_mass").system, positions)
+        Scene.of_system(sample("two_mass").system, positions)
 
 
 def test_guides_that_rub_are_above_the_bodies_that_they_join() -> None:
     """Beside the spring of the same bodies; one of three bodies is left out, with a line."""
     model = sample("rubbing_guide").system
-    drawn = joints(Scene.of(model))
+    drawn = joints(Scene.of_system(model))
     assert (SceneJoint.GUIDE, 0, 1, 1) in drawn
     assert (SceneJoint.SPRING, 0, 1, 0) in drawn
     base = replace(model, guides=(Guide("rail", np.array([0.0, 2.0]), 1.0),))
-    assert (SceneJoint.GUIDE, None, 1, 1) in joints(Scene.of(base))
+    assert (SceneJoint.GUIDE, None, 1, 1) in joints(Scene.of_system(base))
     uneven = replace(model, guides=(Guide("odd", np.array([1.0, -2.0]), 1.0),))
-    assert Scene.of(uneven).omitted == ("without 1 couplings",)
+    assert Scene.of_system(uneven).omitted == ("without 1 couplings",)

@@ -43,7 +43,7 @@ def test_spring_is_one_line_and_a_damper_is_not() -> None:
 
 def test_plates_stand_at_the_stops() -> None:
     """The face of a wall is an edge of its plate; ground is outside of both stops."""
-    scene = Scene.of(sample("three_mass").system)
+    scene = Scene.of_system(sample("three_mass").system)
     boxes = dict(plates(scene, scene.frame(np.zeros(3))))
     right, left = boxes[0], boxes[1]
     assert right.left == pytest.approx(scene.face(scene.walls[0]))
@@ -58,7 +58,7 @@ def test_lanes_are_above_and_bars_below_the_bodies() -> None:
     """Springs over other bodies have posts; pins slide on rails."""
     contacts = [([1.0, 1.0, 1.0], 0.2, 0.5), ([0.0, -1.0, 1.0], 0.1, 0.5)]
     K = 3 * np.eye(3) - np.ones((3, 3)) + np.eye(3)
-    scene = Scene.of(system(np.eye(3), np.zeros((3, 3)), K, contacts=contacts))
+    scene = Scene.of_system(system(np.eye(3), np.zeros((3, 3)), K, contacts=contacts))
     frame = scene.frame(np.array([0.1, 0.0, -0.05]))
     assert couplings(scene, frame)[..., 1].max() > 1.2
     ((contact, pin),) = pins(scene, frame)
@@ -74,8 +74,8 @@ def test_lanes_are_above_and_bars_below_the_bodies() -> None:
 
 def test_scene_without_springs_has_no_strokes() -> None:
     """But arrays of the right shape."""
-    scene = Scene.of(sample("bouncing_ball").system)
+    scene = Scene.of_system(sample("bouncing_ball").system)
     frame = scene.frame(np.zeros(1))
     for empty in (couplings(scene, frame), rods(frame), rails(scene)):
         assert empty.shape == (0, 2, 2)
-    assert len(list(grounds(Scene.of(chain(2))))) == 2
+    assert len(list(grounds(Scene.of_system(chain(2))))) == 2
