@@ -38,7 +38,7 @@ DIAGNOSTICS = {
     "large innovations": "0",
     "synchronized": "False",
 }
-"""Diagnostics of an observer node; test_watch_session compares them with a running one."""
+"""Diagnostics of an observer node; test_watcher compares them with a running one."""
 
 _TOPIC = re.compile(r"[/A-Za-z0-9_-]+")
 _NAME = re.compile(r"\.([A-Za-z0-9_-]+)")
