@@ -526,14 +526,22 @@ class ImpactFilter:
         fading motion grows to rounding. It may go back beyond an earlier event: where errors of
         the clock reverse the order of two impacts, the phase between them lacks the first jump.
         """
-        sampled, moving = self.system.forcing.sampled, self.members.given.moving
-        fading = max(moving.rates(change.before).decay, moving.rates(change.closed).decay)
-        back = on = _BACK / fading if fading else math.inf
+        sampled = self.system.forcing.sampled
+        back = on = self.farthest(change)
         if sampled is not None:
             back = min(back, change.t - float(sampled.time[0]))
         early = change.t - joint.t + joint.e
         s = change.t - max(-on, min(early, back)) - joint.t
         return self._propagated(member or self.member(joint), change.before, joint, s)
+
+    def farthest(self, change: ContactChange) -> float:
+        """Longest time between an event and its stamp over which a state is followed, s.
+
+        A motion that fades grows going back: after some time constants it is rounding.
+        """
+        moving = self.members.given.moving
+        fading = max(moving.rates(change.before).decay, moving.rates(change.closed).decay)
+        return min(_BACK / fading, self._longest) if fading else self._longest
 
     def _propagated(self, member: Member, closed: Contacts, joint: Joint, s: float) -> Joint:
         """``joint`` with its state ``s`` seconds later; of first order in ``s`` for parameters."""

@@ -90,10 +90,13 @@ def posterior_of_missed(
     deviation = lengths(seen.dot(root[: seen.size]))[0]
     # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
     falling = math.sqrt(abs(bend) * (deviation + abs(late)))
-    slope = max(float(H[0, 0]), falling, STILL)
+    # A gap that stands still tells no instant: the error of it stays one that can be followed.
+    farthest = filter_.farthest(change)
+    slope = max(float(H[0, 0]), falling, (deviation + abs(late)) / farthest, STILL)
     row, e, deviation = -seen / slope, late / slope, deviation / slope
     nonlinear = deviation * lengths(D.dot(root[: x.size]))[0] / slope
     nonlinear += bend / slope * deviation**2 / 2
+    nonlinear = min(max(nonlinear, -farthest), farthest)
     differences = Joint.differences_of(state)
     differences[:1] = row.dot(differences[1 : 1 + row.size])
     whole = np.zeros((1 + len(root), 1 + root.shape[1]))

@@ -28,6 +28,7 @@ constexpr double SETTLED = 0.05;    // change by another linearisation, in stand
 constexpr double CLOSING = 1e-3;    // least deviation of a closing speed, relative to the speed
 constexpr double BACK = 8.0;        // longest flow back, in time constants of fading motion
 constexpr double MOST_STEPS = 1e4;  // longest flow, in the inverse of the fastest rate
+constexpr double SLOWEST = 1e-6;    // least of that rate, 1/s
 constexpr int ROUNDS = 6;           // most linearisations of a measurement about its posterior
 constexpr std::size_t LARGE = 32;   // least size of a state whose roots may have more columns
 
@@ -128,12 +129,15 @@ class Impact {
         double deviation = length(row), late = -at.g;
         // Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
         const double falling = std::sqrt(std::abs(at.a) * (deviation + std::abs(late)));
-        const double slope = std::max({-at.gamma, falling, LEAST});
+        // A gap that stands still tells no instant: its error stays one that can be followed.
+        const double least = (deviation + std::abs(late)) / farthest();
+        const double slope = std::max({-at.gamma, falling, least, LEAST});
         deviation /= slope;
         joint.z[0] = late / slope;
         const Span<double> own = joint.root.row(0);
         for (std::size_t j = 0; j < row.size(); ++j) own[j] = -row[j] / slope;
-        own[0] = deviation * length(speeds) / slope + at.a / slope * deviation * deviation / 2;
+        own[0] =
+            within(deviation * length(speeds) / slope + at.a / slope * deviation * deviation / 2);
         const Vector others = seen_by(at.rho[0], joint.differences);
         for (std::size_t j = 0; j < others.size(); ++j)
             joint.differences(0, j) = -others[j] / slope;
@@ -241,13 +245,15 @@ class Impact {
         return std::sqrt(squares);
     }
 
-    // e, not so far back that a fading motion grows to rounding.
-    double within(double e) const {
+    // Longest time between an impact and its stamp over which a state is followed, s: a motion
+    // that fades grows going back, and is rounding after some time constants.
+    double farthest() const {
         const FreeMotion& motion = *family->given;
-        const double fading = motion.decay > 0 ? BACK / motion.decay : MOST_STEPS / motion.rate;
-        const double far = std::min(fading, MOST_STEPS / motion.rate);
-        return std::clamp(e, -far, far);
+        const double longest = MOST_STEPS / std::max(motion.rate, SLOWEST);
+        return motion.decay > 0 ? std::min(BACK / motion.decay, longest) : longest;
     }
+
+    double within(double e) const { return std::clamp(e, -farthest(), farthest()); }
 
     static bool any(const Fit&) { return true; }
 

@@ -23,7 +23,7 @@ from impact_observer.estimation.readings import Place, Reading, Row
 from impact_observer.estimation.sample_update import SampleFilter
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
-from impact_observer.smooth.linearised import Linearised, Path, level_of
+from impact_observer.smooth.linearised import Linearised, Path, followed, level_of
 from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples, measured
 from impact_observer.states import Vector
 
@@ -89,6 +89,9 @@ class Arc(Linearised):
         """The path of the filter, from the first state on, or from one that is known better.
 
         Then deviations are larger than those of ``about`` by ``_SURE``.
+
+        Raises:
+            DynamicsError: the filter's state grows beyond all bounds.
         """
         count, filter_ = len(self.moments), self.filter
         early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
@@ -108,14 +111,16 @@ class Arc(Linearised):
                 state, t = self._corrected(t, state, reading, moment), reading.t
             prediction = filter_.predict(t, state, level_of(moment, ErrorKind.ACCELERATION))
             prior = prediction.prior(change.t - t)
-            x[k], t, doubt[k] = prior.x, change.t, self.gap_deviation(k, prior.root)
+            x[k], t = followed(prior.x), change.t
+            doubt[k] = self.gap_deviation(k, prior.root)
             if moment.is_inserted:
                 state = posterior_of_missed(filter_, change, prior)
-                continue
-            joint = filter_.joint_prior(change, prior, moment.clock)
-            joint = filter_.joint_posterior(change, joint)
-            early[k], x[k] = change.t - joint.t, joint.x
-            state = filter_.posterior(change, joint, math.inf if moment.until else 0.0)
+            else:
+                joint = filter_.joint_prior(change, prior, moment.clock)
+                joint = filter_.joint_posterior(change, joint)
+                early[k], x[k] = change.t - joint.t, followed(joint.x)
+                state = filter_.posterior(change, joint, math.inf if moment.until else 0.0)
+            followed(state.x)
         deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
         return Path(start, early, x, doubt, state.constants, deviations)
 

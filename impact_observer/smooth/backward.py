@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.errors import DynamicsError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -23,6 +24,7 @@ from impact_observer.kernel._kernel import falls_at
 from impact_observer.smooth.account import EventAccount, Moment
 from impact_observer.smooth.arc import Arc
 from impact_observer.smooth.chain import Normal
+from impact_observer.smooth.linearised import followed
 from impact_observer.smooth.smoother import smooth
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector
@@ -71,9 +73,17 @@ class Retracing:
     def account(self, known: EventAccount, first: int, x: Vector) -> EventAccount | None:
         """The account whose moments from the ``first`` on are those of ``known``.
 
-        ``x`` is about the state just before that moment, shape (2n,). None where the motion
-        cannot be followed back: a contact is closed, or instants are too vague.
+        ``x`` is about the state just before that moment, shape (2n,). Returns None if the motion
+        cannot be followed back: a contact is closed, instants are too vague, or the motion grows
+        beyond all bounds.
         """
+        try:
+            return self._followed_back(known, first, x)
+        except DynamicsError:
+            return None
+
+    def _followed_back(self, known: EventAccount, first: int, x: Vector) -> EventAccount | None:
+        """``account``; raises a DynamicsError if the motion grows beyond all bounds."""
         moments, clock = [*known.moments[first:]], known.moments[first].clock
         reported = [each for each in known.reported if each.change.stamp < moments[0].change.stamp]
         taken: set[int] = set()
@@ -122,7 +132,7 @@ class Retracing:
     def _gaps(self, t: float, x: Vector, s: float) -> Vector:
         """All gaps, ``s`` seconds after ``t``, where the state is ``x``."""
         system = self._filter.system
-        moved = self._moving.moved(t, x, s, ())[0]
+        moved = followed(self._moving.moved(t, x, s, ())[0])
         found: Vector = system.gap(moved[: system.n])
         return found
 

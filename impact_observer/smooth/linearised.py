@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics import Motion
+from impact_observer.errors import DynamicsError
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -32,6 +33,7 @@ from impact_observer.estimation.resting import (
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import Sensitivity
+from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
 from impact_observer.states import Matrix, Vector
@@ -40,6 +42,20 @@ IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
 _ROUNDED = 1e-13
 """Rounding of a state of the path, relative to its size."""
+
+
+def followed(x: Vector) -> Vector:
+    """The state ``x`` = (q, u), shape (2n,).
+
+    Raises:
+        DynamicsError: a coordinate or velocity is larger than any that is accepted of a user.
+    """
+    if not np.max(np.abs(x)) <= LARGEST_STATE:
+        raise DynamicsError(
+            f"the motion through the events grows beyond {LARGEST_STATE:g} m or m/s: is the model"
+            " another one, or the declared start or clock error wrong?"
+        )
+    return x
 
 
 class Path(NamedTuple):
@@ -242,13 +258,16 @@ class Linearised:
         H[:, : own.shape[1]] = own
         end = own.shape[1] + self._p
         H[:, own.shape[1] : end] = self.filter.measured_sensitivity(member, change, contacts, x, t)
-        if self.moments[k].is_inserted:
-            # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
-            falling = np.sqrt(np.abs(bend) * (np.abs(value) + path.doubt[k]))
-            H[:, 0] = np.maximum(np.maximum(H[:, 0], falling), STILL)
-        y = H[:, 1:] @ np.append(x, path.constants) - value
         scale = self._sizes(x) if change.hit else x
         floor = rows.rounding(scale, member.moving.forces(t)[0])
+        if self.moments[k].is_inserted:
+            # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
+            # A gap that stands still tells no instant: its error stays one that can be followed.
+            deviation = np.abs(value) + path.doubt[k]
+            falling = np.sqrt(np.abs(bend) * deviation)
+            least = (deviation + floor) / self.filter.farthest(change)
+            H[:, 0] = np.max([H[:, 0], falling, least], axis=0)
+        y = H[:, 1:] @ np.append(x, path.constants) - value
         return Step(np.eye(d), np.zeros(d), np.zeros((d, 0)), H, y, np.diag(floor))
 
     def _jump(self, path: Path, k: int) -> Step:

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, DynamicsError
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
@@ -83,6 +83,7 @@ def smoothed_runs(
     Raises:
         UsageError: an option cannot be used.
         BagError: no event could be applied.
+        DynamicsError: no motion explains the events, or one of them has no solution.
     """
     runs: dict[int, list[ImpactEvent]] = {}
     for each in placed(events, options.epoch):
@@ -228,7 +229,7 @@ class _Run:
             return best
         if reported.decisions not in tried:
             tried.add(reported.decisions)
-            best = max(best, self._evaluated(best.law, reported, best.epoch), key=_evidence)
+            best = self._likelier(best, best.law, reported, best.epoch)
         for _ in range(_MOST_ROUNDS):
             before = best
             best = self._refined(self._retraced(best, tried), tried, events)
@@ -252,7 +253,7 @@ class _Run:
             if account is None or account.decisions in tried:
                 continue
             tried.add(account.decisions)
-            best = max(best, self._evaluated(law, account, best.epoch), key=_evidence)
+            best = self._likelier(best, law, account, best.epoch)
         return best
 
     def _refined(
@@ -268,17 +269,37 @@ class _Run:
             if account.decisions in tried:
                 continue
             tried.add(account.decisions)
-            best = max(best, self._evaluated(law, account, observer.epoch), key=_evidence)
+            best = self._likelier(best, law, account, observer.epoch)
         return best
 
     def _tried(self, events: Sequence[ImpactEvent], about: Smoothed | None = None) -> "_Trial":
-        """The account of a filter that begins as declared, or ``about`` a smoothed start."""
+        """The account of a filter that begins as declared, or ``about`` a smoothed start.
+
+        If no motion explains that account, all events are taken as they were reported.
+        """
         epoch = self._options.epoch or self._events[0].epoch
         observer, law = self._observer(about, epoch)
-        return self._evaluated(law, self._account(observer, law, events), observer.epoch)
+        account = self._account(observer, law, events)
+        try:
+            return self._evaluated(law, account, observer.epoch)
+        except DynamicsError:
+            return self._evaluated(law, account.as_reported(), observer.epoch)
+
+    def _likelier(
+        self, best: "_Trial", law: TracedLaw, account: EventAccount, epoch: int
+    ) -> "_Trial":
+        """The best trial or that of another account, which may have no motion."""
+        try:
+            return max(best, self._evaluated(law, account, epoch), key=_evidence)
+        except DynamicsError:
+            return best
 
     def _evaluated(self, law: TracedLaw, account: EventAccount, epoch: int) -> "_Trial":
-        """An account with the motion that explains it best."""
+        """An account with the motion that explains it best.
+
+        Raises:
+            DynamicsError: the motion grows beyond all bounds, or an impact has no solution.
+        """
         whole = self._with_all_inputs(law, epoch)
         prior, begin = self._prior(whole, epoch), self._begin(epoch)
         arc = Arc(whole.filter, begin, prior, account.moments, account.samples)

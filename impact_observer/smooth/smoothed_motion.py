@@ -15,6 +15,7 @@ from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.misfit import MISFIT
+from impact_observer.estimation.uncertainty import LARGEST_DEVIATION
 from impact_observer.events import Ruling, SmoothedImpact
 from impact_observer.observer.belief import Belief, Parameters, Prediction
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
@@ -313,7 +314,8 @@ class SmoothedMotion:
         """By how much deviations are larger than those of a motion that explains the stamps."""
         squares = [each * each for each in self._residuals.values()]
         rms = math.sqrt(sum(squares) / len(squares)) if self.unexplained else 1.0
-        return max(1.0, rms, 1.0 if self.smoothed.is_settled else self.smoothed.change)
+        factor = max(1.0, rms, 1.0 if self.smoothed.is_settled else self.smoothed.change)
+        return min(factor, LARGEST_DEVIATION)
 
     @cached_property
     def misfit(self) -> str:

@@ -22,10 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from impact_observer.errors import DynamicsError
 from impact_observer.estimation.likelihood import STILL
+from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.chain import Chain, Normal, Step
-from impact_observer.smooth.linearised import Path
+from impact_observer.smooth.linearised import Path, followed
 
 SETTLED = 1e-3
 """Change of the path, in standard deviations, below which it is linearised no more."""
@@ -178,14 +180,18 @@ def smooth(
     """Smooth the motion through the moments of ``arc``.
 
     ``progress`` is called with the number of linearisations done, and the most that may be.
+
+    Raises:
+        DynamicsError: the motion grows beyond all bounds.
     """
     best = _gated(_settled(arc, arc.predicted(), progress), progress)
     if not arc.filter.system.guides:
         return best
     best, tried = _elsewhere(best, progress)
     for _ in range(_MOST_STARTS):
-        again = _gated(_settled(arc, arc.predicted(best.first), progress), progress)
-        if not again.is_better(best):
+        again = _begun(arc, best.first, progress)
+        again = again and _gated(again, progress)
+        if again is None or not again.is_better(best):
             break
         best = again
     return best._replace(rival=_rival(best, tried))
@@ -201,7 +207,9 @@ def _elsewhere(
     """
     arc, size = best.arc, 2 * best.arc.filter.system.n
     few = arc.beginning(_FEW_MOMENTS * size)
-    first = best if few is arc else _settled(few, few.predicted(), progress)
+    first = best if few is arc else _begun(few, None, progress)
+    if first is None:
+        return best, []
     shifts, tried = _AWAY * arc.first.deviations[:size], [first]
     ratio = arc.first.deviations[:size] / np.maximum(first.first.deviations[:size], STILL)
     shifts[ratio < _MORE] = 0.0
@@ -210,14 +218,13 @@ def _elsewhere(
     for i, sign in itertools.product(np.flatnonzero(shifts).tolist(), (1, -1)):
         mean = arc.first.mean.copy()
         mean[i] += sign * shifts[i]
-        tried.append(
-            _settled(few, few.predicted(Normal(mean, _NEARER * arc.first.root)), progress)
-        )
+        other = _begun(few, Normal(mean, _NEARER * arc.first.root), progress)
+        tried += [other] if other else []
     begin = max(tried, key=lambda each: (each.is_settled, each.evidence))
     if begin.is_better(first):
-        found = begin if few is arc else _settled(arc, arc.predicted(begin.first), progress)
-        found = _gated(found, progress)
-        best = found if found.is_better(best) else best
+        whole = begin if few is arc else _begun(arc, begin.first, progress)
+        whole = whole and _gated(whole, progress)
+        best = whole if whole and whole.is_better(best) else best
     return best, tried
 
 
@@ -231,6 +238,19 @@ def _rival(best: Smoothed, tried: Sequence[Smoothed]) -> Rival:
             odds = math.exp(min(each.evidence - most, 0.0))
             found = max(found, Rival(odds, far, len(each.arc.moments) - 1))
     return found
+
+
+def _begun(
+    arc: Arc, about: Normal | None, progress: Callable[[int, int], None]
+) -> Smoothed | None:
+    """The motion from the path of a filter that begins ``about`` a start.
+
+    Returns None if the motion grows beyond all bounds.
+    """
+    try:
+        return _settled(arc, arc.predicted(about), progress)
+    except DynamicsError:
+        return None
 
 
 def _gated(found: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
@@ -248,7 +268,12 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
     worse = 0
     best: Smoothed | None = None
     for rounds in range(1, MOST_ROUNDS + 1):
-        first, known, chain = _linear(arc, path)
+        try:
+            first, known, chain = _linear(arc, path)
+        except DynamicsError:
+            if best is None:
+                raise
+            break
         better, change = _improved(arc, path, first, known)
         progress(rounds, MOST_ROUNDS)
         worse += 1
@@ -257,7 +282,7 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
             chance = float(special.chdtrc(max(chain.rows, 1), chain.squares))
             best = Smoothed(arc, path, first, known, evidence, chance, change, rounds)
             worse = 0
-        if best.change <= SETTLED or worse == _MOST_WORSE or not math.isfinite(change):
+        if best.change <= SETTLED or worse == _MOST_WORSE or better is None:
             break
         path = better
     assert best is not None, "there was a round"
@@ -278,7 +303,11 @@ def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iter
 
 
 def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
-    """The first state, those at all nodes, and their chain, linearised about ``path``."""
+    """The first state, those at all nodes, and their chain, linearised about ``path``.
+
+    Raises:
+        DynamicsError: the smoothed motion grows beyond all bounds.
+    """
     nodes = arc.nodes(path)
     first, known = arc.first, KnownStates(nodes, 1 + arc.first.mean.size)
 
@@ -288,6 +317,8 @@ def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
     is_small = len(nodes) * arc.first.root.size <= _FEW_NUMBERS
     chain = Chain(arc.first, len(nodes), cache(step) if is_small else step)
     for i, z in chain.states():
+        begin = 0 if i < 0 or nodes[i].is_after else 1
+        followed(z.mean[begin : begin + 2 * arc.filter.system.n])
         if i < 0:
             first = z
         else:
@@ -295,10 +326,12 @@ def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
     return first, known, chain
 
 
-def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[Path, float]:
+def _improved(
+    arc: Arc, path: Path, first: Normal, known: KnownStates
+) -> tuple[Path | None, float]:
     """The path of the smoothed motion, and how far it is from ``path``, in deviations.
 
-    The distance is infinite where the motion is not finite.
+    The path is None if its states grow beyond all bounds.
     """
     early, x, doubt, largest = path.early.copy(), path.x.copy(), path.doubt.copy(), 0.0
     constants = path.constants
@@ -308,11 +341,11 @@ def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[
         if node.is_after:
             continue
         k, z = node.moment, known.at(node)
-        if not np.isfinite(z.mean).all():
-            return path, math.inf
         doubt[k] = arc.gap_deviation(k, z.root[1:])
         constants = z.mean[1 + x.shape[1] :]
-        e = min(max(float(z.mean[0]), -float(room[k + 1])), float(room[k]))
+        farthest = arc.filter.farthest(arc.moments[k].change)
+        on, back = min(float(room[k + 1]), farthest), min(float(room[k]), farthest)
+        e = min(max(float(z.mean[0]), -on), back)
         early[k] += e
         is_measured = not arc.moments[k].is_inserted
         now = z.mean[1 : 1 + x.shape[1]]
@@ -322,6 +355,8 @@ def _improved(arc: Arc, path: Path, first: Normal, known: KnownStates) -> tuple[
         # Of an inserted moment in a chattering sequence the instant is rounding.
         far = np.abs(moved) / np.maximum(deviations, STILL)
         largest = max(largest, float(np.max(far)) * is_measured)
+    if not np.max(np.abs(x), initial=0.0) <= LARGEST_STATE:
+        return None, largest
     start = first.mean[: x.shape[1]]
     nothing = np.zeros((constants.size, 0))
     constants = arc.filter.members.parameters.bounded(constants, nothing, 0)

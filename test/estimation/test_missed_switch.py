@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import sample, system
+from systems import chain, forcing, sample, system
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import Extent, FilterBank
@@ -84,6 +84,24 @@ def test_missed_impact_that_is_early_jumps_at_its_own_root() -> None:
     expected = thrown(model, t, x[None], 0)[0]
     np.testing.assert_allclose(state.x, expected, atol=1e-6)
     np.testing.assert_allclose(state.x[1], 0.499 - 1e-3, atol=2e-2)
+
+
+@pytest.mark.parametrize("closed", [(), (1,)])
+def test_missed_impact_of_a_gap_that_stands_still_has_a_finite_state(
+    closed: tuple[int, ...],
+) -> None:
+    """Neither a speed nor an acceleration tells when: some time constants bound the error.
+
+    Three bodies in a row, of which the one in the middle is pushed; by the kernel, and while
+    another contact is closed by the general methods.
+    """
+    contacts = [([1.0, 0.0, 0.0], 0.0, 0.5), ([0.0, 0.0, 1.0], 0.0, 0.5)]
+    push = forcing(3, [0.0, 1.0, 0.0])
+    filter_ = ImpactFilter(chain(3, damping=2.0, contacts=contacts, force=push))
+    state = filter_.begin(GaussianState.of(np.zeros((1, 6)), 0.1 * np.eye(6), closed))
+    after = posterior_of_missed(filter_, ContactChange(1.0, closed, (0,), closed), state)
+    assert np.all(np.abs(after.x) < 100.0)
+    assert np.all(np.linalg.norm(after.root, axis=1) < 1000.0)
 
 
 def between_stops() -> tuple[System, GaussianState]:

@@ -2,6 +2,7 @@
 """Smoothed recordings: against a fit of simulated instants, and the filter where both agree."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from conditioning import conditioned
 from scipy import optimize
 from systems import EPOCH, sample
 
+from impact_observer.errors import DynamicsError
 from impact_observer.events import ImpactEvent, Ruling, Switch
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.measurement import Measurement
@@ -43,6 +45,16 @@ springs:
 forces: [{body: x2, constant: 4}, {body: x1, amplitude: 6, frequency: 3.1}]
 stops: [{name: stop, body: x2, limit: 0.1, side: above, restitution: 0.4}]
 initial_state: {position: [0.05, -0.2], velocity: [0.4, 0]}
+"""
+
+DRILL = """
+name: drill
+bodies: [{name: machine, mass: 1.2}, {name: bit, mass: 0.4}]
+springs:
+  - {between: [ground, machine], stiffness: 2000, damping: 12}
+  - {between: [machine, bit], stiffness: 9000, damping: 6}
+forces: [{body: machine, amplitude: 60, frequency: 125.6637}]
+stops: [{name: anvil, body: bit, limit: 0.001, side: above, restitution: 0.6}]
 """
 
 
@@ -461,6 +473,39 @@ def test_impacts_that_no_motion_explains_are_warned_of() -> None:
     for each in states(motion, [0.0, 3.0, 9.5, 12.0]):
         assert np.all(np.isfinite(np.append(each.q, each.u)))
         assert not each.synchronized
+
+
+def test_an_account_in_which_a_gap_that_stands_still_hits_is_no_obstacle() -> None:
+    """A filter inserts impacts at the epoch, where the declared start stands still.
+
+    The stamps are those of a simulated drill with a restitution of 0.6.
+    """
+    system = parse_model(DRILL, "drill").system
+    microseconds = [12592, 112450, 169441, 260199, 273792, 362570, 380665, 463168]
+    events = [
+        ImpactEvent(EPOCH + 1000 * each, (Switch("anvil"),), k + 1)
+        for k, each in enumerate(microseconds)
+    ]
+    options = Options(
+        law="minimum-variance",
+        clock_error=5e-6,
+        epoch=EPOCH,
+        estimate_parameters=("restitution=0.01",),
+    )
+    motion = smoothed(system, events, options)
+    ((_, value, deviation),) = motion.parameters
+    assert abs(value - 0.6) < 3 * deviation < 0.01
+    made = states(motion, [0.0, 0.1, 0.2, 0.3, 0.4])
+    assert np.all(np.isfinite([[*each.q, *each.u] for each in made]))
+    assert np.all(np.isfinite([each.covariance for each in made]))
+
+
+def test_a_motion_that_grows_beyond_all_bounds_ends_with_one_line() -> None:
+    """A ball that has fallen for a day before its first reported impact."""
+    ball = sample("bouncing_ball").system
+    events = [ImpactEvent(EPOCH + 86400 * NS_PER_S, (Switch("floor"),), 1)]
+    with pytest.raises(DynamicsError, match=r"grows beyond 1e\+09 m"):
+        smoothed(ball, events, replace(SURE, epoch=EPOCH))
 
 
 @pytest.mark.slow
