@@ -4,7 +4,6 @@
 import html
 import sys
 import unicodedata
-from math import floor, inf, isfinite, log10
 from typing import TextIO
 
 _CONTROL = {"Cc", "Cf", "Cs", "Zl", "Zp"}
@@ -34,21 +33,6 @@ def printable_lines(text: str) -> str:
 def markup(text: str) -> str:
     """``text`` for XML or HTML."""
     return html.escape(printable(text))
-
-
-def with_deviation(value: float, deviation: float) -> str:
-    """A value to the second digit of its standard deviation, such as ``0.7006 +- 0.0039``.
-
-    Where the deviation is 0, as of what is at its bound, there is the value alone.
-    """
-    if not (isfinite(value) and 0 < deviation < inf):
-        return f"{value:.3g}"
-    spread = f"{deviation:.2g}"
-    last = floor(log10(float(spread))) - 1  # the place of its second digit
-    first = floor(log10(abs(value))) if value else last
-    digits = min(max(first - last + 1, 1), 15)
-    shown = f"{value:#.{digits}g}".replace(".e", "e").rstrip(".")
-    return f"{shown} +- {spread}"
 
 
 def say(text: str, *, file: TextIO | None = None) -> None:

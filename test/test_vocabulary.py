@@ -11,7 +11,6 @@ from systems import examples
 
 from impact_observer import errors, resources
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
-from impact_observer.plain_text import with_deviation
 from impact_observer.stamps import (
     MAX_STAMP,
     NS_PER_S,
@@ -159,30 +158,3 @@ def test_missing_shared_file_is_named() -> None:
     """The error says what to do."""
     with pytest.raises(errors.UsageError, match=r"config/no\.yaml: .*reinstall"):
         resources.shared("config/no.yaml")
-
-
-@given(
-    value=st.floats(-1e9, 1e9),
-    deviation=st.floats(1e-12, 1e9),
-)
-@examples(200)
-def test_values_are_shown_to_the_second_digit_of_their_deviation(
-    value: float, deviation: float
-) -> None:
-    """Nothing that says something is cut off, and no digit that says nothing is shown."""
-    shown, sign, spread = with_deviation(value, deviation).split()
-    assert sign == "+-"
-    assert float(spread) == pytest.approx(deviation, rel=0.06)
-    assert (
-        abs(float(shown) - value) <= 0.06 * deviation + 1e-14 * abs(value)
-        or abs(value) < 0.6 * deviation
-    )
-    digits = len(shown.partition("e")[0].replace("-", "").replace(".", "").lstrip("0"))
-    assert digits <= max(np.log10(abs(value) / deviation) + 3 if value else 0, 1)
-
-
-def test_values_without_a_deviation_are_shown_alone() -> None:
-    """As those of parameters at their bounds."""
-    assert with_deviation(0.0, 0.0) == "0"
-    assert with_deviation(2.88675135e-10, 0.0) == "2.89e-10"
-    assert with_deviation(0.70061256, 0.0039) == "0.7006 +- 0.0039"

@@ -15,11 +15,10 @@ from impact_observer.check.findings import (
     SEVERITIES,
     WARNING,
     Finding,
-    listed,
-    times,
 )
 from impact_observer.check.salvage import Salvage, summary
 from impact_observer.check.state_checks import StateCheck
+from impact_observer.draw.reports import counted, listed
 from impact_observer.errors import BagError, ModelError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo
@@ -230,7 +229,7 @@ class BagCheck:
             remedy = f"play the bag with {others[0]} as /impacts, and record that"
         elif sensors:
             remedy = "detect can make them of its sensors"
-        found = f"no impacts; topics in the bag: {listed(topics)}"
+        found = f"no impacts; topics in the bag: {listed(topics, joint=', ')}"
         wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
         yield Finding(ERROR, self._name, found, wanted, remedy)
         detect = f"impact-observer detect {quote(str(self._path))} --contact NAME --topic"
@@ -246,7 +245,7 @@ class BagCheck:
             if not info.definition and info.type not in self._store.fielddefs
         ]
         if undefined:
-            found = f"no definition of the messages on {listed(undefined)}"
+            found = f"no definition of the messages on {listed(undefined, joint=', ')}"
             remedy = (
                 "they can be copied and played, not read; MCAP and Jazzy bags have definitions"
             )
@@ -264,7 +263,7 @@ def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | No
         return None, [Finding(ERROR, " and ".join(fitting), found, "one of them", remedy)]
     topic = own.topic if own.topic in fitting else fitting[0]
     others = [each for each in fitting if each != topic]
-    notes = [Finding(NOTE, listed(others), f"not used; {topic} is")] if others else []
+    notes = [Finding(NOTE, listed(others, joint=", "), f"not used; {topic} is")] if others else []
     if (kind := topics[topic].type) != own.type:
         remedy = "detect makes impacts of such a topic" if kind in _SENSORS else ""
         return None, [*notes, Finding(ERROR, topic, f"is {kind}", own.type, remedy)]
@@ -288,7 +287,7 @@ def _damage(source: Salvage, reason: str) -> Iterator[Finding]:
         yield Finding(WARNING, name, f"{more} more places are damaged")
     for topic, count in sorted(source.counts.items()):
         until = text(source.last[topic])
-        yield Finding(NOTE, topic, f"{times(count, 'message')} can be read, up to {until} s")
+        yield Finding(NOTE, topic, f"{counted(count, 'message')} can be read, up to {until} s")
 
 
 def _journals(path: Path) -> Iterator[Finding]:

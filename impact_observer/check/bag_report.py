@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The result of a bag check: its values for ``--json``, and its lines of text."""
 
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from rich.text import Text
-
-from impact_observer.check.findings import ERROR, SEVERITIES, Finding, times
-from impact_observer.draw.text_tables import console, facts_table
-
-_STYLES = {"error": "bold red", "warning": "yellow", "note": "dim"}
+from impact_observer.check.findings import ERROR, SEVERITIES, Finding
+from impact_observer.draw.reports import counted, listed, print_facts
+from impact_observer.plain_text import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +43,10 @@ class Report:
         }
 
     def print(self) -> None:
-        """Print each finding as one line; on a terminal folded beside its severity."""
-        output = console()
-        if sys.stdout.isatty():
-            rows = [(Text(f.severity, _STYLES[f.severity]), f.line) for f in self.findings]
-            output.print(facts_table(rows))
-        else:
-            for each in self.findings:
-                output.print(f"{each.severity:7}  {each.line}", soft_wrap=True)
+        """Print each finding beside its severity, and whether an observer can use the bag."""
+        print_facts((each.severity, each.line) for each in self.findings)
         counts = Counter(each.severity for each in self.findings)
-        found = ", ".join(times(counts[s], s) for s in SEVERITIES if counts[s])
+        found = listed(counted(counts[s], s) for s in SEVERITIES if counts[s])
         usable = "an observer can use it" if self.usable else "no observer can use it"
-        verdict = f"{usable} ({found or 'no findings'})"
-        output.print(f"{self.path}: {verdict}", soft_wrap=True)
+        verdict = f"{usable} ({found if self.findings else 'no findings'})"
+        say(f"{self.path}: {verdict}")

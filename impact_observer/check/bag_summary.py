@@ -10,8 +10,7 @@ from typing import Any
 
 from rich.filesize import decimal
 
-from impact_observer.check.findings import times
-from impact_observer.draw.text_tables import console, facts_table, fitted, plain_table
+from impact_observer.draw.reports import TextTable, counted, print_facts, print_table
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
@@ -19,6 +18,7 @@ from impact_observer.io.mcap_layout import summary_of
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of
+from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 
 _WINDOW = 20_000
@@ -216,17 +216,20 @@ def _law(reader: BagReader, prefix: str) -> str:
 
 def print_summary(summary: BagSummary) -> None:
     """Print one line for each fact, and a table of topics."""
-    output = console()
-    output.print(facts_table(_facts(summary)))
-    topics = plain_table(
-        "topic", "type", "count", "Hz", "quality", names=("topic", "type"), words=("quality",)
-    )
-    for topic in summary.topics:
-        rate = "" if topic.rate is None else f"{topic.rate:.4g}"
-        short = topic.type.replace("/msg/", "/")
-        topics.add_row(topic.name, short, str(topic.count), rate, _quality(topic))
-    output.print()
-    output.print(fitted(topics, output.width))
+    print_facts(_facts(summary))
+    say("")
+    headings = ("topic", "type", "count", "Hz", "quality")
+    rows = [
+        (
+            topic.name,
+            topic.type.replace("/msg/", "/"),
+            str(topic.count),
+            "" if topic.rate is None else f"{topic.rate:.4g}",
+            _quality(topic),
+        )
+        for topic in summary.topics
+    ]
+    print_table(TextTable(headings, rows, words=("type", "quality")))
 
 
 def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
@@ -241,7 +244,7 @@ def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
         yield "chunks", f"{chunks['count']}, {stored}"
     if summary.messages:
         yield "time", f"{text(summary.start)} to {text(summary.end)} s"
-    yield "duration", f"{summary.duration:.6g} s, {times(summary.messages, 'message')}"
+    yield "duration", f"{summary.duration:.6g} s, {counted(summary.messages, 'message')}"
     if summary.model:
         yield "model", _origin(summary.model)
         if isinstance(faults := summary.model.get("sensor"), Mapping):

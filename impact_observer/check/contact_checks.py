@@ -5,8 +5,9 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences, listed, times
+from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences
 from impact_observer.check.hit_times import FAST, HitTimes, too_slow
+from impact_observer.draw.reports import counted, listed
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S
@@ -155,17 +156,18 @@ class ContactCheck:
         own = system.contact_names
         unknown = [name for name in self._contacts if name not in own]
         if unknown and len(unknown) == len(self._contacts):
-            found = f"none of its contacts ({listed(unknown)}) is one of the model {system.name}"
+            names = listed(unknown, joint=", ")
+            found = f"none of its contacts ({names}) is one of the model {system.name}"
             remedy = "name the model of this rig with --model"
-            yield Finding(ERROR, self._topic, found, listed(own), remedy)
+            yield Finding(ERROR, self._topic, found, listed(own, joint=", "), remedy)
             return
         for name in unknown[:_MOST_LINES]:
-            events = times(self._contacts[name].switches, "event")
+            events = counted(self._contacts[name].switches, "event")
             yield Finding(
                 WARNING,
                 f"{self._topic} {name}",
                 f"{events} of a contact that the model {system.name} does not have",
-                f"one of {listed(own)}",
+                f"one of {listed(own, joint=', ')}",
                 "they are not applied; rename it in the model or at the sender",
             )
         for name in [each for each in own if each not in self._contacts][:_MOST_LINES]:

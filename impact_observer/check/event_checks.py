@@ -8,7 +8,8 @@ from functools import partial
 from typing import Any
 
 from impact_observer.check.contact_checks import CONTACT_FAULTS, ContactCheck
-from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurrences, times
+from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurrences
+from impact_observer.draw.reports import counted
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import System
 from impact_observer.observer.event_order import NEAR_STAMPS
@@ -215,7 +216,7 @@ class EventCheck:
                 "was the sender running, and was it subscribed to reliably, transient local?",
             )
         for invalid in self._invalid.values():
-            found = f"{times(invalid.count, 'message')} cannot be used, the first is"
+            found = f"{counted(invalid.count, 'message')} cannot be used, the first is"
             remedy = "mend the sender and record again"
             yield Finding(ERROR, self.topic, f"{found} {invalid.first}", remedy=remedy)
         if self.valid:
@@ -232,8 +233,8 @@ class EventCheck:
             if count := self._found[name].count:
                 found = what.format(
                     count=count,
-                    events=times(count, "event"),
-                    messages=times(count, "message"),
+                    events=counted(count, "event"),
+                    messages=counted(count, "message"),
                     first=self._found[name].first,
                     back=self._largest_step_back / NS_PER_S,
                 )
@@ -248,7 +249,7 @@ class EventCheck:
             yield Finding(
                 WARNING,
                 self.topic,
-                f"{times(count, 'event')} missing by the sequence numbers, the first is number"
+                f"{counted(count, 'event')} missing by the sequence numbers, the first is number"
                 f" {number}, before {text(stamp)} s",
                 remedy="record with reliable quality of service and a depth of 2000",
             )

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings of a bag check: how severe, what was found, what was expected, and the remedy."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 ERROR, WARNING, NOTE = SEVERITIES = ("error", "warning", "note")
@@ -54,16 +53,3 @@ class Occurrences:
         """Count one more, at the place ``where``."""
         self.count += 1
         self.first = self.first or where
-
-
-def times(count: int, word: str, plural: str = "s") -> str:
-    """``1 event``, ``2 events``; ``plural`` is the ending."""
-    return f"{count} {word}{'' if count == 1 else plural}"
-
-
-def listed(names: Iterable[str], most: int = 8) -> str:
-    """Names separated by commas, at most ``most``; then how many more there are."""
-    shown = [*names]
-    if len(shown) > most:
-        shown = [*shown[: most - 1], f"{len(shown) - most + 1} more"]
-    return ", ".join(shown) or "none"

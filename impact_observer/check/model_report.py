@@ -6,28 +6,32 @@ from math import isfinite, tau
 from typing import NamedTuple
 
 import numpy as np
-from rich.table import Table
 
-from impact_observer.check.findings import times
 from impact_observer.check.forced_motion import forced_motion
 from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_findings import findings
-from impact_observer.draw.text_tables import console, facts_table, plain_table
+from impact_observer.draw.reports import (
+    TextTable,
+    counted,
+    listed,
+    print_facts,
+    print_table,
+)
 from impact_observer.model import Forcing, System
 from impact_observer.model.grounds import MovingFrame
+from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
 _FORCE = "force on "
 _FORCES = {"m": ("N", "kg"), "rad": ("N m", "kg m^2")}
-"""Units of forces and masses, by that of the coordinates where it is known."""
+"""Units of forces and masses by the unit of the coordinates, where all have one."""
 _ENDS = 4
 """Rows shown at either end of a long table."""
 
 
 def for_json(checked: ModelCheck) -> dict[str, object]:
-    """What ``--json`` prints; SI units, contacts by name, None for what is not decided."""
+    """The values of ``--json``: SI units, contacts by name, None for an undecided question."""
     system = checked.system
-
     motion = forced_motion(system)
 
     def names(contacts: Iterable[int]) -> list[str]:
@@ -54,7 +58,7 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             {"decay": abs(value.real), "frequency": value.imag, "shape": shape.tolist()}
             for value, shape in checked.unseen
         ],
-        "excitations": [each._asdict() for each in _excitations(system)],
+        "excitations": [excitation._asdict() for excitation in _excitations(system)],
         "contacts": [
             {
                 "name": c.name,
@@ -77,50 +81,53 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
         "nonexpansive": checked.nonexpansive,
         "expansive": [
             {
-                "contacts": names(each.contacts),
-                "factor": each.factor,
-                "contact_speeds": [each.one.tolist(), each.two.tolist()],
+                "contacts": names(growth.contacts),
+                "factor": growth.factor,
+                "contact_speeds": [growth.one.tolist(), growth.two.tolist()],
             }
-            for each in checked.growths
+            for growth in checked.growths
         ],
-        "findings": [finding._asdict() for finding in findings(checked)],
+        "findings": [remark._asdict() for remark in findings(checked)],
     }
 
 
 def _finite(values: Vector) -> list[float | None]:
-    """The values; None for what is not known, or grows without bound."""
+    """Finite values; None for an unknown value or one that grows without bound."""
     return [value if isfinite(value) else None for value in values.tolist()]
 
 
 def print_check(checked: ModelCheck) -> None:
-    """Print tables and findings."""
-    output, system = console(100), checked.system
-    output.print(
-        f"{system.name}: {times(system.n, 'coordinate')}, {times(system.m, 'contact')},"
+    """Print the tables of a model and the remarks on it."""
+    system = checked.system
+    say(
+        f"{system.name}: {counted(system.n, 'coordinate')}, {counted(system.m, 'contact')},"
         f" {_forcing(system.own_forcing)}; SI units"
     )
     if system.frame is not None:
-        output.print(f"moving grounds: {', '.join(_grounds(system.frame))}")
-    for table in (*_tables(checked), facts_table(findings(checked))):
-        output.print()
-        output.print(table)
+        say(f"moving grounds: {listed(_grounds(system.frame))}")
+    for table in _tables(checked):
+        say("")
+        print_table(table)
+    say("")
+    print_facts(findings(checked))
 
 
 def _forcing(forcing: Forcing) -> str:
-    parts = [
+    """The kinds of forces, in words."""
+    kinds = [
         *(["constant force"] if forcing.constant.any() else []),
-        *([times(forcing.frequency.size, "harmonic")] if forcing.frequency.size else []),
+        *([counted(forcing.frequency.size, "harmonic")] if forcing.frequency.size else []),
         *([f"sampled force to {forcing.end:g} s"] if forcing.sampled is not None else []),
     ]
-    return f"forcing: {', '.join(parts) or 'none'}"
+    return f"forcing: {listed(kinds)}"
 
 
 def _grounds(frame: MovingFrame) -> Iterator[str]:
-    """What moves, how, and which contacts with it."""
+    """Names of moving grounds, each with the form of its motion."""
     grounds = frame.grounds
     for k, name in enumerate(grounds.names):
         harmonics = grounds.owner.count(k)
-        yield f"{name} ({times(harmonics, 'harmonic') if harmonics else 'a table'})"
+        yield f"{name} ({counted(harmonics, 'harmonic') if harmonics else 'a table'})"
 
 
 class _Excitation(NamedTuple):
@@ -132,7 +139,7 @@ class _Excitation(NamedTuple):
 
 
 def _excitations(system: System) -> Iterator[_Excitation]:
-    """All of them: constants, harmonics of forces, then of grounds."""
+    """All excitations: constants, harmonics of forces, then harmonics of grounds."""
     frame, forcing = system.frame, system.own_forcing
     for name, value in zip(system.coordinates, forcing.constant.tolist(), strict=True):
         if value:
@@ -147,7 +154,7 @@ def _excitations(system: System) -> Iterator[_Excitation]:
             yield _Excitation(names[i], float(amplitudes[k, i]), float(motion.frequency[k]))
 
 
-def _tables(checked: ModelCheck) -> Iterator[Table]:
+def _tables(checked: ModelCheck) -> Iterator[TextTable]:
     """Forces and grounds, frequencies without damping, modes with damping, contacts."""
     length = checked.system.unit if checked.system.unit in _FORCES else ""
     of_force, of_mass = _FORCES.get(length, ("", ""))
@@ -160,12 +167,12 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
         for name, amplitude, omega in _excitations(checked.system)
     ]
     if excitations:
-        yield _table(("excitation", "amplitude", "rad/s", "Hz"), excitations)
+        yield _shortened(("excitation", "amplitude", "rad/s", "Hz"), excitations)
     undamped = [
-        (str(i), f"{omega:.6g}", f"{omega / tau:.6g}", "" if omega else "rigid body")
+        (str(i) if omega else f"{i} (rigid body)", f"{omega:.6g}", f"{omega / tau:.6g}")
         for i, omega in enumerate(checked.undamped, start=1)
     ]
-    yield _table(("without damping", "rad/s", "Hz", ""), undamped)
+    yield _shortened(("without damping", "rad/s", "Hz"), undamped)
     modes = [
         (
             str(i),
@@ -180,37 +187,40 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
         ("overdamped" if rate else "free", "", "", "", f"{-1 / rate:.4g}" if rate else "never")
         for rate in reversed(checked.rates)
     ]
-    yield _table(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
-    if contacts := checked.system.contacts:
-        motion = forced_motion(checked.system)
-        known = (checked.effective_mass, motion.rest, motion.swing, motion.speed)
-        rows = [
-            (
-                c.name,
-                f"{c.gap:g}",
-                c.curve.text if c.curve else f"{c.restitution:g}",
-                *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact),
-            )
-            for c, of_contact in zip(contacts, np.transpose(known).tolist(), strict=True)
-        ]
-        speed = f"{length}/s" if length else ""
-        headings = (
-            ("contact", ""),
-            ("gap", length),
-            ("restitution", ""),
-            ("eff. mass", of_mass),
-            ("under load", length),
-            ("swing", length),
-            ("at" if speed else "at speed", speed),
+    yield _shortened(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
+    if checked.system.contacts:
+        yield _contact_table(checked, length, of_mass)
+
+
+def _contact_table(checked: ModelCheck, length: str, of_mass: str) -> TextTable:
+    """The contacts: gap, restitution, effective mass, and the motion of the gap."""
+    contacts, motion = checked.system.contacts, forced_motion(checked.system)
+    computed = np.transpose([checked.effective_mass, motion.rest, motion.swing, motion.speed])
+    rows = [
+        (
+            contact.name,
+            f"{contact.gap:g}",
+            contact.curve.text if contact.curve else f"{contact.restitution:g}",
+            *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact),
         )
-        yield _table([f"{name} [{unit}]" if unit else name for name, unit in headings], rows)
+        for contact, of_contact in zip(contacts, computed.tolist(), strict=True)
+    ]
+    speed = f"{length}/s" if length else ""
+    headings = (
+        ("contact", ""),
+        ("gap", length),
+        ("restitution", ""),
+        ("eff. mass", of_mass),
+        ("under load", length),
+        ("swing", length),
+        ("at" if speed else "at speed", speed),
+    )
+    return _shortened([f"{name} [{unit}]" if unit else name for name, unit in headings], rows)
 
 
-def _table(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
-    """A table; of a long one the first and last rows."""
-    table = plain_table(*headings, names=(headings[0], ""))
+def _shortened(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> TextTable:
+    """A table; of a long one the first and the last rows."""
     if (left_out := len(rows) - 2 * _ENDS) > 1:
-        rows = [*rows[:_ENDS], (f"... {left_out} more in --json",), *rows[-_ENDS:]]
-    for row in rows:
-        table.add_row(*row)
-    return table
+        gap = (f"... {left_out} more in --json", *[""] * (len(headings) - 1))
+        rows = [*rows[:_ENDS], gap, *rows[-_ENDS:]]
+    return TextTable(headings, rows)

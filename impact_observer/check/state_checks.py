@@ -9,9 +9,8 @@ from impact_observer.check.findings import (
     WARNING,
     Finding,
     Occurrences,
-    listed,
-    times,
 )
+from impact_observer.draw.reports import counted, listed
 from impact_observer.errors import BagError
 from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
 from impact_observer.io.reader import RawMessage
@@ -62,7 +61,7 @@ class StateCheck:
         self._previous = state.stamp
         self._names = self._names or state.names
         if len(set(state.names)) < len(state.names) or set(state.names) != set(self._names):
-            self._renamed.add(f"{where}: {listed(state.names)}")
+            self._renamed.add(f"{where}: {listed(state.names, joint=', ')}")
         self.first = min(self.first or state.stamp, state.stamp)
         self.last = max(self.last, state.stamp)
 
@@ -79,18 +78,19 @@ class StateCheck:
                 yield Finding(
                     ERROR,
                     self.topic,
-                    f"{times(fault.count, 'message')} {have} {what}, the first is {fault.first}",
+                    f"{counted(fault.count, 'message')} {have} {what}, the first is {fault.first}",
                     "one finite position and velocity for every coordinate, the same throughout",
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
         if self._far.count:
-            jumps = times(self._far.count, "jump")
+            jumps = counted(self._far.count, "jump")
             found = f"{jumps} of the stamps, the first is {self._far.first}"
             remedy = "observe --rate makes estimates up to the last stamp; record again"
             yield Finding(WARNING, self.topic, found, "stamps of one clock", remedy)
         if self._names and system is not None and set(self._names) != set(system.coordinates):
-            found = f"states of {listed(self._names)}"
-            wanted = f"the coordinates {listed(system.coordinates)} of the model {system.name}"
+            found = f"states of {listed(self._names, joint=', ')}"
+            coordinates = listed(system.coordinates, joint=", ")
+            wanted = f"the coordinates {coordinates} of the model {system.name}"
             remedy = "compare cannot use them; name the model's coordinates alike"
             yield Finding(WARNING, self.topic, found, wanted, remedy)
         if events is not None and self.last:

@@ -84,9 +84,9 @@ def salvage_bag(bag: Path, output: Path, *, json: bool = False) -> int:
         UsageError: there is no bag, or something is at ``output`` already.
         BagError: nothing can be read, or the new bag cannot be written.
     """
-    from impact_observer.check.findings import times
     from impact_observer.check.salvage import Salvage, salvage
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.reports import counted
     from impact_observer.io import BagReader
     from impact_observer.stamps import text
 
@@ -104,7 +104,7 @@ def salvage_bag(bag: Path, output: Path, *, json: bool = False) -> int:
     for loss in losses:
         say(f"lost: {loss}")
     for topic, count in counts.items():
-        say(f"{topic}: {times(count, 'message')}, up to {text(source.last[topic])} s")
-    total = times(sum(counts.values()), "message")
+        say(f"{topic}: {counted(count, 'message')}, up to {text(source.last[topic])} s")
+    total = counted(sum(counts.values()), "message")
     say(f"{output}: {total}; now impact-observer check {output}")
     return 0

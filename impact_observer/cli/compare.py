@@ -190,14 +190,14 @@ def _warn_of_unknown_contacts(
     results: "Sequence[tuple[Path, BagComparison]]", lines: TextIO
 ) -> None:
     """Print a line for each contact that has impacts and is none of the model's."""
-    from impact_observer.check.findings import listed, times
+    from impact_observer.draw.reports import counted, listed
 
     for bag, result in results:
         own = result.system.contact_names
         for name in [each for each in result.impacts if each not in own][:_MOST_LINES]:
-            found = f"{bag}: {times(result.impacts[name].size, 'impact')} of {name}, a contact"
+            found = f"{bag}: {counted(result.impacts[name].size, 'impact')} of {name}, a contact"
             found += f" that the model {result.system.name} does not have"
-            say(f"warning: {found}; expected one of {listed(own)}", file=lines)
+            say(f"warning: {found}; expected one of {listed(own, joint=' or ')}", file=lines)
 
 
 def _compare_one(

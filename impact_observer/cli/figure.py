@@ -98,11 +98,11 @@ def figure(
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_picture
-    from impact_observer.compare.error_tables import print_blindness, table_of_laws
+    from impact_observer.compare.error_tables import seminorm_remarks, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
-    from impact_observer.draw.text_tables import console, fitted
+    from impact_observer.draw.reports import print_facts, print_table
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
@@ -129,9 +129,8 @@ def figure(
         found = {law: metrics_of(each) for law, each in comparisons.items()}
         say(json_module.dumps(found, indent=2))
         return 0
-    terminal = console()
-    terminal.print(fitted(table_of_laws(DISTANCE, comparisons), terminal.width))
-    print_blindness(comparisons)
+    print_table(table_of_laws(DISTANCE, comparisons))
+    print_facts(seminorm_remarks(comparisons))
     say(f"picture: {output}")
     return 0
 

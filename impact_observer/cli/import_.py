@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _summary(imported: "Imported") -> str:
     """An import in one line."""
-    from impact_observer.check.findings import times
+    from impact_observer.draw.reports import counted
     from impact_observer.stamps import text
 
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"
@@ -78,7 +78,7 @@ def _summary(imported: "Imported") -> str:
     epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
     if not (imported.epoch or imported.start):
         epoch += ", as a stamp of 0 is none (--start 1 makes time 0 a stamp)"
-    events = f"{times(imported.events, 'event')} of {times(imported.rows, 'row')}"
+    events = f"{counted(imported.events, 'event')} of {counted(imported.rows, 'row')}"
     events += f", times in {imported.unit}"
     states = f", {imported.states} true states" if imported.states else ""
     return f"{events}{states}, {span}; {zero}, {epoch}"

@@ -145,8 +145,8 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
 
 def parameter_lines(observer: "Observer") -> "Iterator[str]":
     """What an observer has estimated besides the state, after its last event."""
+    from impact_observer.draw.reports import figure
     from impact_observer.model.free_parameters import with_unit
-    from impact_observer.plain_text import with_deviation
 
     if not observer.last_event:
         return
@@ -156,4 +156,4 @@ def parameter_lines(observer: "Observer") -> "Iterator[str]":
     for name, value, deviation in observer.estimate(observer.last_event).parameters:
         is_learned = deviation < _UNDETERMINED * prior.get(name, float("inf"))
         words = "learned" if is_learned else "not determined by these impacts"
-        yield f"{words}: {with_unit(name)} {with_deviation(value, deviation)}"
+        yield f"{words}: {with_unit(name)} {figure(value, deviation=deviation)}"

@@ -38,12 +38,12 @@ def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.reports import figure
     from impact_observer.io.observed_bag import MOST_ESTIMATES
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.model.free_parameters import with_unit
     from impact_observer.model.measurements_file import read_measurements
-    from impact_observer.plain_text import with_deviation
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
     chosen = observer_options(args, LAW)
@@ -70,14 +70,14 @@ def run(args: argparse.Namespace) -> int:
             progress.line(f"warning: {line}")
         for each in found.runs:
             for name, value, deviation in each.parameters:
-                progress.line(f"learned: {with_unit(name)} {with_deviation(value, deviation)}")
+                progress.line(f"learned: {with_unit(name)} {figure(value, deviation=deviation)}")
             if not each.smoothed.is_settled:
                 progress.line(
                     "warning: the last linearisation still changed the motion by"
                     f" {each.smoothed.change:.2g} standard deviations"
                 )
             for name, value, deviation in each.filtered_parameters:
-                learned = f"{with_unit(name)} {with_deviation(value, deviation)}"
+                learned = f"{with_unit(name)} {figure(value, deviation=deviation)}"
                 progress.line(f"learned by the filter: {learned}")
             far = each.misfit if each.unexplained else ""
             for line in filter(None, (far, each.model_doubt, each.early_doubt[0])):

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rich.live import Live
 
-    from impact_observer.draw.text_tables import LiteralConsole
+    from impact_observer.draw.literal_console import LiteralConsole
     from impact_observer.model import read_model
     from impact_observer.ros.session import require_ros
 

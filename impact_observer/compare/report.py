@@ -4,8 +4,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rich.table import Table
-
 from impact_observer import __version__
 from impact_observer.compare.bag_comparison import BagComparison
 from impact_observer.compare.comparison import Comparison
@@ -17,6 +15,7 @@ from impact_observer.compare.error_pictures import (
 from impact_observer.compare.error_tables import errors_table, system_names, table_of_laws
 from impact_observer.compare.metrics import DISTANCE, IMPACTS
 from impact_observer.draw.pictures import svg
+from impact_observer.draw.reports import TextTable, listed
 from impact_observer.errors import UsageError
 from impact_observer.plain_text import markup
 from impact_observer.stamps import seconds_between
@@ -80,7 +79,7 @@ def _page(
     yield _note("Times since the epoch of each recording.")
     yield "<h2>Distance from the truth</h2>"
     picture = svg(distance_picture(labelled, results))
-    yield _figure(picture, f"V over time, {_listed(bags)}")
+    yield _figure(picture, f"V over time, {_names(bags)}")
     yield _html(table_of_laws(DISTANCE, labelled))
     yield _note(_ABOUT_V.format(settled=settled))
     yield "<h2>Impacts</h2>"
@@ -90,27 +89,30 @@ def _page(
     for shown, n, figure in error_pictures(labelled, results):
         most = f"; the {MOST_COORDINATES} coordinates with the largest"
         which = most if n > MOST_COORDINATES else ""
-        yield _figure(svg(figure), f"Sizes of the errors, {_listed(shown)}{which}")
+        yield _figure(svg(figure), f"Sizes of the errors, {_names(shown)}{which}")
     yield _html(errors_table(labelled))
     yield _note(_ABOUT_ERRORS) + "</body></html>"
 
 
-def _bags_table(results: Sequence[tuple[Path, BagComparison]]) -> Table:
-    table = Table("bag", "system", "from [s]", "to [s]", "impacts")
+def _bags_table(results: Sequence[tuple[Path, BagComparison]]) -> TextTable:
+    """The bags: system, time that is compared, and impacts."""
+    rows = []
     for bag, result in results:
-        stamps = [(each.stamps[0], each.stamps[-1]) for each in result.comparisons.values()]
-        begin, end = int(min(a for a, _ in stamps)), int(max(b for _, b in stamps))
-        table.add_row(
+        begin = min(int(each.stamps[0]) for each in result.comparisons.values())
+        end = max(int(each.stamps[-1]) for each in result.comparisons.values())
+        row = (
             str(bag),
             result.system.name,
             f"{seconds_between(result.epoch, begin):.6g}",
             f"{seconds_between(result.epoch, end):.6g}",
-            ", ".join(f"{v.size} at {name}" for name, v in result.impacts.items()) or "none",
+            listed(f"{stamps.size} at {name}" for name, stamps in result.impacts.items()),
         )
-    return table
+        rows.append(row)
+    return TextTable(("bag", "system", "from [s]", "to [s]", "impacts"), rows)
 
 
-def _listed(bags: Sequence[Path]) -> str:
+def _names(bags: Sequence[Path]) -> str:
+    """The bags, each once."""
     return ", ".join(dict.fromkeys(map(str, bags)))
 
 
@@ -124,10 +126,9 @@ def _figure(picture: str, caption: str) -> str:
     return f"<figure>{described}<figcaption>{text}</figcaption></figure>"
 
 
-def _html(table: Table) -> str:
-    """A table of the terminal as one of the page."""
-    head = "".join(f"<th>{markup(str(column.header))}</th>" for column in table.columns)
-    rows = zip(*(column.cells for column in table.columns), strict=True)
-    lines = ["".join(f"<td>{markup(str(cell))}</td>" for cell in row) for row in rows]
+def _html(table: TextTable) -> str:
+    """A table as HTML."""
+    head = "".join(f"<th>{markup(heading)}</th>" for heading in table.headings)
+    lines = ["".join(f"<td>{markup(cell)}</td>" for cell in row) for row in table.rows]
     body = "".join(f"<tr>{line}</tr>\n" for line in [head, *lines])
     return f'<div class="scroll"><table>{body}</table></div>'

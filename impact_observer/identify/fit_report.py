@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fitted model in words, in tables, as JSON and as a model file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from rich.table import Table
 from scipy.optimize import approx_fprime
 
 from impact_observer import __version__
-from impact_observer.draw.text_tables import plain_table, print_report
+from impact_observer.draw.reports import (
+    ReportLine,
+    TextTable,
+    counted,
+    figure,
+    listed,
+    print_facts,
+    print_table,
+)
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
@@ -21,27 +28,28 @@ from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
 from impact_observer.model import System, parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
+from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Vector
 
 _CORRELATED = 0.9
-"""Correlation of two parameters above which it is printed."""
+"""Least correlation of two parameters that is printed."""
 _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
 _SPARE = 4
-"""Least number of stamps beyond the unknowns that tell of errors of a clock or a model."""
+"""Least surplus of stamps over unknowns that shows errors of a clock or a model."""
 _OTHER = 100.0
-"""Shifts, in declared clock errors, above which the times may be another rig's or unit's."""
+"""Shifts over the declared clock error above which another rig or unit is suspected."""
 _LARGEST_CLOCK = 0.1
 """Shifts above which no clock makes them, s."""
 _OF_INTERVALS = 0.02
-"""The same, in median times between impacts."""
+"""Shifts over the median time between impacts above which no clock makes them."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
 
 def _initial_state(found: Identification) -> Vector:
-    """Of the motion that fits, (q, u), shape (2n,), also where stops move."""
+    """The initial state (q, u) of the motion that fits, shape (2n,), also where stops move."""
     episode = found.recording.episode
     at = np.array([episode.start - episode.epoch])
     states = found.family.system_at(found.values).from_frame(at, found.start[None])
@@ -49,7 +57,7 @@ def _initial_state(found: Identification) -> Vector:
 
 
 def _inside(found: Identification) -> str:
-    """What is wrong with the initial state where a body is inside a stop; empty elsewhere."""
+    """Why the initial state is wrong if a body is inside a stop; else empty."""
     system = found.family.system_at(found.values)
     names = [system.contact_names[i] for i in system.penetrated(found.start[: system.n])]
     if not names:
@@ -77,9 +85,9 @@ def _initial_errors(found: Identification) -> Vector:
 
 
 def _turning_point(found: Identification) -> tuple[float, float] | None:
-    """Where a body that flies alone turns, and its standard error: ``q - u^2 / 2a``.
+    """The height ``q - u^2 / 2a`` at which a single body turns, and its standard error, m.
 
-    None where something else moves, or pulls than a constant force.
+    Returns None unless the model is one body under a constant force alone.
     """
     family, n = found.family, found.family.system.n
     system = family.system_at(found.values)
@@ -98,7 +106,7 @@ def _turning_point(found: Identification) -> tuple[float, float] | None:
 
 
 def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
-    """What ``--json`` prints; SI units."""
+    """The values of ``--json``, in SI units."""
     family, recording = found.family, found.recording
     names = family.system.contact_names
     return {
@@ -161,34 +169,57 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
 
 def print_parameters(found: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
-    lines = [*_about_fit(found), *_about_errors(found, check), *_about_parameters(found)]
-    print_report(_parameter_table(found), [_about_start(found), *lines], above=_verdict(found))
+    _print(
+        found,
+        _parameter_table(found),
+        [
+            _about_start(found),
+            *_about_fit(found),
+            *_about_errors(found, check),
+            *_about_parameters(found),
+        ],
+    )
 
 
 def print_check(found: Identification, check: FitCheck) -> None:
     """Print how well each contact's impacts fit, and whether the model is rejected."""
-    table = plain_table("contact", "impacts", "mean [s]", "rms [s]", names={"contact"})
-    for name, (count, mean, rms) in check.by_contact.items():
-        table.add_row(name, str(count), f"{mean:.3g}", f"{rms:.3g}")
-    print_report(table, [*_about_fit(found), *_about_check(found, check)], above=_verdict(found))
+    rows = [
+        (name, str(count), f"{mean:.3g}", f"{rms:.3g}")
+        for name, (count, mean, rms) in check.by_contact.items()
+    ]
+    table = TextTable(("contact", "impacts", "mean [s]", "rms [s]"), rows)
+    _print(found, table, [*_about_fit(found), *_about_check(found, check)])
 
 
-def _verdict(found: Identification) -> Iterator[str]:
-    """What speaks against the model: nothing, or why its values are not to be used."""
+def _print(found: Identification, table: TextTable, remarks: Iterable[ReportLine]) -> None:
+    """Print what speaks against the model, a table, and remarks."""
+    if verdict := [*_verdict(found)]:
+        print_facts(verdict)
+        say("")
+    print_table(table)
+    say("")
+    print_facts(remarks)
+
+
+def _verdict(found: Identification) -> Iterator[ReportLine]:
+    """Reasons not to use the values; none where the model may be right."""
     if not found.converged:
-        yield (
-            "The model does not fit: no motion of it explains these stamps. Do not use these"
-            " values; they have no standard errors. Begin with other values, or free other"
-            f" parameters (docs/misfit.md).{_about_time(found.family.system)}"
+        yield ReportLine(
+            "error",
+            "The model does not fit: no motion of the model explains these stamps. Do not use"
+            " these values; they have no standard errors. Begin with other values, or free other"
+            f" parameters (docs/misfit.md).{_about_time(found.family.system)}",
         )
     if found.declared and found.rms > _OTHER * found.clock and not _may_be_a_clock(found):
-        yield (
-            f"WARNING: the shifts of the stamps, {found.rms:.3g} s rms, are no errors of a clock"
-            f" with {found.clock:.3g} s: is the model that of the rig, and --time-unit that of"
-            " the times that were imported?"
+        yield ReportLine(
+            "warning",
+            f"The shifts of the stamps, {figure(found.rms, 's')} rms, are no errors of a clock"
+            f" with {figure(found.clock, 's')}: is the model that of the rig, and --time-unit that"
+            " of the times that were imported?",
         )
     if found.converged and found.held_back and not found.held_back.carries_over:
-        yield "WARNING: the model does not carry over to the impacts that were held back."
+        text = "The model does not carry over to the impacts that were held back."
+        yield ReportLine("warning", text)
 
 
 def _may_be_a_clock(found: Identification) -> bool:
@@ -197,171 +228,198 @@ def _may_be_a_clock(found: Identification) -> bool:
     return found.rms <= min(_LARGEST_CLOCK, _OF_INTERVALS * between)
 
 
-def _parameter_table(found: Identification) -> Table:
-    headings = ("parameter", "given", "identified", "standard error", "unit")
-    table = plain_table(*headings, names={"parameter", "unit"})
-    undetermined = {name for each in found.undetermined for name in each}
-    for each, value, error in zip(
+def _parameter_table(found: Identification) -> TextTable:
+    """Parameters, the start, and the height at which a single body turns."""
+    rows = []
+    undetermined = {name for direction in found.undetermined for name in direction}
+    for parameter, value, error in zip(
         found.family.parameters, found.values, found.errors, strict=True
     ):
-        shown, own = f"{value:.10g}", f"{error:.2g}"
-        if each.name in undetermined:
-            shown, own = "not determined", ""
-        if each.name in found.bounded:
-            own = "at its bound"
-        own = own if found.converged else ""
-        table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
+        shown, spread = f"{value:.10g}", f"{error:.2g}" if found.converged else ""
+        if parameter.name in undetermined:
+            shown, spread = "not determined", ""
+        elif parameter.name in found.bounded and found.converged:
+            spread = "at its bound"
+        rows.append((parameter.name, f"{parameter.value:.6g}", shown, spread, parameter.unit))
     system = found.family.system
-    rows = [(f"{name} at the start", system.unit) for name in system.coordinates]
-    rows += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
-    states = zip(rows, _initial_state(found), _initial_errors(found), strict=True)
+    names = [(f"{name} at the start", system.unit) for name in system.coordinates]
+    names += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
+    states = zip(names, _initial_state(found), _initial_errors(found), strict=True)
     for (name, unit), value, error in states:
-        own = f"{error:.2g}" if found.converged else ""
-        table.add_row(name, "", f"{value:.10g}", own, unit)
+        rows.append((name, "", f"{value:.10g}", f"{error:.2g}" if found.converged else "", unit))
     if found.converged and (turn := _turning_point(found)):
         (name,), (value, error) = system.coordinates, turn
-        table.add_row(f"{name} where it turns", "", f"{value:.10g}", f"{error:.2g}", system.unit)
-    return table
+        rows.append((f"{name} where it turns", "", f"{value:.10g}", f"{error:.2g}", system.unit))
+    headings = ("parameter", "given", "identified", "standard error", "unit")
+    return TextTable(headings, rows, words=("unit",))
 
 
-def _about_start(found: Identification) -> str:
-    """Where the initial state holds."""
+def _about_start(found: Identification) -> ReportLine:
+    """The instant of the initial state, and whether a body is inside a stop then."""
     if found.recording.start:
-        return f"The start is {found.recording.start:.9g} s after the epoch."
-    named = found.recording.episode.start == found.recording.episode.keys[0].stamp
-    where = "The start is the first impact." if named else "The start is the epoch."
-    return f"{where} But {wrong}." if (wrong := _inside(found)) else where
+        return ReportLine("note", f"The start is {found.recording.start:.9g} s after the epoch.")
+    at_impact = found.recording.episode.start == found.recording.episode.keys[0].stamp
+    where = "The start is the first impact." if at_impact else "The start is the epoch."
+    wrong = _inside(found)
+    return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 
 
-def _about_fit(found: Identification) -> Iterator[str]:
-    declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
-    off = f"differ from the model's impacts by {found.rms:.3g} s rms"
-    yield f"{len(found.shifts)} stamps {off}{declared}."
+def _about_fit(found: Identification) -> Iterator[ReportLine]:
+    """How well stamps and samples fit, and which impacts were rejected or inserted."""
+    stamps = counted(len(found.shifts), "stamp")
+    yield ReportLine(
+        "note",
+        f"{stamps} differ from the model's impacts by {figure(found.rms, 's')} rms"
+        f"{_declared(found)}.",
+    )
     yield from map(_about_sensor, found.sensors)
     unknowns = 2 * found.family.system.n + found.family.size
     is_short = not found.sensors and len(found.shifts) < unknowns + _SPARE
     if is_short:
-        yield (
-            f"WARNING: {len(found.shifts)} stamps are few for {unknowns} unknowns, the start among"
-            " them: record more impacts, or free fewer parameters."
+        yield ReportLine(
+            "warning",
+            f"{stamps} are few for {unknowns} unknowns, the start among"
+            " them: record more impacts, or free fewer parameters.",
         )
     impacts = len(found.shifts) + len(found.recording.rejected)
     many = found.doubted >= _MANY * impacts
     if found.declared and many and not is_short and _may_be_a_clock(found):
-        yield (
-            f"WARNING: --clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
+        yield ReportLine(
+            "warning",
+            f"--clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
             f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"
-            f" {min(found.accepted, found.rms):.3g} s: leave it out or declare that, unless the"
-            " model is wrong."
+            f" {figure(min(found.accepted, found.rms), 's')}: leave --clock-error out or declare"
+            " this value, unless the model is wrong.",
         )
     if found.recording.rejected:
-        yield _listed(found, found.recording.rejected, "rejected as spurious")
+        yield _hits(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         dead = len(found.recording.in_dead_time)
         known = f" ({dead} of them in the dead time)" if dead else ""
-        yield _listed(found, found.recording.inserted, f"inserted as missed{known}")
-    if found.recording.settled:
-        yield (
-            f"{len(found.recording.settled)} impacts left out: in bounces that settle, flights"
-            " are as short as the stamps are wrong, so one closing stands for each row."
+        yield _hits(found, found.recording.inserted, f"inserted as missed{known}")
+    if settled := len(found.recording.settled):
+        yield ReportLine(
+            "note",
+            f"{counted(settled, 'impact')} left out: in bounces that settle, flights"
+            " are as short as the stamps are wrong, so one closing stands for each row.",
         )
 
 
+def _declared(found: Identification) -> str:
+    """The declared clock error, to be put behind another deviation; empty where none is."""
+    return f"; {figure(found.clock, 's')} was declared" if found.declared else ""
+
+
 def _about_time(system: System) -> str:
-    """What to ask where forces or grounds are harmonic; empty elsewhere."""
+    """A question on epoch and frequencies where forces or grounds are harmonic, else empty."""
     frame, phases = system.frame, ["forcing-phase"] * bool(system.own_forcing.frequency.size)
     if frame is not None:
         phases += ["ground-phase"] * bool(frame.grounds.motion.frequency.size)
     if not phases:
         return ""
-    free = " or ".join(phases)
+    free = listed(phases, joint=" or ")
     return f" Is the epoch right (free {free} to see)? Is every frequency in rad/s?"
 
 
-def _about_sensor(each: SensorFit) -> str:
+def _about_sensor(fit: SensorFit) -> ReportLine:
     """How well the samples of a sensor fit."""
-    known = "was declared" if each.is_declared else "is learned"
-    words = [f"{each.samples} samples of {each.name} differ from the motion by {each.rms:.3g} rms"]
-    words.append(f"{each.deviation:.3g} {known}")
-    words += [f"{each.near} near impacts are left out"] * (each.near > 0)
-    words += [f"{each.rejected} are rejected by the gate"] * (each.rejected > 0)
-    return "; ".join(words) + "."
+    known = "was declared" if fit.is_declared else "is learned"
+    samples = f"{counted(fit.samples, 'sample')} of {fit.name}"
+    words = [f"{samples} differ from the motion by {figure(fit.rms)} rms"]
+    words.append(f"{figure(fit.deviation)} {known}")
+    words += [f"{fit.near} near impacts are left out"] * (fit.near > 0)
+    words += [f"{fit.rejected} are rejected by the gate"] * (fit.rejected > 0)
+    return ReportLine("note", "; ".join(words) + ".")
 
 
-def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
-    """Why standard errors are widened, and how the model does on what was held back."""
+def _about_errors(found: Identification, check: FitCheck) -> Iterator[ReportLine]:
+    """Why standard errors are widened, and how well the model predicts impacts held back."""
     if found.converged and found.widened > 1.0:
         reasons = "; ".join(_reasons(found, check))
-        yield f"Standard errors are widened by a factor of {found.widened:.3g}: {reasons}."
+        factor = figure(found.widened)
+        yield ReportLine(
+            "note", f"Standard errors are widened by a factor of {factor}: {reasons}."
+        )
     if not found.converged or not found.family.size:
         return
     held = found.held_back
     if held is None:
-        yield "No impacts were held back for a check."
+        yield ReportLine("note", "No impacts were held back for a check.")
         return
-    declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
-    yield (
-        f"Checked on the last {held.impacts} impacts: residuals {held.residual:.3g} s (fitted part"
-        f" {held.fitted:.3g} s{declared}). The values are from all impacts."
+    yield ReportLine(
+        "ok" if held.carries_over else "note",
+        f"Checked on the last {counted(held.impacts, 'impact')}: residuals"
+        f" {figure(held.residual, 's')} (fitted part {figure(held.fitted, 's')}"
+        f"{_declared(found)}). The values are from all impacts.",
     )
 
 
 def _reasons(found: Identification, check: FitCheck) -> Iterator[str]:
-    """What says that the shifts are not white errors of the clock."""
+    """Reasons why the shifts are not white errors of the clock."""
     if check.size is not None and check.size < REJECTED:
         yield f"shifts are {found.rms / found.clock:.3g} times the declared clock error"
     if check.white < REJECTED:
         yield "neighbouring shifts are correlated"
-    for each in found.sensors:
-        if each.size < REJECTED:
-            times = each.rms / each.deviation
-            yield f"errors of {each.name} are {times:.3g} times the declared deviation"
-        if each.white < REJECTED:
-            yield f"neighbouring errors of {each.name} are correlated"
+    for fit in found.sensors:
+        if fit.size < REJECTED:
+            ratio = fit.rms / fit.deviation
+            yield f"errors of {fit.name} are {ratio:.3g} times the declared deviation"
+        if fit.white < REJECTED:
+            yield f"neighbouring errors of {fit.name} are correlated"
     if not found.declared:
         yield "without --clock-error an error of the model looks like one of the clock"
 
 
-def _listed(found: Identification, hits: frozenset[Hit], outcome: str) -> str:
-    """The instants of some impacts since the epoch."""
+def _hits(found: Identification, hits: frozenset[Hit], outcome: str) -> ReportLine:
+    """The contacts and instants (s since the epoch) of impacts with one outcome."""
     names, epoch = found.family.system.contact_names, found.recording.episode.epoch
-    shown = [f"{names[i]} at {seconds_between(epoch, stamp):.3f} s" for stamp, i in sorted(hits)]
-    more = len(shown) - _SHOWN
-    times = ", ".join(shown[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
-    return f"{len(hits)} impacts {outcome}: {times}."
+    instants = (f"{names[i]} at {seconds_between(epoch, t):.3f} s" for t, i in sorted(hits))
+    text = f"{counted(len(hits), 'impact')} {outcome}: {listed(instants, _SHOWN)}."
+    return ReportLine("note", text)
 
 
-def _about_parameters(found: Identification) -> Iterator[str]:
+def _about_parameters(found: Identification) -> Iterator[ReportLine]:
     """Which parameters are not determined, at a bound, or correlated."""
-    for each in found.undetermined:
-        yield f"Not determined by these impacts: {combination(each)}. Hold one of them fixed."
+    for direction in found.undetermined:
+        terms = combination(direction)
+        text = f"Not determined by these impacts: {terms}. Hold one of them fixed."
+        yield ReportLine("warning", text)
     for name in found.bounded:
-        yield (
+        yield ReportLine(
+            "warning",
             f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
-            f" that into the model and leave it out of --free.{_about_time(found.family.system)}"
+            " the value into the model and leave the name out of --free."
+            f"{_about_time(found.family.system)}",
         )
     if found.converged and found.family.size:
-        yield "Standard errors hold if the model is right in all that was not free."
+        text = "Standard errors hold if the model is right in all that was not free."
+        yield ReportLine("note", text)
     names, correlation = found.family.names, found.correlation
     for i in range(len(names)):
         for j in range(i):
             if abs(correlation[i, j]) > _CORRELATED:
-                yield f"{names[j]} and {names[i]} are correlated by {correlation[i, j]:.3f}."
+                text = f"{names[j]} and {names[i]} are correlated by {correlation[i, j]:.3f}."
+                yield ReportLine("note", text)
 
 
-def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
+def _about_check(found: Identification, check: FitCheck) -> Iterator[ReportLine]:
+    """The tests of size and whiteness, and their verdict."""
     if check.size is not None:
-        yield (
+        yield ReportLine(
+            "note",
             "A model that is right gives shifts as large as these with probability"
-            f" {check.size:.2g}; below {REJECTED:g} it does not fit."
+            f" {check.size:.2g}; below {REJECTED:g} a model does not fit.",
         )
-    yield (
+    yield ReportLine(
+        "note",
         "A model that is right gives neighbouring shifts as correlated as these with"
-        f" probability {check.white:.2g} ({check.lags} lags)."
+        f" probability {check.white:.2g} ({counted(check.lags, 'lag')}).",
     )
-    good = check.fits and found.converged
-    worst = ", ".join([check.worst, *check.odd])
-    yield "The model fits." if good else f"The model does not fit; worst: {worst}."
+    if check.fits and found.converged:
+        yield ReportLine("ok", "The model fits.")
+    else:
+        worst = listed([check.worst, *check.odd])
+        yield ReportLine("error", f"The model does not fit; worst: {worst}.")
 
 
 def write_model(
@@ -370,7 +428,7 @@ def write_model(
     """Write :func:`model_text`; the initial state only where it is outside all stops.
 
     Returns:
-        What was left out, to be printed; empty if nothing was.
+        A phrase that names the part that was left out; empty if the file is complete.
     """
     inside = initial and bool(_inside(found))
     text = model_text(found, given, bag, output, initial=initial and not inside)
@@ -387,7 +445,7 @@ def model_text(
         found: the fitted model.
         given: the file it was fitted from.
         bag: the recording.
-        output: where the text will be; for errors.
+        output: the file that will hold the text; named in errors.
         initial: whether to write the initial state too.
 
     Raises:

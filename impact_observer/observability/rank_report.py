@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observability of a recording in words, in a table and as JSON."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from rich.table import Table
 
-from impact_observer.draw.text_tables import console, plain_table, print_report
+from impact_observer.draw.reports import (
+    ReportLine,
+    TextTable,
+    counted,
+    figure,
+    listed,
+    print_facts,
+    print_table,
+)
 from impact_observer.observability.rank import Observability
+from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
 _SHOWN = 6
@@ -17,7 +25,7 @@ _SMALL = 0.005
 
 
 def for_json(found: Observability) -> dict[str, object]:
-    """What ``--json`` prints; SI units, None without a meaning."""
+    """The values of ``--json``: SI units, None for a number without a meaning."""
     complete, released = found.complete, found.released.tolist()
     condition = [value if np.isfinite(value) else None for value in found.condition.tolist()]
     return {
@@ -55,54 +63,67 @@ def for_json(found: Observability) -> dict[str, object]:
     }
 
 
-def sentences(found: Observability) -> Iterator[str]:
-    """The conclusions."""
+def remarks(found: Observability) -> Iterator[ReportLine]:
+    """The conclusions, and the events that were left out."""
     yield from _verdict(found)
     episode = found.episode
     if episode.episodes > 1:
-        yield f"The bag has {episode.episodes} episodes: this is the last one."
+        text = f"The bag has {episode.episodes} episodes: this is the last one."
+        yield ReportLine("note", text)
     if episode.left_out:
-        left_out = _count(episode.left_out, "event")
-        yield f"{left_out} left out: sent twice, or from before the start."
+        left_out = counted(episode.left_out, "event")
+        yield ReportLine("note", f"{left_out} left out: sent twice, or from before the start.")
     if episode.foreign:
-        contacts, known = _listed(list(episode.foreign)), _listed(found.system.contact_names)
-        events = _count(sum(episode.foreign.values()), "event")
-        yield (
-            f"{events} of contacts that the model does not have, left out: {contacts};"
-            f" it has {known}."
+        events = counted(sum(episode.foreign.values()), "event")
+        yield ReportLine(
+            "warning",
+            f"{events} of contacts that the model does not have, left out:"
+            f" {listed(episode.foreign, _SHOWN)}; the model has"
+            f" {listed(found.system.contact_names, _SHOWN)}.",
         )
 
 
-def _verdict(found: Observability) -> Iterator[str]:
+def _verdict(found: Observability) -> Iterator[ReportLine]:
     complete, singular = found.complete, found.singular[-1]
     if complete is not None:
-        yield (
+        yield ReportLine(
+            "ok",
             f"Full rank after {_events(found, complete + 1)}, {found.seconds[complete]:.3f} s"
-            f" after the start: all {found.size} numbers of the state are determined."
+            f" after the start: all {found.size} numbers of the state are determined.",
         )
-        yield (
+        yield ReportLine(
+            "note",
             f"Least known: {combination(found, found.weakest)}. A start that is wrong by that"
             f" moves the recorded gaps by {singular[-1]:.2g} m in all,"
-            f" {found.condition[-1]:.3g} times less than the best known one."
+            f" {found.condition[-1]:.3g} times less than the best known one.",
         )
         return
     missing = len(found.undetermined)
-    yield (
-        f"The rank is {found.rank[-1]} of {found.size}: {_count(missing, 'combination')} of the"
+    yield ReportLine(
+        "warning",
+        f"The rank is {found.rank[-1]} of {found.size}: {counted(missing, 'combination')} of the"
         f" initial state {'is' if missing == 1 else 'are'} not determined. A start that is"
-        " wrong by one of them gives the same impacts:"
+        " wrong by one of them gives the same impacts:",
     )
     for direction, left in list(zip(found.undetermined, found.remaining, strict=True))[:_SHOWN]:
-        yield f"    {combination(found, direction)}, {_remaining(found, direction, left)}"
+        yield ReportLine(
+            "", f"{combination(found, direction)}, {remaining(found, direction, left)}"
+        )
     if missing > _SHOWN:
-        yield f"    and {missing - _SHOWN} more, in --json"
+        yield ReportLine("", f"and {missing - _SHOWN} more, in --json")
     if found.determined:
-        yield f"Determined all the same: {_listed(found.determined)}."
-    yield "What can be done about it is in docs/observability.md."
+        yield ReportLine("note", f"Determined all the same: {listed(found.determined, _SHOWN)}.")
+    yield ReportLine("note", "Remedies are in docs/observability.md.")
 
 
-def _remaining(found: Observability, direction: Vector, left: Vector) -> str:
-    """An undetermined error after the last event."""
+def remaining(found: Observability, direction: Vector, left: Vector) -> str:
+    """How much of an undetermined error is left after the last event.
+
+    Args:
+        found: the observability of a recording.
+        direction: the error at the start, shape (2n,), SI units.
+        left: the same error after the last event, shape (2n,), SI units.
+    """
     gone = max(abs(left)) <= found.tolerance * max(abs(direction))
     return "gone at the end" if gone else f"at the end {combination(found, left)}"
 
@@ -124,59 +145,45 @@ def combination(found: Observability, direction: Vector) -> str:
 
 def print_observability(found: Observability) -> None:
     """Print how the rank grew, and the conclusions."""
-    console(100).print(
-        f"{found.system.name}: {_events(found, found.stamps.size)} in"
-        f" {found.seconds[-1]:.3f} s{_samples(found)}, {found.size} unknown numbers\n"
+    samples = [f"{counted(count, 'sample')} of {name}" for name, count in found.samples.items()]
+    say(
+        f"{found.system.name}: {_events(found, found.stamps.size)} in {found.seconds[-1]:.3f} s"
+        f"{', ' if samples else ''}{', '.join(samples)}, {found.size} unknown numbers"
     )
-    print_report(growth_table(found), sentences(found))
+    say("")
+    print_table(growth_table(found))
+    say("")
+    print_facts(remarks(found))
 
 
-def _samples(found: Observability) -> str:
-    """The samples that count, in words."""
-    each = [f"{_count(count, 'sample')} of {name}" for name, count in found.samples.items()]
-    return f", {', '.join(each)}" if each else ""
-
-
-def growth_table(found: Observability) -> Table:
+def growth_table(found: Observability) -> TextTable:
     """The impacts and releases at which the rank rises, and the last one."""
     headings = ("event", "s", "contact", "rank", "most [m]", "least [m]", "condition")
-    table = plain_table(*headings, words={"contact"})
     rises = [k for k, r in enumerate(found.rank) if r > (found.rank[k - 1] if k else 0)]
-    rows = sorted({*rises, found.rank.size - 1})
-    middle = len(rows) - 2 * _SHOWN
-    for number, k in enumerate(rows):
-        if middle <= 1 or not _SHOWN <= number < len(rows) - _SHOWN:
-            table.add_row(*_row(found, k))
-        elif number == _SHOWN:
-            table.add_row("...", "", f"{middle} more in --json")
-    return table
+    shown = sorted({*rises, found.rank.size - 1})
+    rows = [_row(found, k) for k in shown]
+    if (left_out := len(rows) - 2 * _SHOWN) > 1:
+        gap = ("...", "", f"{left_out} more in --json", "", "", "", "")
+        rows = [*rows[:_SHOWN], gap, *rows[-_SHOWN:]]
+    return TextTable(headings, rows, words=("contact",))
 
 
 def _row(found: Observability, k: int) -> tuple[str, ...]:
+    """The row of event ``k``."""
     values, rank = found.singular[k], int(found.rank[k])
     return (
         str(k + 1),
         f"{found.seconds[k]:.3f}",
-        _listed(found.contacts[k]) + (" opens" if found.released[k] else ""),
+        listed(found.contacts[k], _SHOWN) + (" opens" if found.released[k] else ""),
         f"{rank}/{found.size}",
-        f"{values[0]:.3g}",
-        f"{values[-1]:.3g}" if rank == found.size else "0",
-        f"{found.condition[k]:.3g}" if rank == found.size else "-",
+        figure(values[0]),
+        figure(values[-1]) if rank == found.size else "0",
+        figure(found.condition[k]) if rank == found.size else "-",
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names in words; of many the first ones."""
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _events(found: Observability, first: int) -> str:
     """The number of impacts and of releases among the first events."""
     releases = sum(found.released[:first].tolist())
-    impacts = _count(first - releases, "impact")
-    return f"{impacts} and {_count(releases, 'release')}" if releases else impacts
-
-
-def _count(number: int, word: str, plural: str = "s") -> str:
-    return f"{number} {word}{'' if number == 1 else plural}"
+    impacts = counted(first - releases, "impact")
+    return f"{impacts} and {counted(releases, 'release')}" if releases else impacts

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.draw.text_tables import console, fitted, ruled_table
+from impact_observer.draw.reports import TextTable, print_table
+from impact_observer.plain_text import say
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
@@ -138,20 +139,21 @@ def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
     )
     failed = ["failed"] if any(group.failed for group in groups) else []
     title = f"Medians (quartiles) over the runs; settled while V stays below {sweep.settled:g} V0"
-    table = ruled_table(title, "law", *map(sweep.title, sweep.swept), *metrics, *failed)
-    for group in groups:
-        share = group.not_settled
-        table.add_row(
+    headings = ("law", *map(sweep.title, sweep.swept), *metrics, *failed)
+    rows = [
+        (
             group.law,
             *map(_value, group.labels.values()),
             str(group.runs),
             _quartiles(group.settling_time, ".3g"),
-            "" if share is None else f"{100 * share:.0f} %",
+            "" if group.not_settled is None else f"{100 * group.not_settled:.0f} %",
             _quartiles(group.V_ratio, ".1e"),
             *(str(group.failed) for _ in failed),
         )
-    output = console()
-    output.print(fitted(table, output.width))
+        for group in groups
+    ]
+    print_table(TextTable(headings, rows, title=title))
+    say("")
 
 
 def _value(value: Label) -> str:

@@ -72,8 +72,8 @@ def test_on_a_terminal_lines_are_folded_beside_their_severity(
     assert main(["check", "bag"]) == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert plain.splitlines() == [
-        "note  /impacts: the first sequence number is 2:   ",
-        "      what was before is not here                 ",
+        "note  /impacts: the first sequence number is 2:",
+        "      what was before is not here",
         "bag: an observer can use it (1 note)",
     ]
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of ``compare``: nothing is cut off, and names are printed literally."""
+"""The text that ``compare`` prints: names literally, warnings, and remarks on V."""
 
-import re
 import shutil
 from pathlib import Path
 
@@ -12,8 +11,6 @@ pytest.importorskip("rosbags")
 from impact_observer.cli.main import main
 from impact_observer.resources import shared
 
-NUMBER = re.compile(r"[+-]?[0-9.]+(e[+-][0-9]+)?")
-
 
 @pytest.fixture(scope="module")
 def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -23,30 +20,6 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(["simulate", "two_mass", "--duration", "3", "-o", str(plant)]) == 0
     assert main(["observe", str(plant), "--initial", "random:1", "-o", str(estimates)]) == 0
     return estimates
-
-
-@pytest.mark.parametrize(
-    "columns", [30, *(pytest.param(each, marks=pytest.mark.slow) for each in (60, 79))]
-)
-def test_narrow_terminals_have_every_metric_of_wide_ones(
-    observed: Path,
-    columns: int,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They stand below each other there, and no line is longer than the terminal."""
-    printed = {}
-    for width in (200, columns):
-        monkeypatch.setenv("COLUMNS", str(width))
-        capsys.readouterr()
-        assert main(["compare", str(observed)]) == 0
-        printed[width] = capsys.readouterr().out
-    wide, narrow = printed[200], printed[columns]
-    assert "…" not in narrow
-    assert max(map(len, narrow.splitlines())) <= columns
-    metrics = [word for word in wide.split() if NUMBER.fullmatch(word)]
-    assert len(metrics) > 12
-    assert set(metrics) <= set(narrow.split())
 
 
 def test_names_of_bags_are_printed_literally(

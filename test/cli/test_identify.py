@@ -129,7 +129,7 @@ def test_a_clock_error_that_makes_outliers_is_named(
     words = ["identify", bag(ROUGH), "--model", str(model), "--free", "restitution"]
     assert main([*words, "--clock-error", "1e-6"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "WARNING: --clock-error 1e-06 makes outliers: up to " in said
+    assert "warning --clock-error 1e-06 makes outliers: up to " in said
     assert "times the declared clock error" in said
     assert "are no errors of a clock" not in said
 
@@ -247,7 +247,7 @@ def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors
     assert main(words) == 1
     said = capsys.readouterr().out
     verdict, table = said.split("parameter ", maxsplit=1)
-    assert "The model does not fit: no motion of it explains these stamps." in verdict
+    assert "The model does not fit: no motion of the model explains these stamps." in verdict
     rows = [line.split() for line in table.splitlines()[1:4]]
     assert [len(row) for row in rows] == [3, 6, 6]  # name, value, unit; no standard error
     assert main([*words, "--json"]) == 1

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of commands: counts, lists, figures, facts and tables as text.
+
+On a terminal ``rich`` folds long cells, and a table that is still too wide stands upright. Where
+standard output is no terminal, each fact and each row is one line, as long as its text. Nothing
+is cut off. Control characters of names are escaped.
+"""
+
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import floor, inf, isfinite, log10
+from typing import NamedTuple
+
+from rich.cells import cell_len
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from impact_observer.plain_text import printable
+
+_UNLIMITED = 10**6
+"""Columns where standard output is no terminal."""
+_FOLDED = 10
+"""Least width of a column of words in a table."""
+_STYLES = {"error": "bold red", "warning": "yellow", "note": "dim", "ok": "green"}
+"""Styles of the kinds of remarks on a terminal."""
+
+
+class ReportLine(NamedTuple):
+    """A fact with its consequence.
+
+    Attributes:
+        kind: ``ok``, ``note``, ``warning`` or ``error``.
+        text: one or two sentences.
+    """
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """A table whose cells are text.
+
+    Attributes:
+        headings: of the columns. The first column holds words.
+        rows: a cell for each column.
+        title: above the table; empty for none.
+        words: headings of the other columns that hold words; the rest hold numbers, which are
+            aligned at the right and never folded.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    words: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Check that every row has a cell for each column.
+
+        Raises:
+            ValueError: a row has fewer or more cells.
+        """
+        for row in self.rows:
+            if len(row) != len(self.headings):
+                raise ValueError(f"row {row}: expected {len(self.headings)} cells")
+
+
+def counted(number: int, noun: str, ending: str = "s") -> str:
+    """A number with its noun: ``1 event``, ``2 events``; ``ending`` makes the plural."""
+    return f"{number} {noun}{'' if number == 1 else ending}"
+
+
+def listed(words: Iterable[str], most: int = 8, joint: str = " and ") -> str:
+    """Words as a list, such as ``a, b and c``; ``none`` for no word.
+
+    Args:
+        words: the entries.
+        most: largest number of entries; of more words the last entry is their number, such as
+            ``5 more``.
+        joint: what stands before the last entry.
+    """
+    shown = [*words]
+    if len(shown) > most:
+        kept = max(most - 1, 1)
+        shown = [*shown[:kept], f"{len(shown) - kept} more"]
+    if not shown:
+        return "none"
+    *first, last = shown
+    return f"{', '.join(first)}{joint}{last}" if first else last
+
+
+def figure(value: float, unit: str = "", deviation: float = 0.0) -> str:
+    """A number with its unit: three digits, or digits to the second one of its deviation.
+
+    With a standard deviation the text is, for example, ``0.7006 +- 0.0039 m``. A deviation of 0,
+    such as that of a parameter at its bound, is not written.
+    """
+    if not (isfinite(value) and 0 < deviation < inf):
+        return f"{value:.3g} {unit}".rstrip()
+    spread = f"{deviation:.2g}"
+    last = floor(log10(float(spread))) - 1  # the place of its second digit
+    first = floor(log10(abs(value))) if value else last
+    digits = min(max(first - last + 1, 1), 15)
+    shown = f"{value:#.{digits}g}".replace(".e", "e").rstrip(".")
+    return f"{shown} +- {spread} {unit}".rstrip()
+
+
+def print_facts(facts: Iterable[tuple[str, str]]) -> None:
+    """Print names, or the kinds of remarks, with a text beside each.
+
+    Args:
+        facts: names with texts; an empty name continues the fact before.
+    """
+    if facts := [*facts]:
+        _print(_facts_grid(facts))
+
+
+def _facts_grid(facts: Iterable[tuple[str, str]]) -> RenderableType:
+    """The lines of ``print_facts``."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
+    for name, text in facts:
+        grid.add_row(_text(name, _STYLES.get(name, "")), _text(text))
+    return grid
+
+
+def print_table(table: TextTable) -> None:
+    """Print a table; of a table with a title the title first."""
+    if table.title:
+        _print(_text(table.title))
+    _print(table_text(table, _width()))
+
+
+def table_text(table: TextTable, width: int) -> RenderableType:
+    """The lines of a table for an output of ``width`` columns.
+
+    Where numbers and short words do not fit, the cells of each row stand below each other.
+    """
+    needed = 0
+    drawn = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for place, heading in enumerate(table.headings):
+        is_words = place == 0 or heading in table.words
+        widest = max(cell_len(row[place]) for row in (table.headings, *table.rows))
+        needed += 2 + (min(widest, _FOLDED) if is_words else widest)
+        drawn.add_column(
+            _text(heading),
+            justify="left" if is_words else "right",
+            overflow="fold",
+            no_wrap=not is_words,
+        )
+    if needed > width:
+        return _facts_grid(_upright(table))
+    for row in table.rows:
+        drawn.add_row(*map(_text, row))
+    return drawn
+
+
+def _upright(table: TextTable) -> Iterator[tuple[str, str]]:
+    """Headings with cells, row by row; an empty line after each row."""
+    for row in table.rows:
+        yield from (pair for pair in zip(table.headings, row, strict=True) if pair[1])
+        yield "", ""
+
+
+def _text(text: str, style: str = "") -> Text:
+    """Text that is printed literally: brackets are no markup."""
+    return Text("\n".join(map(printable, text.split("\n"))), style)
+
+
+def _width() -> int:
+    """Columns of standard output."""
+    return Console().width if sys.stdout.isatty() else _UNLIMITED
+
+
+def _print(lines: RenderableType) -> None:
+    """Print lines without spaces at their ends."""
+    # With a height too rich does not take 80 columns where TERM is dumb.
+    console = Console(highlight=False, width=_width(), height=25)
+    with console.capture() as capture:
+        console.print(lines)
+    for line in capture.get().splitlines():
+        sys.stdout.write(f"{line.rstrip()}\n")
+    sys.stdout.flush()

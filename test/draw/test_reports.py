@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports as text: words, figures, facts and tables, at a pipe and on terminals."""
+
+import io
+import re
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from systems import examples
+
+from impact_observer.draw.reports import (
+    TextTable,
+    counted,
+    figure,
+    listed,
+    print_facts,
+    print_table,
+)
+
+TABLE = TextTable(
+    ("contact", "gap [m]", "restitution", "used by"),
+    [
+        ("anvil", "0.25", "0.7", "the observer on the rig and the plant in the model"),
+        ("wall[1]", "-1.5e-05", "0.8 to 0.9", "nobody"),
+    ],
+    title="Contacts of the rig",
+    words=("used by",),
+)
+
+
+class Terminal(io.StringIO):
+    """A text file that is taken for a terminal."""
+
+    def isatty(self) -> bool:
+        """Always."""
+        return True
+
+
+@pytest.fixture
+def lines_at(monkeypatch: pytest.MonkeyPatch) -> "LinesAt":
+    """Prints on a terminal."""
+    return LinesAt(monkeypatch)
+
+
+class LinesAt:
+    """The lines that a terminal of some columns shows."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._monkeypatch = monkeypatch
+
+    def __call__(self, columns: int, table: TextTable) -> list[str]:
+        """Print a table there."""
+        terminal = Terminal()
+        self._monkeypatch.setattr(sys, "stdout", terminal)
+        self._monkeypatch.setenv("TERM", "xterm")
+        self._monkeypatch.setenv("COLUMNS", str(columns))
+        print_table(table)
+        return re.sub(r"\x1b\[[0-9;]*m", "", terminal.getvalue()).splitlines()
+
+
+def test_at_a_pipe_each_row_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long a row is, and whatever COLUMNS says; names are printed literally."""
+    monkeypatch.setenv("COLUMNS", "20")
+    print_table(TABLE)
+    title, headings, *rows = capsys.readouterr().out.splitlines()
+    assert title == TABLE.title
+    assert re.split("  +", headings) == list(TABLE.headings)
+    assert [re.split("  +", row) for row in rows] == [list(row) for row in TABLE.rows]
+
+
+@pytest.mark.parametrize("columns", [160, 80, 60, 40, 24])
+def test_a_terminal_folds_and_cuts_nothing(lines_at: LinesAt, columns: int) -> None:
+    """Every word and every figure is shown as a whole, on lines as wide as the terminal."""
+    lines = lines_at(columns, TABLE)
+    assert max(map(len, lines)) <= columns
+    shown = " ".join(lines).split()
+    assert set(" ".join(cell for row in TABLE.rows for cell in row).split()) <= set(shown)
+    assert "…" not in "".join(lines)
+
+
+def test_a_table_without_rows_has_its_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    """And nothing else."""
+    print_table(TextTable(("contact", "gap [m]"), []))
+    assert capsys.readouterr().out.split() == ["contact", "gap", "[m]"]
+
+
+def test_rows_of_another_length_are_refused() -> None:
+    """The error names the row."""
+    with pytest.raises(ValueError, match=r"row \('a',\): expected 2 cells"):
+        TextTable(("contact", "gap [m]"), [("a",)])
+
+
+def test_facts_cannot_control_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Control characters of names are escaped; no fact prints nothing."""
+    print_facts([("warning", "a\x1b[31mb"), ("ok", "fine")])
+    assert capsys.readouterr().out == "warning  a\\x1b[31mb\nok       fine\n"
+    print_facts([])
+    assert capsys.readouterr().out == ""
+
+
+def test_words_are_counted_and_listed() -> None:
+    """Singular and plural; a long list says how many words are left out."""
+    assert [counted(n, "event") for n in (0, 1, 2)] == ["0 events", "1 event", "2 events"]
+    assert counted(2, "mass", "es") == "2 masses"
+    assert [listed(words) for words in ("", "a", "ab", "abc")] == [
+        "none",
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
+    assert listed("abc", joint=" or ") == "a, b or c"
+    assert listed("abcdef", most=3) == "a, b and 4 more"
+
+
+@given(
+    value=st.floats(-1e9, 1e9),
+    deviation=st.floats(1e-12, 1e9),
+)
+@examples(200)
+def test_values_are_shown_to_the_second_digit_of_their_deviation(
+    value: float, deviation: float
+) -> None:
+    """No digit that says something is cut off, and no other digit is shown."""
+    shown, sign, spread, unit = figure(value, "m", deviation).split()
+    assert (sign, unit) == ("+-", "m")
+    assert float(spread) == pytest.approx(deviation, rel=0.06)
+    assert (
+        abs(float(shown) - value) <= 0.06 * deviation + 1e-14 * abs(value)
+        or abs(value) < 0.6 * deviation
+    )
+    digits = len(shown.partition("e")[0].replace("-", "").replace(".", "").lstrip("0"))
+    assert digits <= max(np.log10((abs(value) or deviation) / deviation) + 3, 1)
+
+
+def test_values_without_a_deviation_are_shown_alone() -> None:
+    """For example those of parameters at their bounds."""
+    assert figure(0.0) == "0"
+    assert figure(2.88675135e-10, "s") == "2.89e-10 s"
+    assert figure(0.70061256, deviation=0.0039) == "0.7006 +- 0.0039"
