@@ -1,152 +1,111 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The list of curves worth plotting of a plant and its observers, for every plotting tool.
+"""The curves that plotting tools show of a plant and its observers.
 
-It is made for the observers of a bag, or for the names of observer nodes. The layouts of
-:mod:`impact_observer.draw.layouts` are written from it.
+The rows of ``layouts/curves.yaml`` are filled in with the names of a model and of the observers of
+a bag, or of observer nodes. The layouts of :mod:`impact_observer.draw.layouts` show the curves.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
-from itertools import product
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from string import Template
+from typing import Any, TypeAlias
+
+from ruamel.yaml import YAML
 
 from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import Interface
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import system_of
 from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.system import UNKNOWN_UNIT
+from impact_observer.resources import shared
 
-
-class CurveGroup(Enum):
-    """Groups of curves; the values are titles of tabs."""
-
-    POSITIONS = "positions"
-    VELOCITIES = "velocities"
-    ERRORS = "errors"
-    DISTANCE = "distance"
-    DEVIATIONS = "standard deviations"
-    EVENTS = "events"
-    LEARNED = "learned"
-    DIAGNOSTICS = "diagnostics"
-
-
-class Transform(Enum):
-    """The function of a value that is drawn; plotting tools have no logarithmic axis."""
-
-    NONE = ""
-    LOGARITHM = "log10"
-    ROOT = "sqrt"
-
-
-@dataclass(frozen=True, slots=True)
-class FieldStep:
-    """One step of the path from a message to a number in it.
-
-    Attributes:
-        field: its name.
-        index: of the element of an array; None if the field is none, or ``where`` chooses.
-        where: name and value of a field by which elements are chosen; empty for no choice.
-    """
-
-    field: str
-    index: int | None = None
-    where: tuple[str, str] = ("", "")
+TABS = (
+    "positions",
+    "velocities",
+    "errors",
+    "distance",
+    "standard deviations",
+    "events",
+    "learned",
+    "diagnostics",
+)
+"""Titles of the tabs, in their order."""
+PLANT = "plant"
+"""The source of curves of a plant."""
+_Names: TypeAlias = Mapping[str, object]
+"""What is filled in, by the words of the template."""
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A number in the messages of a topic, over their stamps.
+    """A number in the messages of a topic, over the messages' stamps.
 
     Attributes:
+        tab: in which the curve is shown.
+        plot: title of the axes that curves share, with the unit.
         name: for the legend.
         source: ``plant`` or an observer's name; curves of one source have one colour.
         topic: the absolute name.
-        steps: the path from the message to the number.
-        group: the tab in which it is shown.
-        plot: title of the axes that it shares with others, with the unit.
-        element: the coordinate, or the model that diagnostics are of; empty for neither.
-        transform: the function of the value that is drawn.
-        is_state: whether it is one of a few states, not a quantity.
+        path: of the number in Foxglove's message path syntax, such as ``/monitor/error.v.@log10``.
+        series: name of PlotJuggler's series before its transform, such as ``/monitor/error/v``.
+        transform: the function that is drawn, ``log10`` or ``sqrt``; empty for the number itself.
+        is_state: whether the number is one of a few states, not a quantity.
     """
 
+    tab: str
+    plot: str
     name: str
     source: str
     topic: str
-    steps: tuple[FieldStep, ...]
-    group: CurveGroup
-    plot: str
-    element: str = ""
-    transform: Transform = Transform.NONE
-    is_state: bool = False
-
-
-_V = "V and its bound: log10 of J"
-_VERDICT = "verdict: 0 applied, 1 rejected, 2 inserted, 3 and more refused"
-_DISTANCES = (
-    ("V", interfaces.MONITOR_ERROR, "v", _V),
-    ("bound of V", interfaces.OBSERVER_BOUND, "v", _V),
-    ("convergence", interfaces.OBSERVER_STATES, "convergence", "convergence: log10 of J"),
-)
-"""V and what bounds it: name, interface, field, plot."""
-_OF_SAMPLES = "innovation of samples [standard deviations]"
-_EVENTS = (
-    ("verdict", interfaces.OBSERVER_VERDICTS, _VERDICT, True),
-    ("synchronized", interfaces.OBSERVER_STATES, "synchronized: 0 or 1", True),
-    ("latency", interfaces.OBSERVER_VERDICTS, "latency [s]", False),
-    ("innovation", interfaces.OBSERVER_VERDICTS, "innovation [standard deviations]", False),
-    ("normalized", interfaces.OBSERVER_MEASUREMENTS, _OF_SAMPLES, False),
-)
-"""What observers publish of events: field, interface, plot, and whether it is a state."""
-_DIAGNOSTICS = (
-    "events applied",
-    "events rejected",
-    "impacts inserted",
-    "missing sequence numbers",
-    "estimates corrected",
-    "estimates passed over",
-    "large innovations",
-    "largest latency [s]",
-)
-"""Keys of an observer's diagnostics whose values are always numbers."""
-_MOTION = (
-    (CurveGroup.POSITIONS, "position", ""),
-    (CurveGroup.VELOCITIES, "velocity", "/s"),
-)
-"""Fields of joint states with their groups, and what follows the unit of the coordinates."""
+    path: str
+    series: str
+    transform: str
+    is_state: bool
 
 
 def curves(
     system: System, observers: Sequence[ObserverTopics], topics: Iterable[str] | None = None
 ) -> tuple[Curve, ...]:
-    """The list.
+    """The curves of observers, and of the plant in the namespace of each observer.
 
     Args:
-        system: names coordinates and contacts, and itself in the diagnostics.
-        observers: whose estimates are drawn, each with the plant in its namespace.
-        topics: only curves of these absolute names, such as those of a bag; None for all.
+        system: of the plant; names coordinates and contacts.
+        observers: whose estimates are drawn.
+        topics: only curves of these absolute names, such as the topics of a bag; None for all.
 
     Returns:
         Curves in the order in which they are shown.
 
     Raises:
-        UsageError: there is no observer.
+        UsageError: there is no observer, or a name that Foxglove's paths cannot express.
     """
     if not observers:
         raise UsageError("no observer: there is nothing to draw beside the plant; name one")
-    every = [*_plants(system, observers)]
+    rows = YAML(typ="safe").load(shared("layouts/curves.yaml").read_text(encoding="utf-8"))
+    every = list[Curve]()
+    plants = dict.fromkeys(_namespace(each) for each in observers)
+    for namespace in plants:
+        rig = f"{namespace}/".lstrip("/") if len(plants) > 1 else ""
+        names = {"namespace": namespace, "rig": rig, "source": f"{rig}{PLANT}"}
+        every += _filled_in(rows["plant"], PLANT, names, system, ())
     for each in observers:
-        every += [*_motion(system, each), *_accuracy(system, each), *_events(system, each)]
+        lacking = {"bound": not each.bounded, "covariance": not each.filters}
+        own = [row for row in rows["observer"] if not lacking.get(row.get("needs", ""), False)]
+        names = {
+            "observer": each.prefix,
+            "monitor": each.topic(interfaces.MONITOR_ERROR).removesuffix("/error"),
+            "source": each.name,
+        }
+        every += _filled_in(own, each.name, names, system, each.learned)
     wanted = None if topics is None else set(topics)
-    order = [*CurveGroup]
     return tuple(
         sorted(
             (each for each in every if wanted is None or each.topic in wanted),
-            key=lambda each: order.index(each.group),
+            key=lambda each: TABS.index(each.tab),
         )
     )
 
@@ -177,115 +136,92 @@ def curves_of_bag(
 
     Raises:
         BagError: the bag cannot be read, or has no estimates.
-        UsageError, ModelError: an observer that is not in it, or the model cannot be read.
+        UsageError, ModelError: an observer that is not in the bag, or the model cannot be read.
     """
     with BagReader(bag) as reader:
-        system, found = system_of(reader, model), observers_in(reader)
-        if not found:
+        system, present = system_of(reader, model), observers_in(reader)
+        if not present:
             raise UnfitBagError(
                 f"{bag}: has no estimates; make them with observe, or name a model"
             )
-        by_prefix = {each.prefix: each for each in found}
+        by_prefix = {each.prefix: each for each in present}
         names = by_prefix if observers is None else observers
         wanted = dict.fromkeys(ObserverTopics.of_node(name).prefix for name in names)
         if missing := [prefix for prefix in wanted if prefix not in by_prefix]:
-            present = ", ".join(by_prefix)
-            raise UsageError(f"{bag}: no observer {missing[0]}; in the bag: {present}")
+            raise UsageError(
+                f"{bag}: no observer {missing[0]}; in the bag: {', '.join(by_prefix)}"
+            )
         topics = tuple(name for name, topic in reader.topics.items() if topic.count)
     return curves(system, [by_prefix[prefix] for prefix in wanted], topics), topics
 
 
-def _plants(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Curve]:
-    """True motion, and how each contact switches, of each plant once; of several by namespace."""
-    joints = interfaces.PLANT_JOINT_STATES
-    rigs = {each.topic(joints): each for each in observers}
-    for topic, observer in rigs.items():
-        rig = topic.removesuffix(joints.name).lstrip("/") if len(rigs) > 1 else ""
-        yield from _coordinates(system, "plant", f"{rig}plant", topic)
-        for name in system.contact_names:
+def _namespace(observer: ObserverTopics) -> str:
+    """The namespace of an observer and of the plant beside it; empty for the root."""
+    return observer.prefix.rpartition("/")[0]
+
+
+def _filled_in(
+    rows: Sequence[Mapping[str, Any]],
+    source: str,
+    names: _Names,
+    system: System,
+    learned: Sequence[str],
+) -> Iterator[Curve]:
+    """The curves of some rows of the template."""
+    # The unit of a model of matrices is not known; titles are short and say m.
+    unit = "m" if system.unit == UNKNOWN_UNIT else system.unit
+    for row in rows:
+        for repeated in _repeated(row.get("each"), system, learned):
+            given = {**names, "unit": unit, "model": system.name, **repeated}
+            filled = {
+                key: Template(value).substitute(given)
+                for key, value in row.items()
+                if isinstance(value, str) and key != "each"
+            }
+            path = filled.get("foxglove", filled.get("field"))
+            series = filled.get("plotjuggler", filled.get("field"))
+            transform = filled.get("transform", "")
             yield Curve(
-                f"{rig}{name}",
-                "plant",
-                observer.topic(interfaces.IMPACTS),
-                (FieldStep("switches", where=("contact", name)), FieldStep("kind")),
-                CurveGroup.EVENTS,
-                "kind: 0 impact, 1 close, 2 open",
-                is_state=True,
+                tab=filled["tab"],
+                plot=filled["plot"],
+                name=filled["name"],
+                source=source,
+                topic=filled["topic"],
+                path=f"{filled['topic']}.{path}" + (f".@{transform}" if transform else ""),
+                series=f"{filled['topic']}/{series}",
+                transform=transform,
+                is_state=bool(row.get("state")),
             )
 
 
-def _coordinates(system: System, source: str, label: str, topic: str) -> Iterator[Curve]:
-    """Positions and velocities in joint states; those of all sources share a plot."""
-    for (group, field, per), (i, name) in product(_MOTION, enumerate(system.coordinates)):
-        steps, plot = (FieldStep(field, i),), f"{name} {field} [{_unit(system)}{per}]"
-        yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
+def _repeated(each: object, system: System, learned: Sequence[str]) -> Iterator[_Names]:
+    """The names that differ from one curve of a row to the next."""
+    if each == "coordinate":
+        n = system.n
+        for i, name in enumerate(system.coordinates):
+            variances = {"variance_q": i * (2 * n + 1), "variance_u": (n + i) * (2 * n + 1)}
+            yield {"coordinate": name, "i": i, **variances}
+    elif each == "contact":
+        for name in system.contact_names:
+            yield {"contact": name, "quoted": _quoted(name)}
+    elif each == "parameter":
+        for i, name in enumerate(learned):
+            words = name.replace("_", " ")
+            yield {"parameter": name, "words": words, "titled": with_unit(name), "i": i}
+    elif isinstance(each, list):
+        for word in each:
+            yield {"word": word}
+    else:
+        yield {}
 
 
-def _of_observer(
-    observer: ObserverTopics,
-    label: str,
-    interface: Interface,
-    group: CurveGroup,
-    plot: str,
-    *steps: FieldStep,
-) -> Curve:
-    """A curve of an observer; its name is the label and the observer's name."""
-    name = observer.name
-    return Curve(f"{label} {name}", name, observer.topic(interface), steps, group, plot)
+def _quoted(name: str) -> str:
+    """A name in quotes, as Foxglove's message paths need them.
 
-
-def _motion(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Estimates, and their difference from the truth by the monitor."""
-    name = observer.name
-    yield from _coordinates(system, name, name, observer.topic(interfaces.OBSERVER_JOINT_STATES))
-    error, group = interfaces.MONITOR_ERROR, CurveGroup.ERRORS
-    for (_, field, per), (i, name) in product(_MOTION, enumerate(system.coordinates)):
-        step, plot = FieldStep(f"{field}_error", i), f"{name} {field} error [{_unit(system)}{per}]"
-        yield _of_observer(observer, name, error, group, plot, step)
-
-
-def _unit(system: System) -> str:
-    """Of the coordinates; m where it is not known, as titles are short."""
-    return "m" if system.unit == UNKNOWN_UNIT else system.unit
-
-
-def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """V, its bound, the distance of the replicas; standard deviations; learned parameters."""
-    states, n = interfaces.OBSERVER_STATES, system.n
-    for label, interface, field, plot in _DISTANCES:
-        if observer.bounded or interface is not interfaces.OBSERVER_BOUND:
-            step, group = FieldStep(field), CurveGroup.DISTANCE
-            curve = _of_observer(observer, label, interface, group, plot, step)
-            yield replace(curve, transform=Transform.LOGARITHM)
-    for k in range(2 * n if observer.filters else 0):
-        step, group = FieldStep("covariance", k * (2 * n + 1)), CurveGroup.DEVIATIONS
-        of, per = ("velocities", "/s") if k >= n else ("positions", "")
-        plot = f"standard deviations of {of} [{_unit(system)}{per}]"
-        curve = _of_observer(observer, system.coordinates[k % n], states, group, plot, step)
-        yield replace(curve, transform=Transform.ROOT)
-    for i, parameter in enumerate(observer.learned):
-        words, plot = parameter.replace("_", " "), with_unit(parameter)
-        for field, label in (
-            ("parameter", words),
-            ("parameter_deviation", f"{words} standard deviation"),
-        ):
-            step, group = FieldStep(field, i), CurveGroup.LEARNED
-            yield _of_observer(observer, label, states, group, plot, step)
-
-
-def _events(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Verdicts, latency, innovations; level and values of the diagnostics."""
-    for field, interface, plot, is_state in _EVENTS:
-        if observer.filters or field not in {"innovation", "normalized"}:
-            step, group = FieldStep(field), CurveGroup.EVENTS
-            curve = _of_observer(observer, field, interface, group, plot, step)
-            yield replace(curve, is_state=is_state)
-    interface, group = interfaces.DIAGNOSTIC_ARRAYS, CurveGroup.DIAGNOSTICS
-    status = FieldStep("status", where=("name", f"{observer.prefix}: impacts"))
-    plot = "level: 0 ok, 1 warning, 2 error"
-    level = _of_observer(observer, "level", interface, group, plot, status, FieldStep("level"))
-    yield replace(level, element=system.name)
-    for key in _DIAGNOSTICS:
-        steps = (status, FieldStep("values", where=("key", key)), FieldStep("value"))
-        curve = _of_observer(observer, key, interface, group, key, *steps)
-        yield replace(curve, element=system.name)
+    Raises:
+        UsageError: the name holds both kinds of quotes, which the syntax cannot express.
+    """
+    quote = "'" if '"' in name else '"'
+    if quote in name:
+        raise UsageError(f"{name}: has both kinds of quotes; a message path can hold one only")
+    return f"{quote}{name}{quote}"

@@ -91,7 +91,7 @@ def write_film(
     suffix = path.suffix.lower()
     if suffix == ".gif":
         _check_memory(path, len(stamps), drawn)
-    settings: dict[str, Any] = {"savefig.bbox": None}
+    settings: Any = {"savefig.bbox": None}
     if suffix == ".mp4":
         settings["animation.ffmpeg_path"] = _ffmpeg()
     with replacing(path) as temporary, mpl.rc_context(settings):
@@ -126,13 +126,14 @@ def _grab(writer: Any) -> None:  # noqa: ANN401 (matplotlib's is not typed)
 
 def _writer(suffix: str, fps: float) -> Any:  # noqa: ANN401 (matplotlib's is not typed)
     """The writer of matplotlib for a format."""
+    writers: Any = animation  # their rates are typed as whole numbers
     if suffix == ".gif":
-        return animation.PillowWriter(fps)
+        return writers.PillowWriter(fps)
     if suffix == ".html":
         # Without a limit no picture is dropped.
-        return animation.HTMLWriter(fps, embed_frames=True, embed_limit=math.inf)
+        return writers.HTMLWriter(fps, embed_frames=True, embed_limit=math.inf)
     logging.getLogger("matplotlib.animation").setLevel(logging.ERROR)  # the error says it all
-    return animation.FFMpegWriter(fps, codec="h264", extra_args=["-movflags", "+faststart"])
+    return writers.FFMpegWriter(fps, codec="h264", extra_args=["-movflags", "+faststart"])
 
 
 def _ffmpeg() -> str:

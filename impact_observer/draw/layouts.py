@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layouts for plotting tools, written from the list of curves.
 
-Foxglove imports JSON: panels by identifier, and a tree that splits the screen between them; curves
-are message paths. PlotJuggler 3 loads XML: tabs, splitters, plots. It names a series by its path
-in the message, an element of a ``JointState`` by the joint and a diagnostic by its key, and
-computes transformed series by snippets of Lua.
+Foxglove imports JSON: panels by identifier, and a tree that splits the screen between the panels.
+PlotJuggler 3 loads XML: tabs, splitters, plots, and snippets of Lua for transformed series.
 """
 
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
-from impact_observer.draw.curves import Curve, CurveGroup, FieldStep, Transform
-from impact_observer.errors import UsageError
+from impact_observer.draw.curves import PLANT, TABS, Curve
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import interface
 from impact_observer.plain_text import printable_lines
 
 _Config: TypeAlias = dict[str, Any]
 _Tree: TypeAlias = "str | _Config"
+"""The identifier of a panel, or a split between two trees."""
 
 # Blue, vermilion, green, orange, purple of Okabe and Ito, for people who see no red or no green.
 # The plant is grey, visible on white and on black, and its line is wider.
@@ -42,41 +40,36 @@ _PLOT = {
 }
 """Settings of every plot of Foxglove."""
 _LUA = {
-    Transform.LOGARITHM: "if value > 0 then return time, math.log(value) / math.log(10) end",
-    Transform.ROOT: "if value >= 0 then return time, math.sqrt(value) end",
+    "log10": "if value > 0 then return time, math.log(value) / math.log(10) end",
+    "sqrt": "if value >= 0 then return time, math.sqrt(value) end",
 }
+_DOTS = "events"
+"""The tab whose curves are dots, not lines."""
 
 
 def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> str:
     """A layout as Foxglove imports it.
 
     Args:
-        curves: what to show.
-        topics: absolute names of those that other panels may show; None for all.
+        curves: what is shown.
+        topics: absolute names of the topics that other panels may show; None for all.
 
     Returns:
         JSON with a final line end.
-
-    Raises:
-        UsageError: a path cannot be written.
     """
     present = None if topics is None else set(topics)
     panels = _Panels(curves)
-    overview = [
-        panels.plots(curves, CurveGroup.DISTANCE, most=1),
-        panels.plots(curves, CurveGroup.POSITIONS, most=2),
-        panels.transitions(curves),
-    ]
+    overview = [panels.plots("distance", 1), panels.plots("positions", 2), panels.transitions()]
     tabs = [("overview", _split("column", [each for each in overview if each]))]
     tabs += [
-        (group.value, _split("column", [*panels.above(curves, group, present), tree]))
-        for group in CurveGroup
-        if (tree := panels.plots(curves, group))
+        (tab, _split("column", [*panels.above(tab, present), plots]))
+        for tab in TABS
+        if (plots := panels.plots(tab))
     ]
     if present is None or _SCENE in present:
-        tabs.append(("scene", panels.add("3D", {"topics": {_SCENE: {"visible": True}}})))
+        tabs.append(("scene", panels.new_panel("3D", {"topics": {_SCENE: {"visible": True}}})))
     titled = [{"title": title, "layout": tree} for title, tree in tabs]
-    layout = panels.add("Tab", {"activeTabIdx": 0, "tabs": titled})
+    layout = panels.new_panel("Tab", {"activeTabIdx": 0, "tabs": titled})
     whole = {
         "configById": panels.configs,
         "globalVariables": {},
@@ -87,69 +80,46 @@ def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> st
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
-def message_path(curve: Curve) -> str:
-    """A curve in Foxglove's message path syntax, such as ``/monitor/error.v.@log10``.
-
-    Raises:
-        UsageError: a name holds both kinds of quotes, which the syntax cannot express.
-    """
-    shown = f".@{curve.transform.value}" if curve.transform.value else ""
-    return curve.topic + "".join(map(_message_step, curve.steps)) + shown
-
-
-def _message_step(step: FieldStep) -> str:
-    if step.index is not None:
-        return f".{step.field}[{step.index}]"
-    key, value = step.where
-    if not key:
-        return f".{step.field}"
-    quote = "'" if '"' in value else '"'
-    if quote in value:
-        raise UsageError(f"{value}: has both kinds of quotes; a message path can hold one only")
-    return f".{step.field}[:]{{{key}=={quote}{value}{quote}}}"
-
-
 class _Panels:
     """The panels of a Foxglove layout, by identifier."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
         self.configs: dict[str, _Config] = {}
+        self._curves = curves
         self._colours = _colours(curves)
 
-    def add(self, kind: str, config: _Config) -> str:
-        """Add a panel; return its identifier."""
+    def new_panel(self, kind: str, config: _Config) -> str:
+        """Make a panel; return its identifier."""
         name = f"{kind}!{len(self.configs)}"
         self.configs[name] = config
         return name
 
-    def plots(self, curves: Sequence[Curve], group: CurveGroup, most: int | None = None) -> _Tree:
-        """The plots of a group, at most so many; empty if it has none."""
-        quantities = [each for each in curves if each.group is group and not each.is_state]
-        axes = _by_plot(quantities)[:most]
-        columns = _columns([self._plot(title, own) for title, own in axes])
-        return _split("row", [_split("column", each) for each in columns]) if columns else ""
+    def plots(self, tab: str, most: int | None = None) -> _Tree:
+        """The plots of a tab, at most so many; empty if the tab has none."""
+        quantities = [each for each in self._curves if each.tab == tab and not each.is_state]
+        plots = [self._plot(title, own) for title, own in _by_plot(quantities)[:most]]
+        columns = [_split("column", each) for each in _columns(plots)]
+        return _split("row", columns) if columns else ""
 
-    def transitions(self, curves: Sequence[Curve]) -> str:
-        """States over time, such as contacts and verdicts; empty if there are none."""
-        states = [each for each in curves if each.is_state]
+    def transitions(self) -> str:
+        """A panel of states over time, such as contacts and verdicts; empty if there are none."""
+        states = [_path(each) for each in self._curves if each.is_state]
         if not states:
             return ""
-        config = {"isSynced": True, "paths": [_path(each) for each in states]}
-        return self.add("StateTransitions", config)
+        return self.new_panel("StateTransitions", {"isSynced": True, "paths": states})
 
-    def above(
-        self, curves: Sequence[Curve], group: CurveGroup, present: set[str] | None
-    ) -> list[_Tree]:
-        """The panels above the plots of a group: states, the text of messages."""
+    def above(self, tab: str, present: set[str] | None) -> list[_Tree]:
+        """The panels above the plots of a tab: states, the text of messages."""
         topic = interfaces.DIAGNOSTIC_ARRAYS.topic
-        if group is CurveGroup.DIAGNOSTICS and (present is None or topic in present):
+        if tab == "diagnostics" and (present is None or topic in present):
             config = {"minLevel": 0, "topicToRender": topic, "sortByLevel": True}
-            return [self.add("DiagnosticSummary", {**config, "hardwareIdFilter": ""})]
-        if group is not CurveGroup.EVENTS or not (states := self.transitions(curves)):
+            return [self.new_panel("DiagnosticSummary", {**config, "hardwareIdFilter": ""})]
+        if tab != "events" or not (states := self.transitions()):
             return []
-        found = dict.fromkeys(each.topic for each in curves if each.steps[0].field == "verdict")
+        verdicts = [each.topic for each in self._curves if each.series.endswith("/verdict")]
         texts: list[_Tree] = [
-            self.add("RawMessages", {"topicPath": topic, "diffEnabled": False}) for topic in found
+            self.new_panel("RawMessages", {"topicPath": each, "diffEnabled": False})
+            for each in dict.fromkeys(verdicts)
         ]
         return [states, *([_split("row", texts)] if texts else [])]
 
@@ -158,19 +128,19 @@ class _Panels:
             {
                 **_path(each),
                 "color": self._colours[each.source],
-                "lineSize": 3 if each.source == "plant" else 1.5,
-                "showLine": each.group is not CurveGroup.EVENTS,
+                "lineSize": 3 if each.source == PLANT else 1.5,
+                "showLine": each.tab != _DOTS,
             }
             for each in curves
         ]
         titles = {"foxglovePanelTitle": title, "yAxisLabel": title}
-        return self.add("Plot", {**titles, "paths": paths, **_PLOT})
+        return self.new_panel("Plot", {**titles, "paths": paths, **_PLOT})
 
 
 def _path(curve: Curve) -> _Config:
     """A path over the stamps of headers: messages may arrive out of order."""
     return {
-        "value": message_path(curve),
+        "value": curve.path,
         "enabled": True,
         "timestampMethod": "headerStamp",
         "label": curve.name,
@@ -194,7 +164,7 @@ def plotjuggler(curves: Sequence[Curve]) -> str:
     """A layout that PlotJuggler 3 loads.
 
     Args:
-        curves: what to show; those in arrays that PlotJuggler does not read are left out.
+        curves: what is shown; curves in arrays that PlotJuggler does not read are left out.
 
     Returns:
         XML with a final line end.
@@ -203,70 +173,55 @@ def plotjuggler(curves: Sequence[Curve]) -> str:
     colours = _colours(readable)
     root = ET.Element("root")
     tabs = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    for group in CurveGroup:
-        if own := [each for each in readable if each.group is group]:
-            _tab(ET.SubElement(tabs, "Tab", tab_name=group.value, containers="1"), own, colours)
+    for tab in TABS:
+        if own := [each for each in readable if each.tab == tab]:
+            _add_plots(ET.SubElement(tabs, "Tab", tab_name=tab, containers="1"), own, colours)
     ET.SubElement(tabs, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
     ET.SubElement(root, "Plugins")
     equations = ET.SubElement(root, "customMathEquations")
     for each in readable:
-        if each.transform in _LUA:
-            snippet = ET.SubElement(equations, "snippet", name=series_drawn(each))
+        if each.transform:
+            snippet = ET.SubElement(equations, "snippet", name=_series_drawn(each))
             ET.SubElement(snippet, "global")
             # A value without a transform, such as -1 for "none", gives no sample.
             ET.SubElement(snippet, "function").text = f"{_LUA[each.transform]}\nreturn {{}}"
-            ET.SubElement(snippet, "linked_source").text = series(each)
+            ET.SubElement(snippet, "linked_source").text = each.series
     ET.SubElement(root, "snippets")
     ET.indent(root, " ")
     text = printable_lines(ET.tostring(root, encoding="unicode"))
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{text}\n"
 
 
-def series(curve: Curve) -> str:
-    """The name of PlotJuggler's series of a curve, before its transform.
-
-    ``/plant/joint_states/x1/position``, ``/monitor/error/position_error[0]``,
-    ``/diagnostics/two_mass//observer: impacts/level``; the first of several switches in an event.
-    """
-    found = interface(curve.topic)
-    if found is not None and found.type == interfaces.JOINT_STATE:
-        return f"{curve.topic}/{curve.element}/{curve.steps[0].field}"
-    if found is not None and found.type == interfaces.DIAGNOSTICS:
-        status, *inside = curve.steps
-        key = inside[0].where[1] or inside[0].field
-        return f"{curve.topic}/{curve.element}/{status.where[1]}/{key}"
-    name = curve.topic
-    for step in curve.steps:
-        index = 0 if step.where[0] else step.index
-        name += f"/{step.field}" + ("" if index is None else f"[{index}]")
-    return name
-
-
-def series_drawn(curve: Curve) -> str:
+def _series_drawn(curve: Curve) -> str:
     """The name of the series that is drawn; a transformed one has a name of its own."""
-    return f"{curve.transform.value} {curve.name}" if curve.transform in _LUA else series(curve)
+    return f"{curve.transform} {curve.name}" if curve.transform else curve.series
 
 
 def _readable(curves: Sequence[Curve]) -> list[Curve]:
     """Curves in arrays that PlotJuggler reads; the last index shows how long an array is."""
-    last = {(each.topic, each.steps[0].field): each.steps[0].index or 0 for each in curves}
-    return [each for each in curves if last[each.topic, each.steps[0].field] < _LONGEST_ARRAY]
+    split = [re.fullmatch(r"(.*)\[(\d+)\]", each.series) for each in curves]
+    last = {each[1]: int(each[2]) for each in split if each}
+    return [
+        curve
+        for curve, each in zip(curves, split, strict=True)
+        if not each or last[each[1]] < _LONGEST_ARRAY
+    ]
 
 
-def _tab(tab: ET.Element, curves: Sequence[Curve], colours: dict[str, str]) -> None:
+def _add_plots(tab: ET.Element, curves: Sequence[Curve], colours: dict[str, str]) -> None:
+    """Fill a tab with the plots of its curves."""
     columns = _columns(_by_plot(curves))
     rows = ET.SubElement(ET.SubElement(tab, "Container"), "DockSplitter", _sizes("|", columns))
     for column in columns:
         splitter = ET.SubElement(rows, "DockSplitter", _sizes("-", column))
-        for title, curves_there in column:
+        for title, own in column:
             area = ET.SubElement(splitter, "DockArea", name=title)
-            dots = curves_there[0].group is CurveGroup.EVENTS
             settings = {"flip_x": "false", "flip_y": "false", "line_width": "1.5"}
-            style = {"mode": "TimeSeries", "style": "Dots" if dots else "Lines"}
+            style = {"mode": "TimeSeries", "style": "Dots" if own[0].tab == _DOTS else "Lines"}
             plot = ET.SubElement(area, "plot", {**style, **settings})
             ET.SubElement(plot, "limitY")
-            drawn = {series_drawn(each): colours[each.source] for each in curves_there}
+            drawn = {_series_drawn(each): colours[each.source] for each in own}
             for name, colour in drawn.items():
                 ET.SubElement(plot, "curve", name=name, color=colour)
 
@@ -287,6 +242,7 @@ def _columns(parts: Sequence[Any]) -> list[list[Any]]:
 
 
 def _by_plot(curves: Iterable[Curve]) -> list[tuple[str, list[Curve]]]:
+    """Curves by the title of their plot."""
     plots: dict[str, list[Curve]] = {}
     for each in curves:
         plots.setdefault(each.plot, []).append(each)
@@ -294,7 +250,7 @@ def _by_plot(curves: Iterable[Curve]) -> list[tuple[str, list[Curve]]]:
 
 
 def _colours(curves: Iterable[Curve]) -> dict[str, str]:
-    """A colour for each source, in the order of their first curves."""
-    sources = dict.fromkeys(each.source for each in curves if each.source != "plant")
+    """A colour for each source, in the order of the sources' first curves."""
+    sources = dict.fromkeys(each.source for each in curves if each.source != PLANT)
     colours = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(sources)}
-    return {"plant": _PLANT, **colours}
+    return {PLANT: _PLANT, **colours}

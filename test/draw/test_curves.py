@@ -7,18 +7,13 @@ from pathlib import Path
 import pytest
 from plotting_tools import everything
 
-from impact_observer.draw.curves import CurveGroup, Transform, curves
+from impact_observer.draw.curves import curves
 from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import UsageError
 from impact_observer.io import BagReader
 from impact_observer.model import read_model
 
-MOTION = {
-    CurveGroup.POSITIONS,
-    CurveGroup.VELOCITIES,
-    CurveGroup.ERRORS,
-    CurveGroup.DEVIATIONS,
-}
+MOTION = {"positions", "velocities", "errors", "standard deviations"}
 LAWS = {
     "observer_geometric": "geometric",
     "observer_kinematic": "kinematic",
@@ -72,18 +67,13 @@ def test_plant_and_monitor_are_those_beside_the_observer(
 def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
     """Truth and estimate share the axes of a coordinate; errors have their own."""
     system = read_model("three_mass").system
-    found = curves(system, [ObserverTopics.of_node("observer")])
-    for group, unit in (
-        (CurveGroup.POSITIONS, "position [m]"),
-        (CurveGroup.VELOCITIES, "velocity [m/s]"),
-    ):
-        own = [each for each in found if each.group is group]
+    drawn = curves(system, [ObserverTopics.of_node("observer")])
+    for tab, unit in (("positions", "position [m]"), ("velocities", "velocity [m/s]")):
         for source in ("plant", "observer"):
-            shown = [each for each in own if each.source == source]
-            assert [each.plot for each in shown] == [f"{q} {unit}" for q in system.coordinates]
-            assert [each.element for each in shown] == list(system.coordinates)
-    assert sum(each.group is CurveGroup.ERRORS for each in found) == 6
-    contacts = [each.name for each in found if each.topic == "/impacts"]
+            own = [each.plot for each in drawn if (each.tab, each.source) == (tab, source)]
+            assert own == [f"{q} {unit}" for q in system.coordinates]
+    assert sum(each.tab == "errors" for each in drawn) == 6
+    contacts = [each.name for each in drawn if each.topic == "/impacts"]
     assert contacts == ["right", "left"]
 
 
@@ -92,7 +82,7 @@ def test_a_model_of_angles_has_its_curves_in_rad() -> None:
     matrices = read_model("two_mass").system
     for system, unit in ((replace(matrices, unit="rad"), "rad"), (matrices, "m")):
         found = curves(system, [ObserverTopics.of_node("observer_minimum_variance")])
-        units = {each.plot.partition("[")[2] for each in found if each.group in MOTION}
+        units = {each.plot.partition("[")[2] for each in found if each.tab in MOTION}
         assert units == {f"{unit}]", f"{unit}/s]"}
 
 
@@ -100,7 +90,7 @@ def test_observers_of_two_rigs_are_distinguished() -> None:
     """By names and colours, and each is drawn beside its own plant and contacts."""
     rigs = [ObserverTopics.of_node(name) for name in ("/a/observer", "/b/observer")]
     found = curves(read_model("two_mass").system, rigs)
-    assert len({(each.group, each.plot, each.name) for each in found}) == len(found)
+    assert len({(each.tab, each.plot, each.name) for each in found}) == len(found)
     assert {each.source for each in found} == {"plant", "a/observer", "b/observer"}
     of_plants = [(each.name, each.topic) for each in found if each.source == "plant"]
     assert ("x1 a/plant", "/a/plant/joint_states") in of_plants
@@ -108,19 +98,19 @@ def test_observers_of_two_rigs_are_distinguished() -> None:
     assert of_plants[-2:] == [("a/stop", "/a/impacts"), ("b/stop", "/b/impacts")]
 
 
-def test_v_and_what_bounds_it_are_drawn_as_logarithms() -> None:
+def test_v_and_its_bound_are_drawn_as_logarithms() -> None:
     """On one pair of axes; deviations are roots of variances, on the covariance's diagonal."""
     system = read_model("two_mass").system
-    found = curves(system, [ObserverTopics("/observer", bounded=True, filters=True)])
-    logarithms = [each for each in found if each.transform is Transform.LOGARITHM]
+    drawn = curves(system, [ObserverTopics("/observer", bounded=True, filters=True)])
+    logarithms = [each for each in drawn if each.transform == "log10"]
     assert [each.name for each in logarithms] == [
         "V observer",
         "bound of V observer",
         "convergence observer",
     ]
     assert logarithms[0].plot == logarithms[1].plot
-    roots = [each.steps[0].index for each in found if each.transform is Transform.ROOT]
-    assert roots == [0, 5, 10, 15]
+    roots = [each.series for each in drawn if each.transform == "sqrt"]
+    assert roots == [f"/observer/state/covariance[{k}]" for k in (0, 5, 10, 15)]
 
 
 def test_only_topics_that_are_there_are_drawn() -> None:

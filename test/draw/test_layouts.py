@@ -108,10 +108,16 @@ def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
 @pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("kind", ["json", "xml"])
 def test_shipped_layouts_are_what_the_command_writes(name: str, kind: str, tmp_path: Path) -> None:
-    """Byte for byte: ``impact-observer layout two_mass --observers ... -o FILE``."""
+    """To the byte: ``impact-observer layout two_mass --observers ... -o FILE``."""
     written = tmp_path / f"{name}.{kind}"
     assert layout("two_mass", written, observers=SHIPPED[name]) == 0
     assert written.read_bytes() == (LAYOUTS / written.name).read_bytes()
+
+
+def test_joint_states_of_an_observer_of_any_name_are_series_by_joint() -> None:
+    """PlotJuggler names them so, whatever the topic is called."""
+    names = {curve.attrib["name"] for curve in ET.fromstring(drawn(["watcher"])[1]).iter("curve")}
+    assert "/watcher/joint_states/x1/position" in names
 
 
 def leaves(tree: Any) -> list[str]:  # noqa: ANN401 (of JSON)
@@ -180,7 +186,7 @@ def test_a_contact_with_quotes_in_its_name_is_found() -> None:
     for name, wanted in forms.items():
         assert any(wanted in path for path in paths_of(foxglove(curves(named(name), OBSERVER))))
     with pytest.raises(UsageError, match=r"both kinds of quotes"):
-        foxglove(curves(named("a'\"b"), OBSERVER))
+        curves(named("a'\"b"), OBSERVER)
 
 
 OBSERVER = [ObserverTopics.of_node("observer")]

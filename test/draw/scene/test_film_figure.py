@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ class Shown:
     def __init__(self, film: Film, title: str = "", speed: float = 1.0) -> None:
         self._drawn = FilmFigure(film, title=title, speed=speed)
         self.axes: list[Axes] = self._drawn.figure.axes
-        self.canvas = FigureCanvasAgg(self._drawn.figure)
+        self.canvas: Any = FigureCanvasAgg(self._drawn.figure)
 
     def show(self, stamp: int) -> None:
         """Move everything to a stamp."""
