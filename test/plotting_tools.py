@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How two plotting tools find numbers in messages, and a bag with everything that is plotted.
+"""Two plotting tools' ways to find numbers in messages, and a bag with all plotted topics.
 
 Foxglove's message paths follow its grammar; PlotJuggler's names of series follow its parser of ROS
 messages. Both are written from the sources of the tools, independently of our layouts.
@@ -38,7 +38,7 @@ DIAGNOSTICS = {
     "large innovations": "0",
     "synchronized": "False",
 }
-"""Diagnostics of an observer node; test_watcher compares them with a running one."""
+"""Diagnostics of an observer node; test_watcher compares them with a running node's."""
 
 _TOPIC = re.compile(r"[/A-Za-z0-9_-]+")
 _NAME = re.compile(r"\.([A-Za-z0-9_-]+)")
@@ -63,7 +63,7 @@ class MessagePath(NamedTuple):
 
 
 def message_path(text: str) -> MessagePath:
-    """``text`` by the grammar of message paths; an AssertionError where it is none."""
+    """``text`` parsed by the grammar of message paths, or an AssertionError."""
     found = _TOPIC.match(text)
     assert found, text
     topic, at = found[0], found.end()
@@ -88,7 +88,7 @@ def message_path(text: str) -> MessagePath:
 
 
 def resolved(path: MessagePath, message: object) -> list[object]:
-    """The values that a path finds in one message; of a number what its function makes of it."""
+    """The values of a path in one message, after the path's function."""
     values = list(_walked(message, path.steps))
     if not path.modifier:
         return values
@@ -120,7 +120,7 @@ def _walked(value: Any, steps: Sequence[tuple[str, object]]) -> Iterator[object]
 
 
 def plotjuggler_series(topic: str, message: object) -> dict[str, object]:
-    """What PlotJuggler makes of a message: values by the names of their series."""
+    """The values of a message by the names of PlotJuggler's series."""
     name = cast("Any", message).__msgtype__
     if name == "sensor_msgs/msg/JointState":
         return _joint_state(topic, cast("Any", message))
@@ -147,7 +147,7 @@ def _diagnostics(topic: str, message: Any) -> dict[str, object]:  # noqa: ANN401
 
 
 def _number(text: str) -> object:
-    """A text as the number it is, if it is one."""
+    """A text as a number, if the text is a number."""
     try:
         return float(text)
     except ValueError:

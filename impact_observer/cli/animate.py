@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Masses, springs and stops of plant and estimates, moving, with V over time below.
+"""Make a film of masses, springs and stops of plant and estimates, with V over time below.
 
 The file's ending chooses the format: .mp4 (needs ffmpeg), .gif, or .html, a page that contains all
 pictures and needs no network.
@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
     speed = "recorded seconds a second of the film (default 1)"
     add("--speed", metavar="X", type=positive, default=1.0, help=speed)
-    start = "where to begin, s since the epoch (default 0)"
+    start = "beginning of the film, s since the epoch (default 0)"
     add("--start", metavar="S", type=not_negative, default=0.0, help=start)
-    duration = f"how much to show, s (default: all, but no film longer than {LONGEST:g} s)"
+    duration = f"length of the recording to show, s (default: all, up to {LONGEST:g} s of film)"
     add("--duration", metavar="S", type=positive, help=duration)
     fps = (
         f"pictures a second of the film (default {FPS:g}); a GIF takes the nearest of 50, 33.3,"
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--fps", metavar="N", type=positive, default=FPS, help=fps)
     add_namespace(parser)
-    add_observers(parser, "show only these, by name (default: all in the bag)")
+    add_observers(parser, "show only observers of these names (default: all in the bag)")
     add_model(parser)
 
 
@@ -87,21 +87,21 @@ def animate(
 
     Args:
         bag: with truth, estimates, or both.
-        output: the film; its suffix says the format.
+        output: the film; its suffix is the format.
         speed: recorded seconds a second of the film.
         start: s since the epoch.
-        duration: recorded seconds to show; None for all, up to a minute of film.
+        duration: recorded seconds in the film; None for all, up to a minute of film.
         fps: pictures a second of the film.
         observers: prefixes of the estimates' topics; None for all.
         model: a model file or a sample's name; None for the model in the bag.
-        namespace: of the rig; empty if there is only one.
+        namespace: of the rig; empty for the only rig.
 
     Returns:
         0.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used, or there is no encoder.
-        BagError: the bag cannot be read, or there is nothing in it to show.
+        BagError: the bag cannot be read, or has no states.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.film_files import picture_rate, write_film
@@ -142,7 +142,7 @@ def _check(**given: float) -> None:
     """Raise unless all numbers are in their ranges.
 
     Raises:
-        UsageError: one is not.
+        UsageError: a number is not in its range.
     """
     for name, value in given.items():
         low, high = _RANGES[name]
@@ -151,12 +151,12 @@ def _check(**given: float) -> None:
 
 
 def _title(film: "Film", speed: float) -> str:
-    """The title of the film: what it shows, and how fast."""
-    what = "plant and estimates" if film.truth and film.estimates else "plant"
+    """The title of the film, with its tracks and its speed."""
+    shown = "plant and estimates" if film.truth and film.estimates else "plant"
     if film.truth is None:
-        what = "estimate" if len(film.estimates) == 1 else "estimates"
+        shown = "estimate" if len(film.estimates) == 1 else "estimates"
     fast = "" if speed == 1 else f", {speed:g} times as fast"
-    return f"{film.scene.system.name}: {what}{fast}"
+    return f"{film.scene.system.name}: {shown}{fast}"
 
 
 def _rest(reader: "BagReader", film: "Film") -> str:

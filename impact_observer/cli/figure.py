@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a model to the picture: a plant, observers with several laws, V over time.
+"""Simulate a model, observe with several laws, and draw V over time.
 
-With the default laws it is made after Figure 2 of Baumann and Leine (ENOC 2014): kinematic grey,
-geometric black. With --laws all it shows everything that is installed.
+With the default laws the picture is made after Figure 2 of Baumann and Leine (ENOC 2014):
+kinematic grey, geometric black. With --laws all the picture has a curve for each installed law.
 """
 
 import argparse
@@ -34,17 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
     output = "the picture: a PNG, SVG or PDF"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
-    laws = f"one curve each, or all that are installed (default {LAWS})"
+    laws = f"laws of the observers, one curve each, or all (default {LAWS})"
     add("--laws", metavar="LAW,...", default=LAWS, help=laws)
     initial = (
         f"of the observers: q1,..,qn,u1,..,un, random:SEED, drawn:SEED or zero (default {INITIAL})"
     )
     add("--initial", metavar="STATE", default=INITIAL, help=initial)
-    duration = "how long, s (default 30)"
+    duration = "length of the simulation, s (default 30)"
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
-    rate = "samples, Hz (default 100)"
+    rate = "rate of the samples, Hz (default 100)"
     add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
-    paper = "for a printed column: 88 mm wide, without a title"
+    paper = "make a picture for a printed column: 88 mm wide, without a title"
     add("--paper", action="store_true", help=paper)
     add("--json", action="store_true", help="print the metrics as JSON")
 
@@ -82,7 +82,7 @@ def figure(
         model: a model file or a sample's name.
         output: the picture; an existing file is replaced.
         laws: names of the observers' laws, one curve each.
-        initial: where all observers begin, as users write it.
+        initial: initial state of all observers, as of the option --initial.
         duration: s.
         rate: of the samples, Hz.
         paper: as wide as a printed column and without a title.
@@ -126,8 +126,8 @@ def figure(
         drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: metrics_of(each) for law, each in comparisons.items()}
-        say(json_module.dumps(found, indent=2))
+        metrics = {law: metrics_of(each) for law, each in comparisons.items()}
+        say(json_module.dumps(metrics, indent=2))
         return 0
     print_table(table_of_laws(DISTANCE, comparisons))
     print_facts(seminorm_remarks(comparisons))

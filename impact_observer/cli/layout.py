@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a layout for Foxglove (.json) or PlotJuggler (.xml) that shows a model's observers.
 
-From a bag its own observers are taken, and only what is in it.
+The layout of a bag shows the observers and topics of the bag.
 """
 
 import argparse
@@ -20,11 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", metavar="MODEL|BAG", help="a model file, a sample's name, or a bag")
     add_observers(
         parser,
-        "draw only these, by name, such as observer_geometric,observer_kinematic (default: all"
-        " in the bag; with a model: observer)",
+        "draw only observers of these names, such as observer_geometric,observer_kinematic"
+        " (default: all in the bag; with a model: observer)",
     )
-    add_model(parser, "of a bag (default: the one that it carries)")
-    output = "the layout to write: .json for Foxglove, .xml for PlotJuggler"
+    add_model(parser, "of a bag (default: the model in the bag)")
+    output = "the layout: .json for Foxglove, .xml for PlotJuggler"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
 
 
@@ -44,9 +44,9 @@ def layout(
 
     Args:
         source: a bag, a model file or a sample's name.
-        output: the file to write; its suffix says for which tool.
+        output: the layout; its suffix chooses the tool.
         observers: names of observer nodes; None for those in the bag, or ``observer``.
-        model: of a bag; None for the one that it carries.
+        model: of a bag; None for the model in the bag.
 
     Returns:
         0.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw what a bag holds over time: coordinates, velocities, gaps, deviations, and impacts.
+"""Draw coordinates, velocities, gaps, deviations, and impacts of a bag over time.
 
 No truth is needed. The file's ending chooses the format: a PNG, SVG or PDF, or a page (.html) to
 zoom in, which needs plotly to be made and no network to be read. A band is two standard deviations
@@ -35,18 +35,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     file = "a PNG, SVG, PDF or HTML; an existing file is replaced"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
     select = (
-        "what to draw: positions, velocities, gaps; a coordinate for both of its own, a contact"
-        " for its gap; q_NAME, u_NAME or g_NAME for one (default: positions and velocities of the"
-        " coordinates that move most, at most eight)"
+        "positions, velocities, gaps; a coordinate for its position and velocity, a contact for"
+        " its gap; or single quantities q_NAME, u_NAME, g_NAME (default: positions and velocities"
+        " of the coordinates that move most, at most eight)"
     )
     add("--select", metavar="WHAT,...", type=names, help=select)
-    start = "where to begin, s since the epoch (default 0)"
+    start = "beginning of the plot, s since the epoch (default 0)"
     add("--start", metavar="S", type=not_negative, default=0.0, help=start)
-    add("--duration", metavar="S", type=positive, help="how much to draw, s (default: all)")
+    add("--duration", metavar="S", type=positive, help="length of the plot, s (default: all)")
     width = "of a picture, inches (default 10); one column of panels below 6.5"
     add("--width", metavar="INCHES", type=positive, default=10.0, help=width)
     add_namespace(parser)
-    add_observers(parser, "draw only these, by name (default: all in the bag)")
+    add_observers(parser, "draw only observers of these names (default: all in the bag)")
     add_model(parser)
     add_measurements(parser)
 
@@ -82,14 +82,14 @@ def plot(
 ) -> int:
     """Draw a bag.
 
-    The arguments are the options; without a model, in the bag or named, there are no gaps.
+    The arguments are the options. Gaps need a model, in the bag or named.
 
     Returns:
         0.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: the bag cannot be read, or there is nothing in it to draw.
+        BagError: the bag cannot be read, or has no states.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.output import check_output

@@ -165,7 +165,7 @@ def test_gif_that_does_not_fit_into_memory_is_one_line(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The line names the formats that do."""
+    """The line names the formats that need less memory."""
     output = tmp_path / "film.gif"
     slow = ["--speed", "0.001", "--duration", "0.45", "--fps", "20"]
     code, line = refusal([str(sample_bag), "-o", str(output), *slow], capsys)

@@ -17,7 +17,7 @@ QUICK = ("--duration", "6", "--rate", "20")
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that are drawn, in place of files."""
+    """The figures, in place of files."""
     found: list[Figure] = []
 
     def keep(figure: Figure, path: Path, *, about: str = "") -> None:
@@ -64,7 +64,7 @@ def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> Non
 def test_the_file_extension_selects_the_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str, magic: bytes
 ) -> None:
-    """A picture that is there is replaced, and the table is printed."""
+    """An older picture is replaced, and the table is printed."""
     output = tmp_path / f"v.{ending}"
     output.write_bytes(b"an older one")
     assert main(["figure", "bouncing_ball", "--duration", "2", "-o", str(output)]) == 0

@@ -22,7 +22,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_layout_of_a_bag_shows_its_own_observers(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And only its topics: no scene, as there are no markers."""
+    """The layout shows topics of the bag only: without markers no scene."""
     written = tmp_path / "bag.json"
     assert main(["layout", str(bag), "-o", str(written)]) == 0
     text = written.read_text("utf-8")
@@ -33,7 +33,7 @@ def test_a_layout_of_a_bag_shows_its_own_observers(
 
 
 def test_observers_are_chosen_by_name(bag: Path, tmp_path: Path) -> None:
-    """Of a bag; one that is not there is named with those that are."""
+    """Only the named observers of a bag are drawn."""
     written = tmp_path / "one.xml"
     chosen = ["--observers", "observer_kinematic"]
     assert main(["layout", str(bag), *chosen, "-o", str(written)]) == 0
@@ -60,7 +60,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It names the thing; no file is left."""
+    """The line names the thing; no file is left."""
     monkeypatch.chdir(tmp_path)
     assert main(["layout", *arguments]) == 2
     errors = capsys.readouterr().err.splitlines()
@@ -72,7 +72,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(
 def test_a_bag_must_have_what_is_asked_of_it(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An observer, and a model unless one is named."""
+    """A layout needs an observer of the bag, and a model."""
     wanted = ["--observers", "observer_other", "-o", str(tmp_path / "x.json")]
     assert main(["layout", str(bag), *wanted]) == 2
     line = "no observer /observer_other; in the bag: /observer_geometric, /observer_kinematic"
@@ -95,7 +95,7 @@ def test_an_observer_that_is_named_twice_is_drawn_once(tmp_path: Path) -> None:
 
 
 def test_a_layout_of_ones_own_model_names_its_coordinates(tmp_path: Path) -> None:
-    """Also where they are many: twenty coordinates are drawn in columns."""
+    """Twenty coordinates are drawn in columns."""
     n = 20
     names = [f"q{i}" for i in range(n)]
     eye = [[float(i == j) for j in range(n)] for i in range(n)]

@@ -52,7 +52,7 @@ def test_wrong_use_is_one_line(
 def test_foreign_recording_without_a_model_has_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Coordinates and velocities; of gaps the line says what there is."""
+    """The picture has coordinates and velocities; the error names them instead of gaps."""
     from impact_observer.io import BagWriter, JointState
     from impact_observer.io.messages import bag_messages
 

@@ -25,13 +25,13 @@ LAWS = {
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An observer of every law, each named after it."""
+    """A bag with an observer of every law, named after the law."""
     return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS, duration=1.0)
 
 
 @pytest.mark.slow
 def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:
-    """Topics of bounds, covariance and estimated parameters are those of the bag."""
+    """The name of a node says which bound, covariance and parameters the bag has."""
     with BagReader(bag) as reader:
         found = {each.prefix: each for each in observers_in(reader)}
     assert found == {f"/{name}": ObserverTopics.of_node(name) for name in LAWS}
@@ -56,7 +56,7 @@ def test_an_observer_without_a_law_in_its_name_has_the_default_one() -> None:
 def test_plant_and_monitor_are_those_beside_the_observer(
     name: str, error: str, truth: str
 ) -> None:
-    """In its namespace, and named alike."""
+    """Plant and monitor are in the namespace of the observer; the monitor is named alike."""
     found = {
         each.topic
         for each in curves(read_model("two_mass").system, [ObserverTopics.of_node(name)])
@@ -87,7 +87,7 @@ def test_a_model_of_angles_has_its_curves_in_rad() -> None:
 
 
 def test_observers_of_two_rigs_are_distinguished() -> None:
-    """By names and colours, and each is drawn beside its own plant and contacts."""
+    """Names and colours differ; each observer is drawn with the plant of its rig."""
     rigs = [ObserverTopics.of_node(name) for name in ("/a/observer", "/b/observer")]
     found = curves(read_model("two_mass").system, rigs)
     assert len({(each.tab, each.plot, each.name) for each in found}) == len(found)
@@ -99,7 +99,7 @@ def test_observers_of_two_rigs_are_distinguished() -> None:
 
 
 def test_v_and_its_bound_are_drawn_as_logarithms() -> None:
-    """On one pair of axes; deviations are roots of variances, on the covariance's diagonal."""
+    """V and bound share axes; deviations are roots of the covariance's diagonal."""
     system = read_model("two_mass").system
     drawn = curves(system, [ObserverTopics("/observer", bounded=True, filters=True)])
     logarithms = [each for each in drawn if each.transform == "log10"]
@@ -114,14 +114,14 @@ def test_v_and_its_bound_are_drawn_as_logarithms() -> None:
 
 
 def test_only_topics_that_are_there_are_drawn() -> None:
-    """Such as those of a bag without a monitor."""
+    """Of a bag without a monitor no errors are drawn."""
     topics = ["/plant/joint_states", "/observer/joint_states", "/elsewhere"]
     found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")], topics)
     assert {each.topic for each in found} == set(topics[:2])
 
 
 def test_a_name_that_no_node_can_have_is_refused() -> None:
-    """In one line; a list without observers is refused too."""
+    """The error is one line; a list without observers is refused too."""
     with pytest.raises(UsageError, match="'my observer': no name of a node"):
         ObserverTopics.of_node("my observer")
     with pytest.raises(UsageError, match="no observer"):
@@ -129,7 +129,7 @@ def test_a_name_that_no_node_can_have_is_refused() -> None:
 
 
 def test_an_observer_without_messages_is_found(tmp_path: Path) -> None:
-    """Its topics are in the bag without messages, or it has joint states only."""
+    """An observer may have topics without messages, or joint states only."""
     from impact_observer.io import BagWriter
 
     with BagWriter(tmp_path / "bag") as writer:

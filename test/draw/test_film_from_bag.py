@@ -35,7 +35,7 @@ def bag_of(folder: Path, write: Callable[[BagWriter, int, Vector], None]) -> Pat
 
 
 def write_joint_states(topic: str) -> Callable[..., None]:
-    """What writes joint states on a topic."""
+    """A function that writes joint states on a topic."""
     make, names = bag_messages(), SYSTEM.coordinates
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
@@ -59,7 +59,7 @@ def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
 
 
 def test_only_the_chosen_part_is_kept(sample_bag: Path) -> None:
-    """From its first to its last stamp, both included."""
+    """The part has its first and its last stamp."""
     with BagReader(sample_bag) as reader:
         film = read_film(reader, SYSTEM, start=0.1, duration=0.2)
     assert film.truth is not None
@@ -70,7 +70,7 @@ def test_only_the_chosen_part_is_kept(sample_bag: Path) -> None:
 
 
 def test_part_without_states_is_one_line(sample_bag: Path) -> None:
-    """It names the stamps."""
+    """The error names the stamps."""
     with BagReader(sample_bag) as reader, pytest.raises(BagError) as error:
         read_film(reader, SYSTEM, start=100.0, duration=1.0)
     assert "no states between 101.000000000 and 102.000000000 s" in str(error.value)
@@ -90,7 +90,7 @@ def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
 
 
 def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
-    """It names what is expected."""
+    """The error names the expected topics."""
     make = bag_messages()
 
     def write(writer: BagWriter, stamp: int, _: object) -> None:
@@ -103,7 +103,7 @@ def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
 
 
 def test_observers_of_one_law_are_named_by_their_topics(tmp_path: Path) -> None:
-    """Only those that are asked for are shown, with or without a slash."""
+    """Only named observers are shown, named with or without a slash."""
     make, names = bag_messages(), SYSTEM.coordinates
     several = {"observer_a": "geometric", "observer_b": "geometric", "observer_c": "kinematic"}
 
@@ -155,7 +155,7 @@ def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) ->
 
 
 def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
-    """There is no event that estimates would have to contain."""
+    """Estimates need not contain an inserted impact, which has no event."""
     make, names = bag_messages(), SYSTEM.coordinates
     received = EPOCH + 50_000_000
 
@@ -178,7 +178,7 @@ def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
 
 
 def test_estimates_published_before_their_event_arrived_are_left_out(tmp_path: Path) -> None:
-    """A node may receive an event late; its earlier estimates lack the jump."""
+    """A node may receive an event late; earlier estimates lack the jump."""
     make, names = bag_messages(), SYSTEM.coordinates
     hit, received = EPOCH + 195_000_000, EPOCH + 230_000_000
 

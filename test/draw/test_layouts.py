@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layouts for Foxglove and PlotJuggler: what they point at is there."""
+"""Layouts for Foxglove and PlotJuggler show numbers that bags have."""
 
 import json
 from pathlib import Path
@@ -54,7 +54,7 @@ def series(messages: dict[str, list[object]]) -> dict[str, list[object]]:
 
 
 def drawn(observers: list[str], model: str = "two_mass") -> tuple[str, str]:
-    """Both layouts of a model and the observers that go by these names."""
+    """Both layouts of a model and of the observers with these names."""
     found = curves(read_model(model).system, [ObserverTopics.of_node(name) for name in observers])
     return foxglove(found), plotjuggler(found)
 
@@ -71,7 +71,7 @@ def paths_of(text: str) -> list[str]:
 def test_every_path_for_foxglove_finds_a_number_in_the_bag(
     name: str, messages: dict[str, list[object]]
 ) -> None:
-    """By the grammar of message paths; a text shows messages that are there."""
+    """Paths follow the grammar of message paths; a panel of texts shows a topic of the bag."""
     text = drawn([*LAWS])[0] if name == "all" else (LAYOUTS / f"{name}.json").read_text("utf-8")
     paths = paths_of(text)
     assert len(paths) > 20
@@ -87,7 +87,7 @@ def test_every_path_for_foxglove_finds_a_number_in_the_bag(
 def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
     name: str, series: dict[str, list[object]]
 ) -> None:
-    """Named as it flattens messages; transformed series are computed from such a series by Lua."""
+    """Series are named as PlotJuggler flattens messages; Lua computes transformed series."""
     text = drawn([*LAWS])[1] if name == "all" else (LAYOUTS / f"{name}.xml").read_text("utf-8")
     root = ET.fromstring(text)
     computed = set()
@@ -115,7 +115,7 @@ def test_shipped_layouts_are_what_the_command_writes(name: str, kind: str, tmp_p
 
 
 def test_joint_states_of_an_observer_of_any_name_are_series_by_joint() -> None:
-    """PlotJuggler names them so, whatever the topic is called."""
+    """PlotJuggler names joint states by joint on a topic of any name."""
     names = {curve.attrib["name"] for curve in ET.fromstring(drawn(["watcher"])[1]).iter("curve")}
     assert "/watcher/joint_states/x1/position" in names
 
@@ -130,7 +130,7 @@ def leaves(tree: Any) -> list[str]:  # noqa: ANN401 (of JSON)
 
 
 def test_a_foxglove_layout_shows_each_of_its_panels_once() -> None:
-    """One panel of tabs; every other one in exactly one tab."""
+    """One panel has the tabs; every other panel is in exactly one tab."""
     whole = json.loads(drawn(["observer"])[0])
     configs = whole["configById"]
     tabs = configs[whole["layout"]]["tabs"]
@@ -171,7 +171,7 @@ def test_plant_and_observers_differ_without_colours() -> None:
 
 
 def test_arrays_that_plotjuggler_does_not_read_are_left_out() -> None:
-    """More than a hundred numbers: the covariance of six coordinates, but not that of five."""
+    """The covariance of six coordinates has more than a hundred numbers, of five fewer."""
     for n, there in ((5, True), (6, False)):
         model = make_system(np.eye(n), np.eye(n), np.eye(n))
         found = curves(model, [ObserverTopics.of_node("observer_minimum_variance")])
@@ -181,7 +181,7 @@ def test_arrays_that_plotjuggler_does_not_read_are_left_out() -> None:
 
 
 def test_a_contact_with_quotes_in_its_name_is_found() -> None:
-    """By quotes of the other kind; with both kinds it is refused in one line."""
+    """The path has quotes of the other kind; a name with both kinds is refused in one line."""
     forms = {"a'b": '{contact=="a\'b"}', 'a"b': "{contact=='a\"b'}"}
     for name, wanted in forms.items():
         assert any(wanted in path for path in paths_of(foxglove(curves(named(name), OBSERVER))))

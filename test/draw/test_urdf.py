@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""URDF: joints named as coordinates, which put bodies where the scene has them."""
+"""URDF: joints have the names of coordinates and put bodies to their places in the scene."""
 
 from xml.etree import ElementTree as ET
 
@@ -74,7 +74,7 @@ def test_it_is_a_valid_urdf() -> None:
 
 
 def test_rod_of_a_bumper_moves_with_its_body() -> None:
-    """It ends at the next body's face when their gap is zero."""
+    """The rod ends at the next body's face if the gap is zero."""
     contacts = [([-1.0, 1.0], 0.3, 0.5)]
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=contacts)
     scene = Scene.of_system(model)
@@ -92,7 +92,7 @@ def test_rod_of_a_bumper_moves_with_its_body() -> None:
 
 
 def test_prefix_row_and_frame_let_plant_and_estimate_stand_side_by_side() -> None:
-    """Joints keep their names: they are those of the joint states."""
+    """Joints keep the names of the joint states."""
     scene = Scene.of_system(read_model("two_mass").system)
     robot = ET.fromstring(urdf_text(scene, prefix="estimate_", frame="map", row=1))
     links = [link.attrib["name"] for link in robot.findall("link")]

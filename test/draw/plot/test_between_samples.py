@@ -45,7 +45,7 @@ def test_a_vibration_of_four_samples_a_period_is_smooth(rate: float) -> None:
 
 
 def test_a_ball_has_its_kink_at_the_impact_between_two_samples() -> None:
-    """The model's motion: down to the floor with one velocity, up with another."""
+    """The ball falls with the model's motion, and rises with another velocity."""
     fall, g, eps = 0.437, 9.81, 0.8
 
     def ball(seconds: np.ndarray) -> Matrix:
@@ -70,7 +70,7 @@ def test_a_ball_has_its_kink_at_the_impact_between_two_samples() -> None:
 
 @pytest.mark.parametrize(("rate", "count"), [(40.0, 60), (1000.0, MOST + 1), (100.0, 2)])
 def test_samples_that_are_too_few_or_enough_stay_as_they_are(rate: float, count: int) -> None:
-    """Two a period do not say how it moves between them."""
+    """Two samples a period do not determine the motion between them."""
     stamps, x = sampled(rate, count)
     at, states = with_states_between(stamps, x, NO_JUMPS)
     np.testing.assert_array_equal(at, stamps)

@@ -19,7 +19,7 @@ pytest.importorskip("plotly")
 
 
 def traces(content: PlotContent, row: int) -> list[Any]:
-    """What is drawn in a row of the page, from the top: 1 has the marks, 2 the first quantity."""
+    """The traces of a row of the page, from the top: 1 has the marks, 2 the first quantity."""
     axis = "x" if row == 1 else f"x{row}"
     return [each for each in page_figure(content).data if each.xaxis == axis]
 
@@ -51,7 +51,7 @@ def test_impacts_are_in_rows_by_their_verdict() -> None:
 
 
 def test_page_has_the_samples_of_sensors_as_dots() -> None:
-    """In the panel of the quantity that they measure, with the sensor's name in the legend."""
+    """Dots are in the panel of the measured quantity, the sensor's name in the legend."""
     name = recording().quantities[1].name
     samples = Dots("encoder", np.array([0.5, 1.0]), np.array([0.25, -3.0]))
     content = recording(dots={name: (samples,)})
@@ -83,7 +83,7 @@ def test_names_cannot_end_the_script_of_the_page(tmp_path: Path) -> None:
 def test_page_without_plotly_names_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In one line, with what needs no further package."""
+    """The line names the formats that need no further package."""
     monkeypatch.setitem(sys.modules, "plotly", None)
     with pytest.raises(UsageError, match=r"pip install plotly, or write a \.png, \.svg or \.pdf"):
         check_plotly(tmp_path / "page.html")

@@ -75,7 +75,7 @@ def test_truth_with_few_samples_is_dots_as_lines_between_them_would_be_wrong() -
 
 
 def test_a_long_way_from_a_wrong_start_is_cut_off_and_said() -> None:
-    """Where the band is wide, or without one in a twentieth; the truth is always inside."""
+    """Values with a wide band are cut off, or a twentieth without bands; the truth is inside."""
     t = np.linspace(0.0, 10.0, 101)[:, None]
     motion, wrong = np.cos(7 * t), 50 * np.exp(-4 * t)
     quantities = tuple(quantities_of(["x"], None).values())[:1]
@@ -115,7 +115,7 @@ def test_many_rows_of_marks_become_one_an_estimate() -> None:
 
 
 def test_long_names_of_rows_leave_a_narrow_picture_its_width() -> None:
-    """They are above the marks; a wide one has them beside the marks."""
+    """A narrow picture has names above the marks, a wide one beside the marks."""
     marks = {Mark("stop", f"a long name of estimate {k}"): np.array([1.0]) for k in range(2)}
     for width, least, short in ((2.0, 0.5, True), (3.5, 0.7, False)):
         figure = recording_picture(recording(marks=marks), width=width)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is drawn of a state: by name, linear in it, with its deviation."""
+"""Quantities of a state: names, values, deviations."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ stops: [{name: between, between: [a, b], gap: 0.1, restitution: 0.5}]
 
 
 def test_values_are_coordinates_velocities_and_gaps() -> None:
-    """The gaps are those of the system, paper's equation (2)."""
+    """Gaps are the system's, the paper's equation (2)."""
     x = np.random.default_rng(2).normal(size=(5, 2 * SYSTEM.n))
     every = quantities_of(SYSTEM.coordinates, SYSTEM)
     states = selected(every, ("positions", "velocities"))
@@ -52,7 +52,7 @@ def test_deviation_of_a_gap_between_bodies_contains_their_correlation() -> None:
 
 
 def test_labels_have_the_unit_of_the_model() -> None:
-    """Of elements m, or what the model says; of matrices it is not known."""
+    """Models of elements have m or their own unit; the unit of matrices is not known."""
     turning = parse_model(PAIR.replace("bodies", "unit: rad\nbodies"), "pair.yaml")
     again = parse_model(turning.text(), "again").system
     for system, units in (
@@ -67,7 +67,7 @@ def test_labels_have_the_unit_of_the_model() -> None:
 
 
 def test_deviation_without_covariance_is_none() -> None:
-    """NaN, and a variance that rounding made negative counts as zero."""
+    """The deviation is NaN; a variance that rounding made negative counts as zero."""
     every = tuple(quantities_of(("a",), None).values())
     found = deviations_of(every, np.array([np.full((2, 2), np.nan), np.diag([-1e-30, 1.0])]))
     assert np.isnan(found[0]).all()
@@ -90,7 +90,7 @@ def test_words_select_quantities(words: tuple[str, ...], names: list[str]) -> No
 
 
 def test_unknown_word_is_one_line_with_what_there_is() -> None:
-    """Without a model there are no gaps, and the line names none."""
+    """Without a model the error names no gaps."""
     with pytest.raises(UsageError) as error:
         selected(quantities_of(NAMES, None), ("stop",))
     assert "--select stop" in str(error.value)

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of a bag to draw it."""
+"""The content of plots, read from bags."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from impact_observer.draw.plot import series as module
 from impact_observer.draw.plot.impact_marks import Mark
@@ -61,7 +60,7 @@ def bag(
 def recording(
     path: Path, *select: str, start: float = 0.0, duration: float | None = None
 ) -> PlotContent:
-    """What is drawn of a bag."""
+    """The content of a bag's plot."""
     with BagReader(path) as reader:
         return read_recording(
             reader, SYSTEM, select=select or None, start=start, duration=duration
@@ -109,7 +108,7 @@ def test_only_the_part_that_is_asked_for(tmp_path: Path) -> None:
 
 
 def test_estimates_published_before_their_event_arrived_are_left_out(tmp_path: Path) -> None:
-    """As in ``compare``: they lack its jump."""
+    """Such estimates lack the jump of the event, as in ``compare``."""
     hit = EPOCH + STEP
     events = [ImpactEvent(hit, (Switch("stop"),), 1, 0, EPOCH)]
     samples = [estimated(0), estimated(2), estimated(3, event=hit)]
@@ -145,7 +144,7 @@ def test_impacts_are_marked_by_their_final_verdict(tmp_path: Path) -> None:
 
 
 def test_without_verdicts_the_reports_are_marked(tmp_path: Path) -> None:
-    """They have no ruling, and belong to no estimate."""
+    """Reports have no ruling, and belong to no estimate."""
     events = [ImpactEvent(EPOCH + STEP, (Switch("stop"),), 1, 0, EPOCH)]
     found = recording(bag(tmp_path, [estimated(k) for k in range(3)], events), "q_x1")
     assert {mark: seconds.tolist() for mark, seconds in found.marks.items()} == {
@@ -154,41 +153,31 @@ def test_without_verdicts_the_reports_are_marked(tmp_path: Path) -> None:
 
 
 def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
-    """It says what is expected."""
+    """The error names the expected topics."""
     with pytest.raises(BagError, match="no states; expected true states on /plant/joint_states"):
         recording(bag(tmp_path, []))
 
 
 def test_observer_that_is_not_there_is_one_line(sample_bag: Path) -> None:
-    """It says which are."""
+    """The error names the observers of the bag."""
     with BagReader(sample_bag) as reader, pytest.raises(UsageError, match="observer_x: not in"):
         read_recording(reader, SYSTEM, observers=["observer_x"])
 
 
-@given(seed=st.integers(0, 2**32 - 1), size=st.integers(0, 400), most=st.integers(8, 60))
-def test_thinning_keeps_every_extreme(seed: int, size: int, most: int) -> None:
-    """The least and greatest value of each column with their stamps, in order of time."""
-    stamps = np.arange(size)[:, None] * np.ones((1, 3), dtype=np.int64)
-    values = np.random.default_rng(seed).normal(size=(size, 3))
-    kept = (stamps, values, 2.0 * values)
-    while len(kept[0]) > most:
-        kept = module._extremes(*kept)
-    times, thinned, deviations = kept
-    assert (np.diff(times, axis=0) >= 0).all()
-    np.testing.assert_array_equal(deviations, 2.0 * thinned)
-    np.testing.assert_array_equal(np.take_along_axis(values, times, axis=0), thinned)
-    if size:
-        np.testing.assert_array_equal(thinned.max(axis=0), values.max(axis=0))
-        np.testing.assert_array_equal(thinned.min(axis=0), values.min(axis=0))
-
-
 def test_long_recording_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its extremes are kept, and it says how many samples there were."""
+    """The extremes of each column stay at their stamps, and all samples are counted."""
     monkeypatch.setattr(module, "MOST_SAMPLES", 100)
-    (estimate,) = recording(bag(tmp_path, [estimated(k) for k in range(1000)]), "q_x1").series
+    samples = [estimated(k) for k in range(1000)]
+    random = np.random.default_rng(1).normal(size=(1000, 2))
+    drawn = [replace(each, q=q) for each, q in zip(samples, random, strict=True)]
+    (estimate,) = recording(bag(tmp_path, drawn), "q_x1", "q_x2").series
     assert len(estimate.values) <= 100
     assert estimate.samples == 1000
-    assert (estimate.values.min(), estimate.values.max()) == (0.0, 999.0)
+    assert (np.diff(estimate.seconds, axis=0) >= 0).all()
+    k = np.rint(estimate.seconds / (STEP / NS_PER_S)).astype(int)
+    np.testing.assert_array_equal(estimate.values, np.take_along_axis(random, k, axis=0))
+    for extreme in (np.min, np.max):
+        np.testing.assert_array_equal(extreme(estimate.values, axis=0), extreme(random, axis=0))
 
 
 def test_of_many_coordinates_those_that_move_most_are_drawn(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def track(stamps: Sequence[int], q: Sequence[float], jumps: Sequence[int] = ()) 
 
 
 def place(moving: Track, stamp: int) -> float:
-    """The only coordinate at a stamp where there is one."""
+    """The only coordinate at a stamp within the track."""
     found = moving.position(stamp)
     assert found is not None
     return float(found[0])
@@ -35,7 +35,7 @@ def switch(stamp: int, kind: Kind, sequence: int, contact: str = "stop") -> Impa
 
 
 def test_track_is_linear_between_samples() -> None:
-    """At the samples it has their values."""
+    """At the stamp of a sample the track has the sample's value."""
     moving = track([100, 200, 400], [0.0, 1.0, 3.0])
     assert [place(moving, t) for t in (100, 150, 200, 300, 400)] == [0.0, 0.5, 1.0, 2.0, 3.0]
 
@@ -47,19 +47,19 @@ def test_track_holds_its_sample_until_the_impact_and_is_after_it_from_then_on() 
 
 
 def test_sample_at_the_stamp_of_an_impact_is_after_it() -> None:
-    """The sample before it is held, and the motion after it is linear."""
+    """The sample before the impact is held; behind the impact the motion is linear."""
     moving = track([100, 200, 300], [0.0, 5.0, 6.0], jumps=[200])
     assert [place(moving, t) for t in (150, 199, 200, 250)] == [0.0, 0.0, 5.0, 5.5]
 
 
 def test_track_of_two_impacts_between_samples_waits_for_the_last() -> None:
-    """There is no sample between them."""
+    """No sample lies between the impacts."""
     moving = track([100, 200], [0.0, 5.0], jumps=[120, 180])
     assert [place(moving, t) for t in (119, 150, 179, 180)] == [0.0, 0.0, 0.0, 5.0]
 
 
 def test_track_has_no_state_before_its_first_and_after_its_last() -> None:
-    """Nor where it has none at all."""
+    """A track without samples has no state at any stamp."""
     moving = track([100, 200], [0.0, 1.0])
     assert moving.position(99) is None
     assert moving.position(201) is None
@@ -88,7 +88,7 @@ def test_sampled_plant_is_never_inside_of_its_stop() -> None:
 
 
 def test_distance_is_taken_at_common_stamps() -> None:
-    """And has no samples where there are none."""
+    """Without common stamps V has no samples."""
     x = np.arange(12.0).reshape(3, 4)
     truth = Track.of_states("plant", "", (np.array([10, 20, 30]), x[:, :2], x[:, 2:]), ())
     other = Track.of_states("e", "e", (np.array([20, 25, 30]), 0 * x[:, :2], 0 * x[:, 2:]), ())
@@ -100,7 +100,7 @@ def test_distance_is_taken_at_common_stamps() -> None:
 
 
 def test_impact_is_highlighted_and_fades() -> None:
-    """From 1 at the instant to 0; not before it, and not at all where nothing hits."""
+    """The highlight falls from 1 at the instant to 0; without hits the highlight is 0."""
     contacts = ContactHistory.of_events(
         SYSTEM, [switch(1000, Kind.IMPACT, 1), switch(5000, Kind.IMPACT, 2)]
     )
@@ -128,7 +128,7 @@ def test_contact_is_closed_from_close_to_open() -> None:
 
 
 def test_contacts_of_other_models_are_left_out() -> None:
-    """A detector may name what the model does not have."""
+    """A detector may name a contact that the model lacks."""
     contacts = ContactHistory.of_events(SYSTEM, [switch(1000, Kind.CLOSE, 1, "door")])
     assert dict(contacts.hits) == dict(contacts.closed) == {}
 
@@ -139,7 +139,7 @@ def test_contacts_of_other_models_are_left_out() -> None:
 def test_pictures_are_evenly_spaced_and_the_last_one_is_the_end(
     fps: float, speed: float, count: int, step: int
 ) -> None:
-    """Rounded to a nanosecond each, so that nothing adds up."""
+    """Each stamp is rounded to a nanosecond, so rounding does not add up."""
     moving = track([0, NS_PER_S], [0.0, 1.0])
     model = sample("bouncing_ball").system
     film = Film(scene_of(model, [moving]), moving, (), (), ContactHistory({}, {}), 0, 0, NS_PER_S)

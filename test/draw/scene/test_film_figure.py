@@ -29,7 +29,7 @@ LIT, PLANT = "#D55E00", "#B9CFE0"
 
 @cache
 def film() -> Film:
-    """Four seconds of two_mass, with two estimates that come nearer to it."""
+    """Four seconds of two_mass, with two estimates that approach the plant."""
     model = sample("two_mass").system
     ran = run(model, [0.1, -0.2], [0.5, 0.0], seconds=4.0, rate=50.0)
     cuts = [event.stamp for event in ran.events]
@@ -89,7 +89,7 @@ class Shown:
 
 @cache
 def shown_film() -> Shown:
-    """The figure of that film."""
+    """The figure of ``film``."""
     return Shown(film(), title="two_mass")
 
 
@@ -123,7 +123,7 @@ def lit(picture: Picture) -> int:
 
 
 def test_pictures_have_an_even_number_of_pixels() -> None:
-    """As encoders of films want them."""
+    """Encoders of films want even numbers."""
     height, width, _ = shown_film().picture(EPOCH).shape
     assert (height % 2, width) == (0, 960)
 
@@ -259,7 +259,7 @@ def odd() -> System:
 
 @pytest.mark.parametrize("model", [odd(), chain(20), chain(200)], ids=["odd", "20", "200"])
 def test_other_models_fit_into_the_picture(model: System) -> None:
-    """Names stay within their bodies, and what is left out is written."""
+    """Names stay within their bodies."""
     shown = Shown(still(model, 0.1 * np.cos(np.arange(model.n))), title=model.name)
     picture = shown.picture(EPOCH)
     assert picture.shape[0] < 8 * DPI
@@ -288,7 +288,7 @@ def falling(direction: float) -> System:
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("height", [0.2, 1.0])
 def test_a_coordinate_that_falls_stands_upright(direction: float, height: float) -> None:
-    """Its box is above the floor, by as many pixels as the gap has."""
+    """The box is above the floor by the pixels of the gap."""
     shown = Shown(still(falling(direction), np.array([direction * height])))
     axes = shown.axes[0]
     picture = shown.picture(EPOCH)
@@ -301,7 +301,7 @@ def test_a_coordinate_that_falls_stands_upright(direction: float, height: float)
 
 
 def test_tracks_that_stand_upright_are_beside_each_other() -> None:
-    """At one scale, which the first of them shows."""
+    """Tracks have one scale, which the first track shows."""
     content = still(falling(1.0), np.array([0.5]))
     assert content.truth is not None
     estimate = replace(content.truth, label="geometric", law="geometric")
@@ -314,7 +314,7 @@ def test_tracks_that_stand_upright_are_beside_each_other() -> None:
 
 
 def test_a_coordinate_on_a_spring_lies() -> None:
-    """As do systems of several coordinates; only what falls has an up and a down."""
+    """Systems of several coordinates lie, too; only a falling coordinate has an up and a down."""
     ball = falling(1.0)
     for model in (replace(ball, K=np.eye(1)), sample("two_mass").system):
         assert still(model, np.zeros(model.n)).scene.up == 0

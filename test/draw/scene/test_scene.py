@@ -17,19 +17,19 @@ from impact_observer.model.system import Guide
 
 
 def free(n: int, *contacts: tuple[list[float], float]) -> System:
-    """``n`` bodies that nothing joins, with contacts ``(direction, gap)``."""
+    """``n`` bodies without couplings, with contacts ``(direction, gap)``."""
     none = np.zeros((n, n))
     return system(np.eye(n), none, none, contacts=[(w, gap, 0.5) for w, gap in contacts])
 
 
 def joints(scene: Scene) -> set[tuple[SceneJoint, int | None, int | None, int]]:
-    """What is coupled, without where the ground is."""
+    """Joints with their places and lanes, without the position of the ground."""
     return {(each.joint, each.left, each.right, each.lane) for each in scene.couplings}
 
 
 @st.composite
 def chains_with_stops(draw: st.DrawFn) -> tuple[System, Array]:
-    """A chain with walls and bumpers, and states of it."""
+    """A chain with walls and bumpers, and states of the chain."""
     n = draw(st.integers(1, 5))
     contacts: list[tuple[Array, float, float]] = []
     for _ in range(draw(st.integers(1, 4))):
@@ -48,7 +48,7 @@ def chains_with_stops(draw: st.DrawFn) -> tuple[System, Array]:
 def test_a_body_is_as_far_from_its_stop_as_the_gap_says(
     case: tuple[System, Array], data: st.DataObject
 ) -> None:
-    """Over the direction's factor, so they meet exactly where the gap is zero; stops may move."""
+    """Body and stop meet exactly at a gap of zero; grounds may move."""
     model, states = case
     scene = Scene.of_system(model, states)
     for q in states:
@@ -72,7 +72,7 @@ def test_a_body_is_as_far_from_its_stop_as_the_gap_says(
 @examples(40)
 @given(chains_with_stops())
 def test_nothing_overlaps_while_stops_are_obeyed(case: tuple[System, Array]) -> None:
-    """Neither bodies nor walls nor the room between; all of it is in the picture."""
+    """Bodies and walls have room between them, and are inside the picture."""
     model, states = case
     scene = Scene.of_system(model, states)
     for q in states:
@@ -113,7 +113,7 @@ def test_any_model_has_a_scene(model: System, data: st.DataObject) -> None:
 def test_pin_of_a_bar_is_as_far_from_its_plate_as_the_gap_says(
     model: System, data: st.DataObject
 ) -> None:
-    """As far as the bar goes, and there it stays."""
+    """The pin stops at the end of the bar."""
     q = data.draw(vectors(model.n))
     scene = Scene.of_system(model, [q, -q])
     frame = scene.frame(q)
@@ -160,7 +160,7 @@ def test_ball_is_free() -> None:
 
 
 def test_couplings_are_what_their_signs_say() -> None:
-    """Damping alone is a dashpot; a coupling that no spring makes is a line."""
+    """Damping alone is a dashpot; stiffness of the opposite sign is a line."""
     K = np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
     C = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 1.0]])
     scene = Scene.of_system(system(np.eye(3), C, K))
@@ -173,13 +173,13 @@ def test_couplings_are_what_their_signs_say() -> None:
 
 
 def test_couplings_over_other_bodies_never_share_a_lane() -> None:
-    """Those without a lane are counted, not drawn over each other."""
+    """Couplings without a lane are counted, not drawn over each other."""
     n = 8
     K = (n + 1) * np.eye(n) - np.ones((n, n))
     scene = Scene.of_system(system(np.eye(n), np.zeros((n, n)), K))
     above: dict[int, list[tuple[float, float]]] = {}
-    for each in scene.couplings:
-        left, right = scene._ends(each, scene.homes)
+    ends = scene.frame(np.zeros(n)).couplings.tolist()
+    for each, (left, right) in zip(scene.couplings, ends, strict=True):
         if each.lane:
             above.setdefault(each.lane, []).append((left, right))
     for spans in above.values():
@@ -190,7 +190,7 @@ def test_couplings_over_other_bodies_never_share_a_lane() -> None:
 
 
 def test_bumper_puts_its_bodies_in_order() -> None:
-    """A body that is stopped from the left stands on the left, whatever its number."""
+    """The left body of a contact stands on the left, whatever its number is."""
     scene = Scene.of_system(free(3, ([1.0, 0.0, -1.0], 0.5)))
     assert scene.order == (1, 2, 0)
     (bumper,) = scene.bumpers
@@ -207,7 +207,7 @@ def test_contradicting_bumpers_leave_the_order_alone() -> None:
 
 
 def test_distant_stop_is_drawn_as_a_bar() -> None:
-    """Its pin is at the end of the bar, so the motion stays visible."""
+    """The pin is at the end of the bar, so the motion stays visible."""
     motion = 0.1 * np.sin(np.arange(50.0))[:, None]
     scene = Scene.of_system(free(1, ([-1.0], 100.0)), motion)
     assert scene.walls == ()
@@ -232,7 +232,7 @@ def test_very_long_chain_shows_its_first_bodies_and_says_so() -> None:
 
 
 def test_the_amplitude_sets_the_distance_of_bodies() -> None:
-    """For views that begin before anything has moved."""
+    """A viewer begins before any body has moved."""
     model = sample("three_mass").system
     near, far = Scene.of_system(model, amplitude=0.5), Scene.of_system(model, amplitude=5.0)
     assert far.homes[-1] == pytest.approx(10 * near.homes[-1], rel=0.1)
@@ -242,7 +242,7 @@ def test_the_amplitude_sets_the_distance_of_bodies() -> None:
 
 
 def test_scene_cannot_be_changed() -> None:
-    """Its arrays are read-only, and so are those of its frames."""
+    """Arrays of scenes and of frames are read-only."""
     scene = Scene.of_system(sample("two_mass").system)
     for array in (scene.homes, scene.frame(np.zeros(2)).bodies):
         with pytest.raises(ValueError, match="read-only"):
@@ -258,7 +258,7 @@ def test_positions_that_fit_no_model_are_refused(positions: Array) -> None:
 
 
 def test_guides_that_rub_are_above_the_bodies_that_they_join() -> None:
-    """Beside the spring of the same bodies; one of three bodies is left out, with a line."""
+    """A spring may join the same bodies; a guide with other factors is left out, with a line."""
     model = sample("rubbing_guide").system
     drawn = joints(Scene.of_system(model))
     assert (SceneJoint.GUIDE, 0, 1, 1) in drawn

@@ -22,7 +22,7 @@ from impact_observer.draw.scene.shapes import (
 @pytest.mark.parametrize("joint", list(SceneJoint))
 @pytest.mark.parametrize("end", [3.0, 1.0, 0.5])
 def test_coupling_goes_from_end_to_end(joint: SceneJoint, end: float) -> None:
-    """Within its width; pressed to nothing or beyond it is still drawn."""
+    """A coupling stays within its width, also if the ends meet or cross."""
     shape = strokes(joint, 1.0, end, 0.7, 0.1)
     assert shape.shape[1:] == (2, 2)
     assert shape[0, 0].tolist() == [1.0, 0.7]
@@ -42,7 +42,7 @@ def test_spring_is_one_line_and_a_damper_is_not() -> None:
 
 
 def test_plates_stand_at_the_stops() -> None:
-    """The face of a wall is an edge of its plate; ground is outside of both stops."""
+    """The face of a wall is an edge of its plate; the grounds are outside of both stops."""
     scene = Scene.of_system(sample("three_mass").system)
     boxes = dict(plates(scene, scene.frame(np.zeros(3))))
     right, left = boxes[0], boxes[1]
