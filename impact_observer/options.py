@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What users may choose: name, type, default, unit, range and meaning, each once.
+"""The table of the options of an observer: name, type, default, unit, range and meaning.
 
 Command lines, node parameters, launch files, the YAML samples in ``config/nodes`` and
-``docs/parameters.md`` are made from these rows. The module is cheap to import.
+``docs/parameters.md`` are made from these rows. The module imports no NumPy and no ROS.
 """
 
 import math
@@ -12,9 +12,9 @@ from typing import List, TypeAlias, TypeVar  # noqa: UP035
 from impact_observer.errors import UnsetError, UsageError
 
 AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
-"""Of which sensors verdicts on samples are published: of slow ones, of all, of none."""
+"""Sensors whose verdicts on samples are published: slow sensors, all sensors, none."""
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
-"""As ``stamps.MAX_STAMP``, without NumPy."""
+"""Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
@@ -25,17 +25,17 @@ class Option:
     """One option.
 
     Attributes:
-        name: of the field, the node parameter and, with hyphens, the flag.
-        default: gives the type too; an empty string where the option is required.
+        name: name of the field, of the node parameter and, with hyphens, of the flag.
+        default: default value, whose type is the option's; empty if the option is required.
         meaning: one line, without the unit.
         unit: SI unit; empty for none.
-        low: least value allowed, numbers only.
-        high: largest value allowed, numbers only.
-        choices: the values allowed, strings only; empty for any.
+        low: least value allowed; only for numbers.
+        high: largest value allowed; only for numbers.
+        choices: the values allowed; only for strings; empty for any.
         required: whether the empty default is refused.
-        flag: on the command line, where it differs from ``name``.
-        metavar: stands for the value in ``--help``.
-        live: whether ``ros2 param set`` may change it while a node runs.
+        flag: flag of the command line if it differs from ``name``.
+        metavar: name of the value in ``--help``.
+        live: whether ``ros2 param set`` may change the value while a node runs.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Option:
     @property
     def value_type(self) -> object:
         """The type as launch files name it."""
-        # launch_ros knows lists of strings by this name only
+        # launch_ros knows a list of strings only as typing.List[str].
         return List[str] if isinstance(self.default, tuple) else type(self.default)  # noqa: UP006
 
     @property
@@ -90,7 +90,7 @@ class Option:
 
     @property
     def description(self) -> str:
-        """The summary, what is allowed and the default, for launch files."""
+        """The summary, the values allowed and the default, for launch files."""
         allowed = f"; {self.limits}" if self.limits else ""
         default = f"; the node's default: {self.default}" if self.default not in ("", ()) else ""
         return f"{self.summary}{allowed}{default}"
@@ -101,14 +101,14 @@ class Option:
         return f"--{(self.flag or self.name).replace('_', '-')}"
 
     def check(self, value: Value, kind: str = "parameter") -> None:
-        """Raise unless ``value`` is of the option's type and one of those allowed.
+        """Check that ``value`` is of the option's type, and is allowed.
 
         Args:
-            value: to be checked.
-            kind: what the error line calls the option.
+            value: the value to check.
+            kind: how the error line calls the option.
 
         Raises:
-            UsageError: naming the option, the value and what is expected.
+            UsageError: ``value`` is not allowed; names option, value and what is expected.
         """
         if self.required and value == "":
             line = f"{kind} {self.name}: is not set; expected {self.meaning}"
@@ -140,58 +140,58 @@ def option(
     metavar: str = "",
     live: bool = False,
 ) -> _Default:
-    """A field of a dataclass of options; the arguments are the attributes of its ``Option``."""
+    """Make a field of a dataclass of options; the arguments are those of ``Option``."""
     row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar, live=live)
     return field(default=default, metadata={"option": row})
 
 
 def rows_of(options: type) -> tuple[Option, ...]:
-    """The rows of a dataclass whose fields are made by ``option``."""
+    """The options of a dataclass whose fields are made by ``option``."""
     return tuple(replace(each.metadata["option"], name=each.name) for each in fields(options))
 
 
 @dataclass(frozen=True)
 class Options:
-    """Everything about an observer but its system; ``observer.make_observer`` makes one of it.
+    """All options of an observer; ``observer.make_observer`` makes an observer of them.
 
     Each field is a row of the table ``OBSERVER_OPTIONS``.
 
     Raises:
-        UsageError: a value is not of its row's type or not in its range.
+        UsageError: a value is of the wrong type, or not in its range.
     """
 
-    law: str = option("geometric", "law by which events correct the replicas")
+    law: str = option("geometric", "law by which events correct the estimate")
     initial_state: str = option(
         "zero",
-        "q1,..,qn,u1,..,un; or random:SEED, normal with deviations of 1 m and 1 m/s; or"
-        " drawn:SEED, with those of initial_deviation; or zero",
+        "initial state: q1,..,qn,u1,..,un; or random:SEED, drawn with standard deviations of 1 m"
+        " and 1 m/s; or drawn:SEED, drawn with initial_deviation; or zero",
         flag="initial",
         metavar="STATE",
     )
     initial_deviation: str = option(
         "1",
-        "standard deviations of the initial state: one number, or 2n; of a small rig check-model"
-        " suggests them",
+        "standard deviations of the initial state: one number, or 2n numbers; check-model suggests"
+        " deviations for a small rig",
         flag="deviation",
         metavar="D",
     )
     clock_error: float = option(
         -1.0,
-        "standard deviation of the events' stamps beyond their rounding to 1 ns; negative: learned"
-        " from the events",
+        "standard deviation of the stamps of events beyond their rounding to 1 ns; negative:"
+        " learned from the events",
         "s",
         low=-1.0,
         high=0.1,
     )
     clock_offset_error: float = option(
         0.0,
-        "standard deviation of a constant delay of all stamps, which is estimated; 0: no delay",
+        "standard deviation of a constant delay of all stamps, to be estimated; 0: no delay",
         "s",
         low=0.0,
         high=0.1,
     )
     missed: float = option(
-        0.1, "minimum-variance: probability that an impact is not reported", low=0.0, high=0.9
+        0.1, "minimum-variance: probability of a missed detection", low=0.0, high=0.9
     )
     spurious: float = option(
         0.1, "minimum-variance: probability that an event is a false positive", low=0.0, high=0.9
@@ -204,16 +204,16 @@ class Options:
     )
     dead_time: float = option(
         0.0,
-        "minimum-variance: time after an event in which the sensor reports no other hit of that"
-        " contact: hits then are no missed detections",
+        "minimum-variance: time after an event during which the sensor reports no other hit of"
+        " the contact; such a hit is no missed detection",
         "s",
         low=0.0,
         high=10.0,
     )
     model_error: float = option(
         -1.0,
-        "process noise: white noise of the model's accelerations; 0: the model is exact; negative:"
-        " learned from the events, as well as an error of the restitution",
+        "process noise: white noise of the accelerations; 0: the model is exact; negative: learned"
+        " from the events, as is an error of the restitution",
         "m/s^1.5",
         low=-1.0,
         high=1e6,
@@ -221,34 +221,34 @@ class Options:
     )
     estimate_parameters: tuple[str, ...] = option(
         (),
-        "minimum-variance: parameters of the model to estimate with the state, as identify --free"
-        " names them, optionally with standard deviations, such as restitution=0.1",
+        "minimum-variance: parameters of the model to estimate with the state, by the names of"
+        " identify --free, optionally with standard deviations, such as restitution=0.1",
         metavar="NAME[=D],...",
     )
     parameter_drift: float = option(
         0.0,
-        "random walk of these parameters in a minute, as a share of their standard deviations",
+        "random walk of the estimated parameters in a minute, as a share of their deviations",
         low=0.0,
         high=1e3,
         metavar="R",
     )
     ensemble: int = option(
-        10, "replicas run together; their distances show convergence", low=1, high=1_000_000
+        10, "number of replicas, whose distances show convergence", low=1, high=1_000_000
     )
     agreed: float = option(
         1e-4,
-        "V distance of the replicas that counts as synchronized, over the energy of the motion",
+        "largest distance V of synchronized replicas, as a share of the energy of the motion",
         low=1e-30,
         high=1.0,
         metavar="R",
         live=True,
     )
     epoch: int = option(
-        0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0, high=_LAST_STAMP
+        0, "stamp of t = 0 of the forcing; 0: taken from events", "ns", low=0, high=_LAST_STAMP
     )
     history: float = option(
         10.0,
-        "how late an event may arrive and still be applied",
+        "how long after its stamp an event may arrive and still be applied",
         "s",
         low=0.001,
         high=1e9,
@@ -264,7 +264,7 @@ OBSERVER_OPTIONS = rows_of(Options)
 
 
 def highest(name: str) -> float:
-    """The largest value allowed for an option of observers; infinite for no limit.
+    """The largest value allowed of an observer's option; infinite for no limit.
 
     Raises:
         KeyError: there is no such option.

@@ -1,47 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be wrong with sensors: one table for commands, nodes and sweeps."""
+"""The faults of simulated sensors: one table for commands, nodes and sweeps."""
 
 from impact_observer.options import Option
 
 SENSOR_FAULTS = (
-    Option("delay", 0.0, "constant delay of detection, stamp and message", "s", 0.0, 10.0),
+    Option("delay", 0.0, "constant delay of stamps and messages", "s", 0.0, 10.0),
     Option("jitter", 0.0, "standard deviation of the stamps", "s", 0.0, 1.0),
-    Option("quantisation", 0.0, "stamps are rounded to a multiple of this", "s", 0.0, 1.0),
-    Option(
-        "dead_time", 0.0, "time after a detection in which nothing is detected", "s", 0.0, 10.0
-    ),
+    Option("quantisation", 0.0, "multiple to which stamps are rounded", "s", 0.0, 1.0),
+    Option("dead_time", 0.0, "time after a detection without another one", "s", 0.0, 10.0),
     Option(
         "missed",
         0.0,
-        "probability that an impact is not detected, be it IMPACT or CLOSE",
+        "probability of a missed detection, of IMPACT or CLOSE",
         "",
         0.0,
         1.0,
     ),
     Option("spurious", 0.0, "rate of false positives, of any contact", "1/s", 0.0, 1e4),
-    Option("mislabelled", 0.0, "probability that another contact is named", "", 0.0, 1.0),
-    Option("clock_offset", 0.0, "how far the sensor's clock is ahead", "s", -3600.0, 3600.0),
+    Option("mislabelled", 0.0, "probability that an event names another contact", "", 0.0, 1.0),
+    Option(
+        "clock_offset", 0.0, "time by which the clock of the sensor is ahead", "s", -3600.0, 3600.0
+    ),
     Option(
         "clock_drift",
         0.0,
-        "relative rate error of the sensor's clock",
+        "relative error of the rate of the sensor's clock",
         "s/s",
         -0.1,
         0.1,
         metavar="R",
     ),
-    Option("threshold", 0.0, "approach speed below which nothing is detected", "m/s", 0.0, 1e6),
-    Option("impacts_only", False, "CLOSE is reported as IMPACT, OPEN never"),
+    Option("threshold", 0.0, "approach speed below which a hit is not detected", "m/s", 0.0, 1e6),
+    Option("impacts_only", False, "report CLOSE as IMPACT, and OPEN never"),
     Option("transport", 0.0, "mean of an exponential transport time of events", "s", 0.0, 10.0),
 )
-"""In the order of the fields of ``plant.SensorModel``; the defaults are an ideal sensor."""
+"""The fields of ``plant.SensorModel`` in their order; the defaults are an ideal sensor."""
 
 MEASUREMENT_FAULTS = (
-    Option("measurement_rate", 100.0, "samples of each sensor", "Hz", 0.001, 1e5),
+    Option("measurement_rate", 100.0, "rate of each sensor", "Hz", 0.001, 1e5),
     Option(
         "measurement_noise",
         -1.0,
-        "standard deviation of samples, in their unit; -1: as declared",
+        "standard deviation of samples in their unit; -1: as declared",
         "",
         -1.0,
         1e9,
@@ -50,11 +50,18 @@ MEASUREMENT_FAULTS = (
     Option(
         "measurement_quantisation",
         0.0,
-        "samples are rounded to a multiple of this",
+        "multiple to which samples are rounded, in their unit",
         "",
         0.0,
         1e9,
     ),
-    Option("measurement_transport", 0.0, "mean of an exponential transport time", "s", 0.0, 10.0),
+    Option(
+        "measurement_transport",
+        0.0,
+        "mean of an exponential transport time of samples",
+        "s",
+        0.0,
+        10.0,
+    ),
 )
-"""Of sensors beside the impacts, in the order of the fields of ``io.SampleFaults``."""
+"""Faults of sensors beside the impacts: the fields of ``io.SampleFaults`` in their order."""

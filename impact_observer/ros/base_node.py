@@ -8,9 +8,10 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.timer import Timer
 
 from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, Interface
-from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_joint_state
 from impact_observer.options import Option
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
@@ -69,9 +70,23 @@ class BaseNode(Node):
         else:
             publisher.publish(message)
 
-    def repeat(self, period: float, callback: Callable[[], None]) -> None:
+    def read_state(
+        self, topic: str, message: AnyMessage, names: tuple[str, ...]
+    ) -> JointState | None:
+        """The state in a ``sensor_msgs/JointState`` with its columns in the order of ``names``.
+
+        Returns:
+            None, with an error in the log, if the message has no state of these coordinates.
+        """
+        try:
+            return read_joint_state(message).ordered(names)
+        except MessageError as error:
+            self.lines.error(f"{topic}: {error}")
+            return None
+
+    def repeat(self, period: float, callback: Callable[[], None]) -> Timer:
         """Call ``callback`` every ``period`` seconds of a steady clock."""
-        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def when_clock_jumps_back(self, callback: Callable[[], None]) -> None:
         """Call ``callback`` after a backward jump of the clock, as of a bag that is looped."""

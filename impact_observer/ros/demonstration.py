@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration: plant, observers and monitors as processes, recorded while they run."""
+"""The demonstration: plant, observers and monitors run as processes, and are recorded."""
 
 import contextlib
 import json
@@ -59,13 +59,13 @@ class DemonstrationError(ImpactObserverError):
 
 @dataclass(slots=True)
 class DemoProgress:
-    """How far the demonstration is.
+    """The progress of a demonstration.
 
     Attributes:
         time: simulated time since the epoch, s.
-        impacts: events so far.
+        impacts: number of events so far.
         v: latest Lyapunov distance of each law, J.
-        reached: time of each law's last estimate, simulated, since the epoch, s.
+        reached: simulated time of the last estimate of each law since the epoch, s.
     """
 
     time: float = 0.0
@@ -84,8 +84,8 @@ def run(
     """Run the demonstration.
 
     Args:
-        setup: what to run.
-        folder: created for the bag and the processes' ``logs``.
+        setup: the plant, laws and times.
+        folder: folder to create for the bag and the ``logs`` of the processes.
         show: called with the progress about twenty times a second.
         flush: longest time until a message is on the disk, s.
 
@@ -151,8 +151,8 @@ def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
     def on_error(message: AnyMessage) -> None:
         progress.v[message.law] = message.v
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        at = progress.reached[message.law] = (stamp - setup.epoch) * 1e-9
-        progress.time = max(progress.time, at)
+        reached = progress.reached[message.law] = (stamp - setup.epoch) * 1e-9
+        progress.time = max(progress.time, reached)
 
     node.create_subscription(
         message_class(interfaces.IMPACT_EVENT),
@@ -167,7 +167,7 @@ def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
 
 
 def _refuse_other_nodes(node: Node, executor: SingleThreadedExecutor) -> None:
-    """Raise if another plant or demonstration runs on this domain: they would be mixed up."""
+    """Raise UsageError if another plant, demonstration or clock runs on this domain."""
     until = time.monotonic() + _DISCOVERY
     while time.monotonic() < until:
         executor.spin_once(timeout_sec=_SPIN)
@@ -225,7 +225,7 @@ def _let_catch_up(
 
 @contextlib.contextmanager
 def _processes(setup: DemoSetup, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
-    """Observers and monitors, until the block ends."""
+    """Run observers and monitors until the block ends."""
     with contextlib.ExitStack() as stack:
         processes = {
             each.name: stack.enter_context(_process(each, logs))
@@ -236,7 +236,7 @@ def _processes(setup: DemoSetup, logs: Path) -> Iterator[dict[str, "subprocess.P
 
 @contextlib.contextmanager
 def _process(node: NodeSetup, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    """One node as a process in a session of its own, so that Ctrl-C reaches it from here only."""
+    """Run a node as a process in a session of its own, so that Ctrl-C does not reach the node."""
     with (logs / f"{node.name}.log").open("wb") as log:
         process = _spawn(_arguments(node), log)
         try:
@@ -270,7 +270,7 @@ def _check_all(processes: Mapping[str, "subprocess.Popen[bytes]"], logs: Path) -
 
 
 def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
-    """Raise if a process has failed, with the last line it printed."""
+    """Raise DemonstrationError with the last line of a process if the process has failed."""
     if process.poll() in (None, 0):
         return
     lines = (logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
@@ -279,7 +279,7 @@ def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
 
 
 def _arguments(node: NodeSetup) -> list[str]:
-    """For ``python -m``; strings are quoted, as YAML would read some of them otherwise."""
+    """Arguments for ``python -m``; strings are quoted, so that YAML reads them as strings."""
     arguments = ["impact_observer.ros.entry", node.executable, "--ros-args"]
     arguments += ["-r", f"__node:={node.name}"]
     for name, value in node.parameters.items():

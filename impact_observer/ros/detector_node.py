@@ -3,10 +3,7 @@
 
 from collections.abc import Mapping
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
-from rclpy.duration import Duration
-from rclpy.node import Node
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.subscription import Subscription
 
 from impact_observer.detector import Detection, Detector, SensorCounts, Source, read_sources
@@ -15,13 +12,17 @@ from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.live_inputs import read_pulse
 from impact_observer.io.messages import AnyMessage, MessageError
-from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
-from impact_observer.ros.introduction import introduce
-from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import MessageInfo, common_offer, waiting_messages
+from impact_observer.ros.subscribing import (
+    MOST_TOGETHER,
+    MessageInfo,
+    common_offer,
+    waiting_messages,
+)
 from impact_observer.stamps import text
 
 _DISCOVERY_PERIOD = 0.1
@@ -30,68 +31,49 @@ _TICK = 0.01
 """How often the present time is given to the detector, s."""
 _DEPTH = 5000
 """Messages of a sensor that may wait: half a second at 10 kHz."""
-_MAX_MESSAGES = 500
-"""Waiting messages taken before the timers have their turn."""
 
 
-class DetectorNode(Node):
+class DetectorNode(BaseNode):
     """Runs one :class:`Detector` on the topics of its sources.
 
-    A message without a stamp in its header gets the middleware's time of publication. The
-    middleware has no simulated time: there it gets the time of arrival. Past messages of a latched
-    switch are received too, but not under simulated time, where they would get the present time.
+    A message without a stamp in its header gets the middleware's time of publication. Under
+    simulated time, which the middleware does not know, the message gets the time of arrival. The
+    past messages of a latched switch are received too, but not under simulated time, where they
+    would get the present time.
     """
 
     def __init__(self) -> None:
-        super().__init__("detector")
-        values = parameters.declare(self, parameters.DETECTOR)
-        self._wanted = list(read_sources(values.text("sources")))
-        self._detector = Detector(epoch=values.integer("epoch"))
+        super().__init__("detector", parameters.DETECTOR)
+        self._wanted = list(read_sources(self.values.text("sources")))
+        self._detector = Detector(epoch=self.values.integer("epoch"))
         self._indices: dict[str, list[int]] = {}
         self._requested: dict[str, Quality] = {}
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._last_counts: dict[int, tuple[int, int]] = {}
         self._unstamped = 0
         self._doubts: list[str] = []
-        self._make = ros_messages()
-        self._impacts = self.create_publisher(
-            message_class(interfaces.IMPACTS.type),
-            interfaces.IMPACTS.name,
-            qos_profile(interfaces.IMPACTS.quality),
-        )
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
-        )
+        self._impacts = self.publisher(interfaces.IMPACTS)
         if not self._detector.epoch:
-            self._pulses = self.create_subscription(
-                message_class(interfaces.PHASE_REFERENCE.type),
-                interfaces.PHASE_REFERENCE.name,
+            pulses = interfaces.PHASE_REFERENCE
+            self.create_subscription(
+                message_class(pulses.type),
+                pulses.name,
                 self._on_pulse,
-                qos_profile(interfaces.PHASE_REFERENCE.quality),
+                qos_profile(pulses.quality),
             )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
-        self.create_timer(_TICK, self._on_tick, clock=steady)
-        self.create_timer(1.0, self._diagnose, clock=steady)
-        backwards = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
-        )
-        self._jump = self.get_clock().create_jump_callback(
-            backwards, post_callback=self._on_clock_back
-        )
+        self.repeat(_DISCOVERY_PERIOD, self._discover)
+        self.repeat(_TICK, self._on_tick)
+        self.diagnose(self._statuses)
+        self.when_clock_jumps_back(self._detector.restart)
         topics = sorted({self.resolve_topic_name(each.topic) for each in self._wanted})
         contacts = sorted({each.contact for each in self._wanted})
-        introduce(self, f"contacts {', '.join(contacts)}", f"publishers of {', '.join(topics)}")
-
-    def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        self.introduce(f"contacts {', '.join(contacts)}", f"publishers of {', '.join(topics)}")
 
     def _discover(self) -> None:
         """Subscribe to the sensors' topics that have a publisher, and thus a type."""
         for source in tuple(self._wanted):
             topic = self.resolve_topic_name(source.topic)
-            publishers = self.get_publishers_info_by_topic(topic)
-            if publishers:
+            if publishers := self.get_publishers_info_by_topic(topic):
                 complete = source.complete(publishers[0].topic_type)
                 self._indices.setdefault(topic, []).append(self._detector.add_source(complete))
                 self._wanted.remove(source)
@@ -117,41 +99,39 @@ class DetectorNode(Node):
             message_class(publishers[0].topic_type),
             topic,
             lambda message, info: self._on_message(topic, message, info),
-            qos_profile(self._requested[topic]),
+            qos_profile(wanted),
         )
 
     def _wants_past_messages(self, topic: str) -> bool:
-        """Whether past messages are of use: those of a switch, if their time is available."""
+        """Whether past messages are of use: those of a switch, if their time is known."""
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
-    def _on_message(self, topic: str, message: object, info: MessageInfo) -> None:
-        """Process a message, and those that wait behind it.
+    def _on_message(self, topic: str, message: AnyMessage, info: MessageInfo) -> None:
+        """Detect events in a message and in the messages that wait behind it.
 
-        Under simulated time those wait for the clock, which stamps them.
+        Under simulated time the others wait for the clock, which stamps them.
         """
         self._detect(topic, message, info)
-        if self.get_clock().ros_time_is_active:
-            return
-        for waiting, its_info in waiting_messages(
-            self._subscriptions_by_topic[topic], _MAX_MESSAGES
-        ):
-            self._detect(topic, waiting, its_info)
+        if not self.get_clock().ros_time_is_active:
+            subscription = self._subscriptions_by_topic[topic]
+            for waiting, its_info in waiting_messages(subscription, MOST_TOGETHER):
+                self._detect(topic, waiting, its_info)
 
-    def _detect(self, topic: str, message: object, info: MessageInfo) -> None:
-        """Publish the events in a message, unless simulated time has not started."""
-        arrival = self._now()
+    def _detect(self, topic: str, message: AnyMessage, info: MessageInfo) -> None:
+        """Publish the events in a message, unless simulated time has not begun."""
+        arrival = self.stamp_now()
         if not self.get_clock().ros_time_is_active:
             arrival = info["source_timestamp"] or arrival
         if arrival == 0:
             self._unstamped += 1
             return
         for index in self._indices[topic]:
-            self._publish(self._detector.feed(index, message, arrival))
+            self._publish_events(self._detector.feed(index, message, arrival))
 
-    def _publish(self, detections: list[Detection]) -> None:
+    def _publish_events(self, detections: list[Detection]) -> None:
         for _, event in detections:
-            self._impacts.publish(self._make.event(event))
+            self.publish(self._impacts, self.make.event, event)
 
     def _on_pulse(self, message: AnyMessage) -> None:
         """Take the first pulse of a drive as the epoch of all events from now on."""
@@ -160,35 +140,25 @@ class DetectorNode(Node):
         try:
             self._detector.epoch = read_pulse(message)
         except MessageError as error:
-            self.get_logger().error(
-                printable(f"{interfaces.PHASE_REFERENCE.name}: {error}"), throttle_duration_sec=5.0
-            )
+            self.lines.error(f"{interfaces.PHASE_REFERENCE.name}: {error}")
             return
-        epoch = text(self._detector.epoch)
-        self.get_logger().info(printable(f"epoch {epoch} s, by the first pulse of the drive"))
+        self.lines.info(f"epoch {text(self._detector.epoch)} s, by the first pulse of the drive")
 
     def _on_tick(self) -> None:
         """Let time pass: a switch without messages may stay closed."""
-        if now := self._now():
-            self._publish(self._detector.advance(now))
+        if now := self.stamp_now():
+            self._publish_events(self._detector.advance(now))
 
-    def _on_clock_back(self, _: TimeJump) -> None:
-        """Start a new episode after a backward jump of the clock, as of a looped bag."""
-        self._detector.restart()
-
-    def _diagnose(self) -> None:
-        """Publish the state of each sensor to ``/diagnostics``; log what is hardly meant, once."""
+    def _statuses(self) -> list[DiagnosticStatus]:
+        """The state of each sensor; new doubts are logged, such as an epoch in another unit."""
         doubts, self._doubts = self._doubts, self._detector.doubts
         for line in self._doubts:
             if line not in doubts:
-                self.get_logger().warning(printable(line))
-        array = DiagnosticArray()
-        array.header.stamp = self.get_clock().now().to_msg()
-        array.status = [
+                self.lines.warning(line)
+        return [
             *(self._missing_status(source) for source in self._wanted),
             *(self._sensor_status(index) for index in range(len(self._detector.sources))),
         ]
-        self._diagnostics.publish(array)
 
     def _missing_status(self, source: Source) -> DiagnosticStatus:
         """The status of a sensor without a publisher."""
@@ -206,7 +176,7 @@ class DetectorNode(Node):
             level, message = DiagnosticStatus.WARN, doubt
         if now_unusable > unusable or not counts.messages:
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
-        if self._unstamped and not self._now():
+        if self._unstamped and not self.stamp_now():
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
         return self._status(source, level, message, _values(source, counts, messages))
 

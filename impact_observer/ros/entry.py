@@ -14,7 +14,7 @@ NODES = {
     "monitor": "MonitorNode",
     "viewer": "ViewerNode",
 }
-"""Class of each node, in the module ``NAME_node``; docs/parameters.md has the parameters."""
+"""Class of each node in the module ``NAME_node``; docs/parameters.md lists the parameters."""
 
 
 def plant(args: Sequence[str] | None = None) -> int:
@@ -43,7 +43,7 @@ def viewer(args: Sequence[str] | None = None) -> int:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node that the first argument names; the others are for ROS."""
+    """Run the node that the first argument names; the other arguments are for ROS."""
     parser = argparse.ArgumentParser(prog="impact_observer.ros.entry")
     parser.add_argument("node", choices=NODES)
     parser.add_argument("ros_args", nargs=argparse.REMAINDER, metavar="--ros-args ...")

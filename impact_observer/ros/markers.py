@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene as markers for RViz: along the line is x, rows go along -y, up is z."""
+"""Markers of a scene for RViz: x is along the line, rows follow each other along -y."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -49,15 +49,15 @@ class MarkerRow:
 
 
 class Painter:
-    """Makes the markers of a scene, under the same ids every time."""
+    """Makes the markers of a scene, always with the same ids."""
 
     def __init__(self, scene: Scene, frame: str) -> None:
-        """Draw ``scene`` in the coordinate frame named ``frame``."""
+        """Draw ``scene`` in the coordinate frame ``frame``."""
         self._scene, self._frame = scene, frame
         self._unit = 2 * scene.half
 
     def clear(self, time: Time) -> MarkerArray:
-        """Deletes all earlier markers."""
+        """A message that deletes all earlier markers."""
         return MarkerArray(markers=[self._marker("", 0, Marker.DELETEALL, time)])
 
     def markers(
@@ -74,17 +74,18 @@ class Painter:
             row: the row.
             q: coordinates, shape (n,), m.
             lit: indices of contacts that are closed or had an impact just before.
-            time: when the state holds.
-            moved: what moving grounds add to the gaps, shape (m,), m; None for nothing.
+            time: stamp of the state.
+            moved: part of the gaps by moving grounds, shape (m,), m; None without such.
         """
         frame = self._scene.frame(q, moved)
-        found = [*self._boxes(row, frame, lit), *self._lines(row, frame), *self._texts(row, frame)]
-        for marker in found:
+        boxes, lines = self._boxes(row, frame, lit), self._lines(row, frame)
+        markers = [*boxes, *lines, *self._texts(row, frame)]
+        for marker in markers:
             marker.header.stamp = time
-        return found
+        return markers
 
     def _boxes(self, row: MarkerRow, frame: Frame, lit: Collection[int]) -> Iterator[Marker]:
-        """Bodies, stops, pins of bars, and the ground ends of springs."""
+        """Boxes of bodies, stops, pins of bars, and grounds of springs."""
         scene = self._scene
         for slot, x in enumerate(frame.bodies.tolist()):
             box = Box(x - scene.half, 0.0, 2 * scene.half, 1.0)
@@ -97,7 +98,7 @@ class Painter:
             yield self._cube(row, ("grounds", i), box, _STOP)
 
     def _lines(self, row: MarkerRow, frame: Frame) -> Iterator[Marker]:
-        """Springs, dampers, links; rods of bumpers and rails of bars."""
+        """Lines of springs, dampers and links, of rods of bumpers, and of rails of bars."""
         scene = self._scene
         for name, strokes, width in (
             ("springs", couplings(scene, frame), _THIN),
@@ -108,7 +109,7 @@ class Painter:
                 yield self._list(row, name, strokes, width)
 
     def _texts(self, row: MarkerRow, frame: Frame) -> Iterator[Marker]:
-        """Names of bodies and stops, and of the row."""
+        """Texts with the names of bodies and stops, and of the row."""
         scene = self._scene
         for slot, (name, x) in enumerate(zip(scene.names, frame.bodies.tolist(), strict=True)):
             yield self._text(row, ("names", slot), (x, 1.25), name)

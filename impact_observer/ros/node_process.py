@@ -5,7 +5,7 @@ import faulthandler
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
@@ -14,21 +14,19 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import UnsetError, UsageError
-from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS
 from impact_observer.matrix_threads import one_matrix_thread
-from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, end_with_parent, run
 from impact_observer.ros.session import require_ros, spin_once
 from impact_observer.ros.wiring import FOLLOW
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
+    from impact_observer.ros.base_node import BaseNode
 
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
 _SECURITY = "ROS_SECURITY_ENABLE"
 _LOOK_PERIOD = 5.0
-"""How often it is seen whether simulated time has begun, and which nodes there are, s."""
+"""Time between two looks at the simulated time and at the other nodes, s."""
 _SIGNAL_PERIOD = 0.1
 """Longest time until a signal is noticed, s."""
 
@@ -36,13 +34,13 @@ _SIGNAL_PERIOD = 0.1
 def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None = None) -> int:
     """Spin a node until Ctrl-C, SIGTERM, its own end or an error.
 
-    Signals are handled from before the heavy imports on, so that an early one ends the process
-    without a traceback too.
+    Signals are handled from before the heavy imports on, so that an early signal ends the process
+    without a traceback, too.
 
     Args:
         name: the process's name in error lines.
         module: the module of the node's class.
-        node_class: the class; when an instance's attribute ``done`` becomes true, it ends.
+        node_class: the class; the process ends when the attribute ``done`` of the node is true.
         args: the process's arguments with ``--ros-args``; None for ``sys.argv``.
 
     Returns:
@@ -60,26 +58,22 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
 
 
 def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None:
-    # EventsExecutor takes half the processor time, but in rclpy 7.1.6 an event of the
-    # middleware (incompatible quality of service) ends its spinning with a SystemError.
+    """Make the node, and spin the node until the end."""
+    # Not EventsExecutor: in rclpy 7.1.6 an event of the middleware (incompatible quality of
+    # service) ends its spinning with a SystemError.
     import rclpy
-    from rclpy.clock import Clock, ClockType
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     one_matrix_thread()  # before numpy is imported
-    make = getattr(import_module(module), node_class)
+    make: Callable[[], BaseNode] = getattr(import_module(module), node_class)
     node = executor = None
     try:
         node = _make_node(make, args)
-        # Returning from spin_once lets Python handle signals. A timeout would do the same, but
-        # the executor makes a new timer for each.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_SIGNAL_PERIOD, lambda: None, clock=steady)
-        node.create_timer(_LOOK_PERIOD, partial(_warn_of_surroundings, node), clock=steady)
+        node.repeat(_LOOK_PERIOD, partial(warn_of_surroundings, node))
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
-            spin_once(executor, node)
+            spin_once(executor, node, _SIGNAL_PERIOD)
     except ExternalShutdownException:
         return
     except KeyboardInterrupt:
@@ -96,25 +90,21 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
         faulthandler.cancel_dump_traceback_later()
 
 
-def _warn_of_surroundings(node: "Node") -> None:
+def warn_of_surroundings(node: "BaseNode") -> None:
     """Warn of simulated time that has not begun, and of another node of the same name."""
     own = (node.get_name(), node.get_namespace())
     if (count := node.get_node_names_and_namespaces().count(own)) > 1:
         line = f"{count} nodes are called {node.get_fully_qualified_name()}: their messages are"
         remedy = "start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID"
-        node.get_logger().warning(
-            printable(f"{line} merged; {remedy}"), throttle_duration_sec=30.0
-        )
-    clock = node.get_clock()
-    if node.get_parameter("use_sim_time").value and clock.now().nanoseconds == 0:
-        node.get_logger().warning(
-            "use_sim_time is set, but no /clock has come: nothing is published until it does",
-            throttle_duration_sec=30.0,
+        node.lines.warning(f"{line} merged; {remedy}")
+    if node.get_parameter("use_sim_time").value and node.stamp_now() == 0:
+        node.lines.warning(
+            "use_sim_time is set, but no /clock has come: nothing is published until it does"
         )
 
 
-def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
-    """The node; what ROS cannot read of its arguments is an error of one line.
+def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode":
+    """Make the node.
 
     Raises:
         UsageError: ``--ros-args`` is followed by something that ROS does not accept.
@@ -148,7 +138,7 @@ def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
 
 
 def _how_to_set(name: str, args: Sequence[str]) -> str:
-    """How to give a required parameter; names one of the arguments that may be misspelt."""
+    """How to give a required parameter; names an argument that may be the misspelt name."""
     assigned = [value for option, value in pairwise(args) if option in {"-p", "--param"}]
     given = [each.partition(":=")[0].rpartition(":")[2] for each in assigned]
     similar = get_close_matches(name, [each for each in given if each != name], 1)
@@ -156,35 +146,24 @@ def _how_to_set(name: str, args: Sequence[str]) -> str:
     return f"give --ros-args -p {name}:=FILE{found}"
 
 
-def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
+def _warn_of_unknown_parameters(node: "BaseNode", args: Sequence[str]) -> None:
     """Warn of misspelt parameters, which ROS ignores: in the log and on ``/diagnostics``."""
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from rclpy.clock import Clock, ClockType
+    from diagnostic_msgs.msg import DiagnosticStatus
 
-    from impact_observer.ros.qos import qos_profile
     from impact_observer.ros.statuses import diagnostic_status
 
     if not (lines := list(_unknown_parameters(node, args))):
         return
     for line in lines:
-        node.get_logger().warning(printable(line))
+        node.lines.warning(line)
     name = f"{node.get_fully_qualified_name()}: parameters"
     status = diagnostic_status(
         name, DiagnosticStatus.WARN, "; ".join(lines), {}, hardware=node.get_name()
     )
-    publisher = node.create_publisher(
-        DiagnosticArray, "/diagnostics", qos_profile(DIAGNOSTIC_ARRAYS.quality)
-    )
-
-    def repeat() -> None:
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = node.get_clock().now().to_msg()
-        publisher.publish(array)
-
-    node.create_timer(1.0, repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    node.diagnose(lambda: [status])
 
 
-def _unknown_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:
+def _unknown_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:
     """A line for each parameter that the arguments give and ``node`` has not declared."""
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
@@ -194,10 +173,10 @@ def _unknown_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:
             yield f"parameter {name} does not exist and is ignored; {remedy}"
 
 
-def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:
+def _given_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:
     """Names of the parameters that the arguments give to ``node``.
 
-    Read here because rclpy publishes only those that a node has declared.
+    The arguments are read here, as rclpy knows only parameters that a node has declared.
     """
     from rclpy.parameter import parameter_dict_from_yaml_file
 

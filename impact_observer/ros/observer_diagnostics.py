@@ -22,28 +22,28 @@ _STALE = 60 * NS_PER_S
 
 _REFUSALS = (Ruling.REJECTED, Ruling.TOO_LATE, Ruling.UNKNOWN_CONTACT)
 _REFUSAL_HOLDS = 10.0
-"""How long after the last refusal the status is not OK, whatever is applied, s."""
+"""How long the status is not OK after the last refusal, s."""
 _BEHIND = 1.0
 """How long an event may wait before the observer counts as behind, s."""
 _CAUGHT_UP = 0.5
-"""How long the oldest event waits at most once it has caught up, s."""
+"""How long the oldest event waits at most in an observer that has caught up, s."""
 
 
 class ObserverDiagnostics:
-    """Counts, and makes the diagnostic status of one observer.
+    """Counts what an observer node does, and makes its diagnostic status.
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
-        mismatch: an incompatible quality of service; empty for none.
-        odd_epoch: why the epoch is hardly meant; empty where it may be.
-        behind: how far the observer is behind, and the remedy; empty where it keeps up.
-        inputs: the node's samples of live forces and grounds, if there are any.
-        input_timeout: how old they may be, s.
+        mismatch: a publisher with an incompatible quality of service; empty for none.
+        odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
+        behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
+        inputs: the samples of live forces and grounds that the node receives; None for none.
+        input_timeout: how old the newest sample may be, s.
     """
 
     def __init__(self, node: str, observer: Observer) -> None:
-        """Report on the ``observer`` of a node, called by its full name."""
+        """Report on the ``observer`` of the node with the full name ``node``."""
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
         self.mismatch = self.behind = self.odd_epoch = ""
@@ -57,7 +57,7 @@ class ObserverDiagnostics:
         self._refused_at = -math.inf
 
     def note_latency(self, latency: float) -> None:
-        """An event was applied ``latency`` (s) after its stamp."""
+        """Note that an event was applied ``latency`` (s) after its stamp."""
         self._latency = max(self._latency, latency)
 
     def count(self, verdict: Verdict, *, large: bool) -> None:
@@ -70,17 +70,17 @@ class ObserverDiagnostics:
             self.note_refusal(verdict.reason)
 
     def note_refusal(self, why: str) -> None:
-        """Something received could not be used, for this reason."""
+        """Note that a message or event was not used, and why."""
         self._row += 1
         self._refused += 1
         self._why, self._refused_at = why, time.monotonic()
 
     def note_backlog(self, count: int, waited: float) -> str:
-        """Events wait, ``count`` of them, the oldest for ``waited`` (s).
+        """Note that ``count`` events wait, the oldest for ``waited`` (s).
 
         Returns:
-            What is to be logged: a warning when the observer is behind, a line when it has caught
-            up, else nothing.
+            The line to log: a warning when the observer falls behind, a notice when the observer
+            has caught up; else empty.
         """
         was_behind, self._waiting = bool(self.behind), count
         law, self.behind = self._observer.law, ""
@@ -95,14 +95,18 @@ class ObserverDiagnostics:
         return self.behind
 
     def note_epoch(self) -> str:
-        """Compare the epoch with the last impact; a warning to be logged when it becomes odd."""
+        """Compare the epoch with the last impact.
+
+        Returns:
+            The warning to log when the epoch becomes odd; else empty.
+        """
         observer, was_odd = self._observer, bool(self.odd_epoch)
         last = observer.last_event
         self.odd_epoch = odd_epoch(observer.epoch, last) if last else ""
         return "" if was_odd else self.odd_epoch
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
-        """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
+        """The status at the time ``now`` (ns), with the ``last`` estimate if there is one."""
         level, message = self._health(now, last)
         observer = self._observer
         values = {
@@ -131,7 +135,7 @@ class ObserverDiagnostics:
         return diagnostic_status(name, level, message, values, hardware=hardware)
 
     def _input_values(self, now: int) -> dict[str, object]:
-        """Ages of live forces and grounds, and what was wrong with their samples."""
+        """Ages of live forces and grounds, and counts of their samples."""
         if self.inputs is None or not (ages := self.inputs.ages(now)):
             return {}
         live = self._observer.live
@@ -144,12 +148,12 @@ class ObserverDiagnostics:
         }
 
     def _obstacle(self, last: Estimate | None) -> dict[str, object]:
-        """Why the last estimate is not synchronized."""
+        """Why the last estimate is not synchronized; empty if the estimate is."""
         if last is None or last.synchronized:
             return {}
         try:
             why = self._observer.obstacle(last.stamp)
-        except UsageError:  # the history begins later by now
+        except UsageError:  # by now the history begins after the estimate
             return {}
         return {interfaces.NOT_SYNCHRONIZED: why} if why else {}
 
@@ -160,7 +164,7 @@ class ObserverDiagnostics:
         return 0 if live is None or live.drive is None else live.drive.odd
 
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
-        """Level and message: the worst that holds."""
+        """Level and message of the worst fault."""
         if self.mismatch:
             return DiagnosticStatus.ERROR, self.mismatch
         if self._refused and not self._applied:
@@ -181,14 +185,14 @@ class ObserverDiagnostics:
         return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"
 
     def _refusals(self) -> str:
-        """What was refused, while it goes on; empty where it does not."""
+        """The latest refusals; empty once events are applied again for some seconds."""
         if not self._row and time.monotonic() - self._refused_at > _REFUSAL_HOLDS:
             return ""
         last = f"the last {self._row}" if self._row else f"{self._refused}"
         return f"{last} events were not applied: {self._why}"
 
     def _clock_fault(self, now: int) -> str:
-        """Why there are no impacts at the time ``now`` (ns); empty where there are."""
+        """Why there are no impacts at the time ``now`` (ns); empty if there are impacts."""
         observer = self._observer
         if not now:
             return "use_sim_time is set, but no /clock has come"
@@ -201,7 +205,7 @@ class ObserverDiagnostics:
         return f"{ago}; is use_sim_time missing?"
 
     def _new_faults(self) -> list[str]:
-        """What was wrong with events since the last status."""
+        """The faults of events since the last status."""
         fine = (Ruling.APPLIED, Ruling.INSERTED)
         refused = sum(self.counts[each.name.lower()] for each in Ruling if each not in fine)
         large = self.counts["large innovations"]
@@ -220,13 +224,13 @@ class ObserverDiagnostics:
 
 
 class MisfitNews:
-    """What is to be logged of a misfit, each thing once.
+    """The lines to log of a misfit, each once.
 
-    An account of other parameters may take turns with another one from event to event.
+    Two accounts of a misfit, by different parameters, may take turns from event to event.
     """
 
     def __init__(self) -> None:
-        """No misfit so far."""
+        """Begin without a misfit."""
         self._is_misfit = False
         self._told: frozenset[str] = frozenset()
 
@@ -245,14 +249,14 @@ class MisfitNews:
 
 
 def _doubt(last: Estimate | None) -> str:
-    """Why an estimate is not to be trusted; empty where it is."""
+    """Why an estimate is not to be trusted; empty if the estimate is."""
     if last is None or not (last.inconsistent or last.misfit):
         return ""
     return "events contradict the model or initial_deviation" if last.inconsistent else last.misfit
 
 
 def _estimate_values(last: Estimate) -> dict[str, object]:
-    """What an estimate reports of its own error."""
+    """The parameters, deviations and bounds that an estimate reports."""
     bound, differences = last.bound, last.convergence
     without = "refuted" if last.inconsistent else "none"
     estimated = {

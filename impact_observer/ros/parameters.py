@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' parameters: one table declares, checks and documents them.
+"""The nodes' parameters: one table for each node, by which they are declared and documented.
 
-A parameter of a node is an ``Option``. Those of observers come from ``options.OBSERVER_OPTIONS``,
-those of the plant's sensor from ``sensor_faults.SENSOR_FAULTS``.
+A parameter of a node is an ``Option``. An observer has those of ``options.OBSERVER_OPTIONS`` too,
+a plant those of ``sensor_faults.SENSOR_FAULTS``.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -30,7 +30,7 @@ _INPUT_TIMEOUT = Option(
 _FUTURE = Option(
     "future",
     1.0,
-    "how far ahead of the clock a stamp may be; events that are farther wait",
+    "how far ahead of the clock a stamp may be; an event further ahead waits",
     "s",
     low=0.0,
     high=1e9,
@@ -41,45 +41,45 @@ _LARGEST = 2**63 - 1
 _MEASUREMENTS = Option(
     "measurements",
     "",
-    "a file of what sensors measure beside the impacts, or a sample; empty: nothing",
+    "a file of sensors beside the impacts, or the name of a sample; empty: no sensors",
 )
 PLANT = (
     _MODEL,
-    Option("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
-    Option("epoch", 0, "stamp of t = 0; 0: the clock at the start", "ns", low=0),
-    Option("duration", 0.0, "end after this simulated time; 0: never", "s", low=0.0, high=1e9),
+    Option("rate", 100.0, "rate of the true states", "Hz", low=0.001, high=1e5),
+    Option("epoch", 0, "stamp of t = 0; 0: the time of the clock at the start", "ns", low=0),
+    Option("duration", 0.0, "simulated time until the end; 0: no end", "s", low=0.0, high=1e9),
     Option(
         "integrator",
         EVENT_DRIVEN,
-        "event-driven is exact",
+        "integrator of the plant; event-driven is exact",
         choices=INTEGRATORS,
     ),
     Option("step", DEFAULT_STEP, "time step of the integrator moreau", "s", low=1e-9, high=1.0),
-    Option("publish_clock", False, "publish /clock as the source of time"),
+    Option("publish_clock", False, "publish /clock, the source of simulated time"),
     Option(
         "publish_pulses",
         False,
-        "publish the index pulses of a drive at its nominal speed, instead of receiving them",
+        "publish the index pulses of a drive at nominal speed, and receive no pulses",
     ),
-    Option("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
+    Option("clock_rate", 100.0, "rate of /clock in simulated time", "Hz", low=0.1, high=1e4),
     Option(
         "realtime_factor",
         1.0,
-        "simulated seconds per second; other than 1 needs publish_clock",
+        "simulated seconds per second; a factor other than 1 needs publish_clock",
         low=0.001,
         high=1000.0,
     ),
     Option(
         "wait_for_subscribers",
         0,
-        "subscribers to wait for on each topic",
+        "subscribers on impacts and on the true states to wait for before the start",
         low=0,
         high=1000,
     ),
-    Option("seed", 0, "of the random generator; recorded with the model", low=0),
+    Option("seed", 0, "seed of the random generator; recorded with the model", low=0),
     _INPUT_TIMEOUT,
     replace(
-        _FUTURE, meaning="how far ahead of the clock a sample may be; those that are farther wait"
+        _FUTURE, meaning="how far ahead of the clock a sample may be; a sample further ahead waits"
     ),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
@@ -88,7 +88,7 @@ PLANT = (
 OBSERVER = (
     _MODEL,
     *OBSERVER_OPTIONS,
-    Option("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5, live=True),
+    Option("rate", 100.0, "rate of the estimates", "Hz", low=0.001, high=1e5, live=True),
     Option(
         "lag",
         0.0,
@@ -102,12 +102,12 @@ OBSERVER = (
     Option("max_switches", 100, "most contacts that switch in one event", low=1, high=1_000_000),
     Option("max_name", 256, "longest name of a contact", "bytes", low=1, high=1_000_000),
     Option(
-        "max_frame", 4096, "longest name of the frame of an event", "bytes", low=0, high=1_000_000
+        "max_frame", 4096, "longest name of the frame in a header", "bytes", low=0, high=1_000_000
     ),
     Option(
         "events_durability",
         "volatile",
-        "of the subscription to impacts; transient_local receives past impacts too",
+        "durability of the subscription to impacts; transient_local receives past impacts too",
         choices=("volatile", "transient_local"),
     ),
     _INPUT_TIMEOUT,
@@ -115,13 +115,13 @@ OBSERVER = (
     Option(
         "measurements_reliability",
         "best_effort",
-        "of the subscriptions to sensors; reliable needs publishers that are",
+        "reliability of the subscriptions to sensors; reliable needs reliable publishers",
         choices=("best_effort", "reliable"),
     ),
     Option(
         "measurement_verdicts",
         AUTO,
-        "verdicts on samples that are published: auto is those of sensors up to 50 Hz",
+        "sensors whose verdicts on samples are published; auto: sensors up to 50 Hz",
         choices=VERDICTS,
     ),
 )
@@ -131,17 +131,17 @@ DETECTOR = (
 )
 MONITOR = (
     _MODEL,
-    Option("law", "", "name of the law in the messages; empty: the observer's topic"),
+    Option("law", "", "name of the law in the messages; empty: the name of the observer node"),
 )
 VIEWER = (
     _MODEL,
     Option("observers", "observer", "names of the observers to show, separated by commas"),
     Option("frame", "world", "frame of the markers"),
-    Option("rate", 25.0, "markers published", "Hz", low=0.1, high=1000.0),
+    Option("rate", 25.0, "rate of the markers", "Hz", low=0.1, high=1000.0),
     Option(
         "amplitude",
         0.0,
-        "largest displacement of a body, by which they are spaced; 0: the model's",
+        "largest displacement of a body, which spaces the bodies; 0: from the model",
         "m",
         low=0.0,
         high=1e6,
@@ -194,10 +194,10 @@ class Values:
 
 
 def declare(node: "Node", table: tuple[Option, ...]) -> Values:
-    """Declare a table's parameters on ``node`` and read them.
+    """Declare the parameters of ``table`` on ``node``, and read their values.
 
     Raises:
-        UsageError: a parameter of the wrong type, out of range, or missing.
+        UsageError: a parameter is of the wrong type, out of range, or missing.
     """
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
     from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -232,11 +232,11 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
 
 
 def _declared(node: "Node", each: Option, descriptor: "ParameterDescriptor") -> Value:
-    """The value of a parameter that is declared now."""
+    """Declare one parameter, and return its value."""
     if each.default != ():
         value: Value = node.declare_parameter(each.name, each.default, descriptor).value
         return value
-    # An empty list has no type in ROS, whichever way it comes; one empty string stands for it.
+    # An empty list has no type in ROS; a list of one empty string stands for an empty list.
     return tuple(filter(None, node.declare_parameter(each.name, [""], descriptor).value or ()))
 
 
@@ -246,13 +246,13 @@ def on_change(
     check: Callable[[Mapping[str, Value]], None],
     apply: Callable[[Mapping[str, Value]], None],
 ) -> None:
-    """Let the parameters of a table that may change be set while ``node`` runs.
+    """Let the live parameters of ``table`` be set while ``node`` runs.
 
     Args:
-        node: has declared them.
-        table: of its parameters.
-        check: raises ``UsageError`` where new values, by name, do not fit the others.
-        apply: uses new values, all of them allowed.
+        node: the node that has declared the parameters.
+        table: the parameters of the node.
+        check: raises ``UsageError`` if new values, by name, do not fit the others.
+        apply: uses new values that are allowed.
     """
     from rcl_interfaces.msg import SetParametersResult
     from rclpy.parameter import Parameter
@@ -277,10 +277,10 @@ def on_change(
 
 
 def check(table: tuple[Option, ...], values: Mapping[str, Value]) -> None:
-    """Raise unless all ``values`` that the table knows are allowed.
+    """Check all ``values`` whose parameter is in the table.
 
     Raises:
-        UsageError: naming the parameter, the value and what is expected.
+        UsageError: a value is not allowed; names parameter, value and what is expected.
     """
     for each in table:
         if each.name in values:

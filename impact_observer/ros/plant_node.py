@@ -6,10 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import DynamicsError, UsageError
@@ -22,14 +19,11 @@ from impact_observer.io.simulated_samples import SampleFaults
 from impact_observer.model import read_model
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.plain_text import printable
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
-from impact_observer.ros.introduction import introduce
+from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.live_intake import LiveIntake
-from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
-from impact_observer.ros.qos import qos_profile
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, odd_epoch
 from impact_observer.states import Vector
@@ -37,32 +31,32 @@ from impact_observer.states import Vector
 _LOOK_AHEAD = NS_PER_S
 """How far ahead the next switching is searched, ns."""
 _LONGEST_SLEEP = 0.05
-"""Between two readings of a clock that is not the node's own, s."""
+"""Longest time between two readings of a clock that the node does not own, s."""
 _LONGEST_WAIT = NS_PER_S // 100
-"""Between two looks at what live forces and grounds allow, ns."""
+"""Longest time between two looks at the newest samples of live forces and grounds, ns."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=1.0)
 """How long the node waits at its end for subscribers to receive the last messages."""
 _SETTLING_TIME = 3.5
-"""Between the last subscriber's appearance and the start, s of wall time.
+"""Time from the last subscriber's appearance to the start, s of wall time.
 
-A subscriber that this node has found may not have found this node yet: DDS repeats a lost
-announcement after 3 s only.
+A subscriber that this node has discovered may not have discovered this node yet: DDS repeats a
+lost announcement after 3 s only.
 """
 
 
-class PlantNode(Node):
+class PlantNode(BaseNode):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
 
-    Events of its sensor are published when they arrive, also after the end of the duration. A
-    reset starts with a new sensor, and events in transit are lost.
+    Events of the simulated sensor are published when they arrive, also after the end of the
+    duration. A reset starts with a new sensor, and loses the events in transit.
 
     Attributes:
         done: whether the duration is over.
     """
 
     def __init__(self) -> None:
-        super().__init__("plant")
-        values = parameters.declare(self, parameters.PLANT)
+        super().__init__("plant", parameters.PLANT)
+        values = self.values
         self.done = False
         self._model = read_model(values.text("model"))
         self._rate = values.number("rate")
@@ -75,11 +69,11 @@ class PlantNode(Node):
         self._wanted_subscribers = values.integer("wait_for_subscribers")
         self._wanted_epoch = values.integer("epoch")
         self._seed = values.integer("seed")
+        self._timeout = values.number("input_timeout")
         faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
         self._sensor.check(self._model.system)
-        declared = read_measurements(values.text("measurements"))
-        of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
+        self._check_time_source()
         own_pulses = values.flag("publish_pulses")
         self._pulses = PlantPulses(self, self._model.system, wanted=own_pulses)
         self._system, self._live = (
@@ -87,44 +81,41 @@ class PlantNode(Node):
             if own_pulses
             else connected(self._model.system, causal=True)
         )
-        self._timeout = values.number("input_timeout")
         self._inputs = LiveIntake(
             self,
             self._live,
             now=self._clock_now,
             future=values.number("future"),
-            on_problem=self._warn,
+            on_problem=self.lines.warning,
             on_samples=lambda _: self._tick(),
         )
-        self._waits_since: float | None = None
-        self._check_time_source()
-        self._make = ros_messages()
         how = described(self._integrator, self._step)
-        model_text = published_model(self._model, self._seed, how, self._sensor)
-        self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
-        self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
-        self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")
+        self._impacts = self.publisher(interfaces.IMPACTS)
+        self._states = self.publisher(interfaces.PLANT_JOINT_STATES)
+        self._model_topic = self.publisher(interfaces.PLANT_MODEL)
         self._clock_topic = (
-            self._publisher(interfaces.SIMULATED_CLOCK, "/clock") if self._owns_clock else None
+            self.publisher(interfaces.SIMULATED_CLOCK) if self._owns_clock else None
         )
-        self._sensors = PlantSensors(
-            self, declared, self._system, SampleFaults.of(of_samples), self._seed
-        )
+        declared = read_measurements(values.text("measurements"))
+        of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
+        sample_faults = SampleFaults.of(of_samples)
+        self._sensors = PlantSensors(self, declared, self._system, sample_faults, self._seed)
         self._closed: Contacts = ()
-        self._model_topic.publish(self._make.model(model_text))
+        text = published_model(self._model, self._seed, how, self._sensor)
+        self._model_topic.publish(self.make.model(text))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
         self._is_held = False
+        self._waits_since: float | None = None
         self._waited_at = 0
         self._plant: Master | None = None
-        # The timer is set to the next thing that is due, in wall time.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(_LONGEST_SLEEP, self._on_timer, clock=steady)
         self._ready_since: float | None = None
+        # The timer is set to the next thing that is due, in wall time.
+        self._timer = self.repeat(_LONGEST_SLEEP, self._on_timer)
         waits = "nothing"
         if self._wanted_subscribers:
             waits = f"{self._wanted_subscribers} subscribers on each topic"
-        introduce(self, f"model {self._model.system.name}, {how}", waits)
+        self.introduce(f"model {self._model.system.name}, {how}", waits)
 
     def _check_time_source(self) -> None:
         """Refuse two owners of the time, a pace or an epoch that others could not follow."""
@@ -139,14 +130,9 @@ class PlantNode(Node):
             )
 
         epoch = self._wanted_epoch
-        now = 0 if self._owns_clock else int(self.get_clock().now().nanoseconds)
+        now = 0 if self._owns_clock else self.stamp_now()
         if odd := odd_epoch(epoch, max(epoch, now), "the clock,"):
             raise UsageError(f"parameter epoch: {odd}")
-
-    def _publisher(self, interface: interfaces.Interface, topic: str) -> Publisher:
-        return self.create_publisher(
-            message_class(interface.type), topic, qos_profile(interface.quality)
-        )
 
     def _on_timer(self) -> None:
         """Use what was ahead of the clock, and publish."""
@@ -161,7 +147,7 @@ class PlantNode(Node):
         now = self._now()
         self._publish_until(now)
         if now >= self._end and self._sensing.next_stamp is None:
-            self.get_logger().info(printable(f"{self._duration / NS_PER_S:g} s are over"))
+            self.lines.info(f"{self._duration / NS_PER_S:g} s are over")
             for publisher in (self._impacts, self._states):
                 publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)
             self.done = True
@@ -173,10 +159,10 @@ class PlantNode(Node):
 
         Until then simulated time, if the plant owns it, stands still just before the epoch.
         """
-        now = self._wanted_epoch or self.get_clock().now().nanoseconds
+        now = self._wanted_epoch or self.stamp_now()
         if self._clock_topic is not None:
             self._wanted_epoch = now
-            self._clock_topic.publish(self._make.clock(max(now - self._clock_period, 1)))
+            self._clock_topic.publish(self.make.clock(max(now - self._clock_period, 1)))
         subscribers = min(
             self._impacts.get_subscription_count(), self._states.get_subscription_count()
         )
@@ -204,9 +190,6 @@ class PlantNode(Node):
             raise DynamicsError(
                 f"the plant waits: {silent.partition(';')[0]}; input_timeout is over"
             )
-
-    def _warn(self, line: str) -> None:
-        self.get_logger().warning(printable(line), throttle_duration_sec=1.0)
 
     def _start(self, epoch: int) -> None:
         """Start an episode at ``epoch``."""
@@ -236,7 +219,7 @@ class PlantNode(Node):
         self._next_sample = 0
         self._next_clock = epoch
         name = self._model.system.name
-        self.get_logger().info(printable(f"{name}: episode {self._episode}, epoch {epoch} ns"))
+        self.lines.info(f"{name}: episode {self._episode}, epoch {epoch} ns")
 
     def _now(self) -> int:
         """The present stamp, ns; where live signals are not known so far, the latest they are."""
@@ -255,9 +238,9 @@ class PlantNode(Node):
     def _clock_now(self) -> int:
         """The time of the clock, ns."""
         if not self._owns_clock:
-            return int(self.get_clock().now().nanoseconds)
+            return self.stamp_now()
         if self._plant is None:
-            return self._wanted_epoch or int(self.get_clock().now().nanoseconds)
+            return self._wanted_epoch or self.stamp_now()
         return self._epoch + int((time.monotonic_ns() - self._started) * self._factor)
 
     def _sample_stamp(self, k: int) -> int:
@@ -273,7 +256,7 @@ class PlantNode(Node):
         last = min(now, self._end)
         held = self._model.system.held_force((last - self._epoch) / NS_PER_S)
         if held and not self._is_held:
-            self.get_logger().warning(printable(held))
+            self.lines.warning(held)
         self._is_held = bool(held)
         while (switching := self._plant.next_switching(last)) is not None:
             self._publish_present(switching.instant.stamp - 1)
@@ -283,7 +266,7 @@ class PlantNode(Node):
         self._publish_present(now)
         shown = last if self._sensing.next_stamp is None else now
         if self._clock_topic is not None and shown >= self._next_clock:
-            self._clock_topic.publish(self._make.clock(shown))
+            self._clock_topic.publish(self.make.clock(shown))
             late = max(shown - self._next_clock, 0) // self._clock_period
             self._next_clock += (late + 1) * self._clock_period
 
@@ -291,7 +274,7 @@ class PlantNode(Node):
         """Publish arriving events and true states up to ``last``, within the present phase."""
         for event, arrival in self._sensing.due(last):
             self._publish_states(arrival - 1)
-            self._impacts.publish(self._make.event(event))
+            self.publish(self._impacts, self.make.event, event)
         self._publish_states(last)
 
     def _publish_states(self, last: int) -> None:
@@ -304,7 +287,7 @@ class PlantNode(Node):
         while (stamp := self._sample_stamp(self._next_sample)) <= last:
             x = self._state(stamp)
             state = JointState(stamp, names, x[:n], x[n:])
-            self._states.publish(self._make.joint_state(state))
+            self.publish(self._states, self.make.joint_state, state)
             self._next_sample += 1
 
     def _state(self, stamp: int) -> Vector:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Qualities of service, to and from those of ``rclpy``."""
+"""Conversion of qualities of service to and from the profiles of ``rclpy``."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -7,7 +7,7 @@ from impact_observer.io.interfaces import Quality
 
 
 def qos_profile(quality: Quality) -> QoSProfile:
-    """``quality`` as ``rclpy`` takes it, to offer or to request."""
+    """The profile of ``quality``, to offer or to request."""
     reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
     durability = (
         DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
@@ -22,8 +22,8 @@ def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
     """The quality of service of a publisher.
 
     Args:
-        profile: the publisher's; unspecified policies count as reliable and volatile.
-        depth: messages kept, for a publisher of another process, whose history is not visible.
+        profile: profile of the publisher; unspecified policies count as reliable and volatile.
+        depth: depth of a publisher in another process, whose history is not visible.
     """
     kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
     return Quality(

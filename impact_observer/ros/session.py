@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that uses ROS without being a node of the package: one node, and its end."""
+"""ROS in a command: the check that ROS is installed, one node, and spinning."""
 
 import os
 import traceback
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 _DOMAIN = "ROS_DOMAIN_ID"
 _LAST_DOMAIN = 232
-"""Fast DDS has no ports for more."""
+"""Largest domain for which Fast DDS has ports."""
 
 
 def require_ros() -> None:
-    """Raise an error of one line where ROS 2 is not installed.
+    """Check that ROS 2 is installed, and that the domain is valid.
 
     Raises:
         UsageError: ``rclpy`` cannot be imported, or ``ROS_DOMAIN_ID`` is no domain.
@@ -42,14 +42,13 @@ def require_ros() -> None:
 def ros_node(
     name: str, *, use_sim_time: bool = False
 ) -> Iterator[tuple["Node", "SingleThreadedExecutor"]]:
-    """A node in a context of its own, with an executor; both end with the block.
+    """Make a node and an executor in a ROS context of their own, until the block ends.
 
-    ``rclpy`` installs no signal handlers for such a context;
-    ``process_end.Stop`` does.
+    ``rclpy`` installs no signal handlers for such a context; ``process_end.Stop`` does.
 
     Args:
-        name: the node's name.
-        use_sim_time: whether its clock follows ``/clock``.
+        name: name of the node.
+        use_sim_time: whether the clock of the node follows ``/clock``.
     """
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
@@ -57,7 +56,7 @@ def ros_node(
     from rclpy.parameter import Parameter
 
     context = Context()
-    context.init(args=[])  # otherwise ROS reads the command's arguments
+    context.init(args=[])  # by default ROS would read the arguments of the command
     try:
         node = Node(
             name,
@@ -79,12 +78,12 @@ def ros_node(
 def spin_once(
     executor: "SingleThreadedExecutor", node: "Node", timeout: float | None = None
 ) -> None:
-    """Spin ``executor`` once; a time before zero on ``/clock`` is ignored, and warned of.
+    """Spin ``executor`` once; warn of a time before zero on ``/clock``, and ignore that time.
 
     Args:
-        executor: of ``node``.
-        node: warns.
-        timeout: longest wait, s; None for until there is something to do.
+        executor: the executor of ``node``.
+        node: the node that logs the warning.
+        timeout: longest time to wait for work, s; None for any time.
     """
     try:
         executor.spin_once(timeout_sec=timeout)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The statuses that nodes publish on ``/diagnostics``."""
+"""Statuses for ``/diagnostics``."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 def diagnostic_status(
     name: str, level: bytes, message: str, values: Mapping[str, object], *, hardware: str
 ) -> DiagnosticStatus:
-    """A status by its ``name``, of some ``hardware``, with ``values`` as texts."""
+    """A status called ``name`` of some ``hardware``, with ``values`` as texts."""
     return DiagnosticStatus(
         level=level,
         name=name,

@@ -4,7 +4,6 @@
 from functools import partial
 
 import numpy as np
-from rclpy.node import Node
 
 from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.draw.scene.scene import Scene
@@ -14,11 +13,10 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
 from impact_observer.model import read_model
 from impact_observer.observer.sender_runs import SenderRuns
-from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
-from impact_observer.ros.introduction import introduce
+from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
-from impact_observer.ros.message_classes import message_class, read_state, ros_messages
+from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
@@ -28,53 +26,47 @@ PLANT_ROW = "plant"
 """Name of the plant's row, and of its node."""
 
 
-class ViewerNode(Node):
+class ViewerNode(BaseNode):
     """Publishes ``~/markers`` of the last state of the plant and of each observer."""
 
     def __init__(self) -> None:
-        super().__init__("viewer")
-        values = parameters.declare(self, parameters.VIEWER)
-        model = read_model(values.text("model"))
+        super().__init__("viewer", parameters.VIEWER)
+        model = read_model(self.values.text("model"))
         self._system = model.system
         states = () if model.position is None else [model.position]
-        scene = Scene.of_system(model.system, states, values.number("amplitude"))
-        self._painter = Painter(scene, values.text("frame"))
-        self._rows = _rows(values.text("observers"))
+        scene = Scene.of_system(model.system, states, self.values.number("amplitude"))
+        self._painter = Painter(scene, self.values.text("frame"))
+        self._rows = _rows(self.values.text("observers"))
         self._states: dict[str, JointState] = {}
         self._hits: dict[int, int] = {}
         self._closed: set[int] = set()
         self._runs = SenderRuns()
-        self._make = ros_messages()
-        quality = qos_profile(interfaces.VIEWER_MARKERS.quality)
-        self._markers = self.create_publisher(
-            message_class(interfaces.MARKERS), "~/markers", quality
-        )
+        self._markers = self.publisher(interfaces.VIEWER_MARKERS)
         self._subscribe()
         self._cleared = False
-        self.create_timer(1.0 / values.number("rate"), self._publish)
+        self.create_timer(1.0 / self.values.number("rate"), self._publish_markers)
         for line in scene.omitted:
-            self.get_logger().warning(printable(f"{model.system.name}: shown {line}"))
-        introduce(self, f"model {model.system.name}", "states of plant or observers")
+            self.lines.warning(f"{model.system.name}: shown {line}")
+        self.introduce(f"model {model.system.name}", "states of plant or observers")
 
     def _subscribe(self) -> None:
         """Subscribe to the states of all rows, and to impacts."""
-        states = qos_profile(interfaces.STATES)
         for row in self._rows:
             self.create_subscription(
                 message_class(interfaces.JOINT_STATE),
                 f"{row.name}/joint_states",
                 partial(self._on_state, row.name),
-                states,
+                qos_profile(interfaces.STATES),
             )
-        # Past events are of no use here, and a played bag may not offer them.
+        # Volatile: past events are of no use here, and a played bag may not offer them.
         events = interfaces.Quality(depth=interfaces.EVENTS.depth)
         self.create_subscription(
             message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(events)
         )
 
     def _on_state(self, name: str, message: AnyMessage) -> None:
-        """Keep the last state."""
-        state = read_state(self, f"{name}/joint_states", message, self._system.coordinates)
+        """Keep the last state of a row."""
+        state = self.read_state(f"{name}/joint_states", message, self._system.coordinates)
         if state is None:
             return
         if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
@@ -86,7 +78,7 @@ class ViewerNode(Node):
         try:
             event = read_event(message)
         except MessageError as error:
-            self.get_logger().error(printable(f"impacts: {error}"), throttle_duration_sec=5.0)
+            self.lines.error(f"impacts: {error}")
             return
         weighed = self._runs.weigh(event)
         if weighed.reason:
@@ -112,25 +104,25 @@ class ViewerNode(Node):
             if switch.kind is Kind.CLOSE:
                 self._closed.add(contact)
 
-    def _publish(self) -> None:
-        """Publish all rows that have a state; first delete old markers."""
+    def _publish_markers(self) -> None:
+        """Publish all rows that have a state; first delete the markers of an earlier node."""
         if not self._cleared:
             self._markers.publish(self._painter.clear(self.get_clock().now().to_msg()))
             self._cleared = self._markers.get_subscription_count() > 0
+        epoch = self._runs.in_use.epoch if self._runs.in_use else 0
         markers = []
         for row in self._rows:
-            state = self._states.get(row.name)
-            if state is not None:
-                time = self._make.time(state.stamp)
-                epoch = self._runs.in_use.epoch if self._runs.in_use else 0
-                at = np.array([state.stamp - epoch])
-                moved = self._system.gap_motion(at)[0] if epoch else None
-                markers += self._painter.markers(row, state.q, self._lit(state), time, moved)
+            if (state := self._states.get(row.name)) is None:
+                continue
+            stamps = np.array([state.stamp - epoch])
+            moved = self._system.gap_motion(stamps)[0] if epoch else None
+            time = self.make.time(state.stamp)
+            markers += self._painter.markers(row, state.q, self._lit(state), time, moved)
         if markers:
             self._markers.publish(message_class(interfaces.MARKERS)(markers=markers))
 
     def _lit(self, state: JointState) -> set[int]:
-        """Contacts that are closed, or had an impact shortly before a state."""
+        """The contacts that are closed, or had an impact shortly before a state."""
         hit = {i for i, stamp in self._hits.items() if 0 <= state.stamp - stamp < _GLOW}
         return hit | self._closed
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes of the demonstration: one list for the demo command and the launch file.
 
-Imports no ROS, so that launch files and tests can read it.
+The module imports no ROS, so that launch files and tests can import the module.
 """
 
 import os
@@ -12,21 +12,21 @@ from typing import Any
 from impact_observer.options import Value
 
 FOLLOW = "IMPACT_OBSERVER_FOLLOW"
-"""Environment variable with the id of a parent process; this process ends when the parent does."""
+"""Environment variable with the id of the parent, with whose end a process ends."""
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-"""Environment variable that says how far away nodes are discovered."""
+"""Environment variable with the range within which nodes are discovered."""
 LOCAL = "LOCALHOST"
-"""Its value for: on this machine only."""
+"""Value of ``DISCOVERY`` for discovery on this machine only."""
 
 
 def following() -> dict[str, str]:
-    """The environment of a process that ends with this one."""
+    """The environment variables of a process that ends with this process."""
     return {FOLLOW: str(os.getpid())}
 
 
 def local_discovery() -> tuple[Any, Any]:
-    """For launch files: the argument ``local``, and what it does to all nodes that follow."""
-    # Not at the top: the demo command needs no launch.
+    """The launch argument ``local``, and the action that limits discovery of later nodes."""
+    # Imported here, as the demo command needs no launch.
     from launch.actions import (
         DeclareLaunchArgument,
         SetEnvironmentVariable,
@@ -44,13 +44,13 @@ def local_discovery() -> tuple[Any, Any]:
 
 @dataclass(frozen=True, slots=True)
 class NodeSetup:
-    """How a node is started.
+    """The executable, name, parameters and topics of a node to start.
 
     Attributes:
         executable: ``plant``, ``observer`` or ``monitor``.
         name: the node's name.
-        parameters: those that differ from the defaults.
-        remappings: new names of topics, by the node's own.
+        parameters: parameters that differ from the defaults.
+        remappings: new names of topics, by the names that the node uses.
     """
 
     executable: str
@@ -61,15 +61,15 @@ class NodeSetup:
 
 @dataclass(frozen=True, slots=True)
 class DemoSetup:
-    """What the demonstration runs.
+    """The plant, laws and times of a demonstration.
 
     Attributes:
-        model: a model file or a sample's name.
-        laws: each has an observer and a monitor.
-        initial: the observers' initial state, as on the command line.
-        duration: simulated seconds; 0 for no end.
-        realtime_factor: simulated seconds a second.
-        rate: true states and estimates, Hz.
+        model: a model file, or the name of a sample.
+        laws: laws, each with an observer and a monitor.
+        initial: initial state of the observers, as on the command line.
+        duration: simulated time, s; 0 for no end.
+        realtime_factor: simulated seconds per second.
+        rate: rate of true states and estimates, Hz.
         epoch: stamp of ``t = 0``, ns.
     """
 
@@ -93,7 +93,7 @@ def monitor_name(law: str) -> str:
 
 
 def plant(setup: DemoSetup, recorders: int = 0) -> NodeSetup:
-    """The plant; it starts when all observers or monitors, and ``recorders``, have subscribed."""
+    """The plant, which starts when all observers or monitors, and ``recorders``, subscribe."""
     return NodeSetup(
         "plant",
         "plant",

@@ -11,7 +11,9 @@ from rclpy.node import Node
 
 from impact_observer.errors import UsageError
 from impact_observer.options import Option
-from impact_observer.ros import node_process, parameters
+from impact_observer.ros import parameters
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.node_process import warn_of_surroundings
 from impact_observer.ros.session import require_ros, spin_once
 
 
@@ -96,11 +98,12 @@ def test_a_node_that_has_the_name_of_another_one_says_so(
     """Their topics are the same, so what they publish would be merged unnoticed."""
     assert ros_environment
     with spinning() as spinner:
-        spinner.add(Node("observer"))
-        node_process._warn_of_surroundings(spinner.nodes[-1])
+        node = BaseNode("observer", ())
+        spinner.add(node)
+        warn_of_surroundings(node)
         assert "are called" not in "".join(capfd.readouterr())
-        spinner.add(Node("observer"))
+        spinner.add(BaseNode("observer", ()))
         names = spinner.probe.get_node_names
         spinner.until(lambda: names().count("observer") == 2)
-        node_process._warn_of_surroundings(spinner.nodes[-1])
+        warn_of_surroundings(node)
         assert "2 nodes are called /observer: their messages" in "".join(capfd.readouterr())
