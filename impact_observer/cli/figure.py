@@ -154,12 +154,12 @@ def _observed(
     from impact_observer.compare.comparison import compare_observer
     from impact_observer.io.pairing import samples_of
 
-    truth = [samples_of(run.stamps, run.states)]
+    truth = samples_of(run.stamps, run.states)
     return {
         observer.law.name: compare_observer(
             observer,
             run.events,
-            lambda: truth,
+            truth,
             progress=partial(progress.step, observer.law.name),
         )
         for observer in observers

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparing estimates in a bag with the truth, and those of observers that are run on the bag."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,16 +10,16 @@ import numpy as np
 
 from impact_observer.compare.comparison import (
     SETTLED,
-    Comparator,
     Comparison,
     compare_observer,
+    compare_states,
     impacts_in,
 )
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.live_inputs import epoch_in
-from impact_observer.io.pairing import Samples, samples_of
+from impact_observer.io.pairing import Samples, sample_type, samples_of
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_stamp, named_states, named_topic
@@ -61,8 +61,6 @@ def compare_bag(
 ) -> BagComparison:
     """Compare the observers in a bag, and others that are run on its events, with the truth.
 
-    States are read block by block: memory does not grow with the length of the bag.
-
     Args:
         reader: the bag.
         system: gives M and K for V.
@@ -89,18 +87,23 @@ def compare_bag(
     events = events_in(reader)
     epoch = epoch_in(reader, events) or first_stamp(reader, [true_topic]) or 0
     begin = 0 if since is None else epoch + from_seconds(since)
-    recorded = {}
-    for name, topic in topics.items():
-        outcomes, law = outcomes_in(reader, topic, events), name.rpartition("/")[2]
-        recorded[name] = topic, Comparator(system, outcomes, law, settled, begin=begin)
-    for done, total in compare_recorded(reader, system, true_topic, recorded.values()):
-        progress("comparing", done, total)
-
-    def true_states() -> Iterator[Samples]:
-        return (_samples(block) for _, block in reader.blocks([true_topic], system.coordinates))
-
+    law_of, states = states_of_topics(
+        reader, system, [true_topic, *topics.values()], partial(progress, "comparing")
+    )
+    true_states = states[true_topic]
     try:
-        comparisons = {name: each.result() for name, (_, each) in recorded.items()}
+        comparisons = {
+            name: compare_states(
+                system,
+                law_of.get(topic) or name.rpartition("/")[2],
+                true_states,
+                states[topic],
+                outcomes_in(reader, topic, events),
+                settled=settled,
+                begin=begin,
+            )
+            for name, topic in topics.items()
+        }
         for observer in observers:
             law = observer.law.name
             comparisons[law] = compare_observer(
@@ -140,34 +143,39 @@ def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, 
     return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
 
 
-def compare_recorded(
-    reader: BagReader, system: System, truth: str, estimates: Collection[tuple[str, Comparator]]
-) -> Iterator[tuple[int, int]]:
-    """Compare recorded estimates with the ``truth`` on a topic, in one pass through the bag.
+def states_of_topics(
+    reader: BagReader,
+    system: System,
+    topics: Sequence[str],
+    progress: Callable[[int, int], None],
+) -> tuple[dict[str, str], dict[str, Samples]]:
+    """Read all states on some topics.
 
-    Each of the ``estimates`` is a topic with its comparator. The law becomes that of the messages.
+    Args:
+        reader: the bag.
+        system: gives the order of the coordinates.
+        topics: topics of states.
+        progress: receives the number of messages read, and of all.
 
-    Yields:
-        The number of messages read, and of all: after each block of states and at the end.
+    Returns:
+        The law of each topic whose messages name one, and the states of each topic in the order
+        of the bag.
+
+    Raises:
+        BagError: the bag is damaged, or a topic has other coordinates.
     """
-    if not estimates:
-        return
-    topics = [*dict.fromkeys([truth, *(topic for topic, _ in estimates)])]
-    total, done = sum(reader.topics[topic].count for topic in topics), 0
-    for topic, block in reader.blocks(topics, system.coordinates):
-        samples = _samples(block)
-        for own, comparator in estimates:
-            if topic == truth:
-                comparator.pairing.truth.add(samples)
-            if topic == own:
-                comparator.pairing.estimates.add(samples)
-                comparator.law = getattr(block, "law", "") or comparator.law
-            comparator.update()
+    chosen = [*dict.fromkeys(topics)]
+    total, done = sum(reader.topics[topic].count for topic in chosen), 0
+    laws: dict[str, str] = {}
+    blocks: dict[str, list[Samples]] = {topic: [] for topic in chosen}
+    for topic, block in reader.blocks(chosen, system.coordinates):
+        blocks[topic].append(_samples(block))
+        if law := getattr(block, "law", ""):
+            laws[topic] = law
         done += block.stamps.size
-        yield done, total
-    for _, comparator in estimates:
-        comparator.update(done=True)
-    yield total, total
+        progress(done, total)
+    nothing = np.empty(0, sample_type(2 * system.n))
+    return laws, {topic: np.concatenate([nothing, *read]) for topic, read in blocks.items()}
 
 
 def _truth_topic(reader: BagReader, named: str | None) -> str:

@@ -6,15 +6,13 @@ stamp. ``topics`` are topics of states, or observers' prefixes; None for all.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.bag_comparison import compare_recorded
-from impact_observer.compare.comparison import Comparator
-from impact_observer.compare.error_curve import ErrorRows
+from impact_observer.compare.bag_comparison import states_of_topics
+from impact_observer.compare.comparison import compare_states
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
@@ -70,8 +68,8 @@ def error_rows(
 ) -> Iterator[TableBlock]:
     """Estimate minus truth, and V, at the stamps that both have.
 
-    What ``compare`` leaves out is left out: estimates that were published before their events
-    arrived, and samples between the jumps of truth and estimate.
+    As in ``compare``, estimates that were published before their events arrived are left out, and
+    so are samples between the jumps of truth and estimate.
 
     Raises:
         UsageError: a topic is not in the bag.
@@ -85,24 +83,17 @@ def error_rows(
         raise UnfitBagError(f"{reader.path}: has no estimates; make them with observe")
     zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
-    found: list[tuple[str, ErrorRows]] = []
-    comparators = {}
+    laws, states = states_of_topics(reader, system, [truth, *chosen], progress)
     for topic in chosen:
-        outcomes, law = outcomes_in(reader, topic, events), topic.split("/")[-2]
-        keep = partial(lambda topic, rows: found.append((topic, rows)), topic)
-        comparators[topic] = Comparator(system, outcomes, law, keep=keep)
-    count = 0
-    for done, total in compare_recorded(reader, system, truth, comparators.items()):
-        count += len(found)
-        for topic, rows in found:
-            words = {"topic": [topic] * rows.size, "law": [comparators[topic].law] * rows.size}
-            numbers = {"V": rows["V"], **_columns(("dq", "du"), system.coordinates, rows["error"])}
-            yield TableBlock(topic, zero, rows["stamp"], words, numbers)
-        found.clear()
-        progress(done, total)
-    if not count:
-        ranges = comparators[chosen[0]].pairing.ranges()
-        raise BagError(f"{reader.path}: truth and estimates have nothing in common: {ranges}")
+        law = laws.get(topic) or topic.split("/")[-2]
+        outcomes = outcomes_in(reader, topic, events)
+        try:
+            compared = compare_states(system, law, states[truth], states[topic], outcomes)
+        except BagError as error:
+            raise BagError(f"{reader.path}: {error}") from None
+        words = {"topic": [topic] * compared.samples, "law": [law] * compared.samples}
+        errors = _columns(("dq", "du"), system.coordinates, compared.error)
+        yield TableBlock(topic, zero, compared.stamps, words, {"V": compared.V, **errors})
 
 
 def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iterator[TableBlock]:

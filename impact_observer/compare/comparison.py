@@ -11,17 +11,23 @@ has not, or the other way round, is a *mismatch*.
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from tempfile import TemporaryFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.error_curve import ErrorCurve, ErrorRows, error_type
-from impact_observer.compare.mismatch import REACH, Mismatch, windows
+from impact_observer.compare.mismatch import Mismatch, windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError, DynamicsError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
-from impact_observer.io.pairing import Pairing, Pairs, Samples, arrived, sample_type, samples_of
+from impact_observer.io.pairing import (
+    Pairs,
+    Samples,
+    arrived,
+    fresh,
+    paired,
+    samples_of,
+    stamp_range,
+)
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
@@ -43,9 +49,9 @@ class Comparison:
     Attributes:
         system: the system, whose energy is V.
         law: name of the law.
-        stamps: of the samples that count, ns, shape (rows,); of very many the peaks of V.
-        error: estimate minus truth, (dq, du), shape (rows, 2n).
-        V: Lyapunov distance, J, shape (rows,).
+        stamps: of the samples that count, ns, shape (samples,).
+        error: estimate minus truth, (dq, du), shape (samples, 2n).
+        V: Lyapunov distance, J, shape (samples,).
         samples: number of samples that count.
         late: estimates left out because their event had not arrived.
         stale: states left out because they came long after later ones.
@@ -117,184 +123,131 @@ def is_near_end(V: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray((V > 0) & (_FLOOR * V[-1] >= V))
 
 
-class Comparator:
-    """Compares truth and estimates that are added block by block, in constant memory.
+def compare_states(
+    system: System,
+    law: str,
+    truth: Samples,
+    estimates: Samples,
+    outcomes: EventOutcomes,
+    *,
+    settled: float = SETTLED,
+    begin: int = 0,
+) -> Comparison:
+    """Compare estimates with the truth at the stamps that both have.
 
-    Attributes:
-        pairing: where to add the blocks of both.
+    Args:
+        system: gives M and K for V.
         law: name of the law.
+        truth: true states, in the order of the bag.
+        estimates: estimated states, in the order of the bag.
+        outcomes: which events the observer applied, rejected and inserted.
+        settled: V over V at the start below which the estimate has settled.
+        begin: stamp before which samples are left out, ns.
+
+    Raises:
+        BagError: no stamp is in both, or every estimate came before its events.
+        DynamicsError: an estimate is not finite.
+        UsageError: both end before the stamp from which samples count.
     """
-
-    def __init__(
-        self,
-        system: System,
-        outcomes: EventOutcomes,
-        law: str,
-        settled: float = SETTLED,
-        *,
-        keep: Callable[[ErrorRows], None] | None = None,
-        begin: int = 0,
-    ) -> None:
-        """Begin without any block.
-
-        Args:
-            system: gives M and K for V.
-            outcomes: which events the observer applied, rejected and inserted.
-            law: name of the law.
-            settled: V over V at the start below which the estimate has settled.
-            keep: receives the rows that count, in order; None to keep them for the result.
-            begin: stamp before which samples are left out, ns.
-        """
-        self.pairing = Pairing()
-        self.law = law
-        self._system, self._outcomes, self._settled = system, outcomes, settled
-        self._curve = ErrorCurve()
-        self._keep = keep or self._curve.add
-        self._begin = begin
-        index = {name: c for c, name in enumerate(system.contact_names)}
-        self._impacts = [(at, index[name]) for at, name in outcomes.impacts if name in index]
-        self._of_contact = [[at for at, c in self._impacts if c == i] for i in range(system.m)]
-        self._searched = 0  # impacts
-        self._windows: list[tuple[int, int]] = []
-        self._carried: Pairs | None = None
-        self._counted = 0  # of the carried ones
-        self._samples = self._late = 0
-        self._mismatch = Mismatch()
-        self._squares, self._largest = np.zeros(2 * system.n), np.zeros(2 * system.n)
-        self._first = self._last = -1.0  # V, J
-        self._rise = 0.0  # of V from one sample to the next, J
-        self._settled_since: int | None = None  # stamp from which on V is small enough, ns
-
-    def update(self, *, done: bool = False) -> None:
-        """Compare as far as the blocks that were added allow.
-
-        A pair counts once all windows that may contain it have been found, which needs the pairs
-        ``2 REACH`` around it. Until then it is carried over to the next call.
-
-        Args:
-            done: whether all blocks have been added.
-        """
-        waiting = [self._carried, self.pairing.ready(done=done)]
-        rows = [each for each in waiting if each is not None and each.size]
-        if not rows:
-            return
-        pairs = np.concatenate(rows)
-        last = int(pairs["stamp"][-1])
-        self._find_windows(pairs, last + 1 if done else last - REACH)
-        due = pairs.size
-        if not done:
-            due = int(np.searchsorted(pairs["stamp"], last - 2 * REACH, side="right"))
-        if due > self._counted:
-            own = pairs[self._counted : due]
-            self._count(own[own["stamp"] >= self._begin])
-        # A jump shows against the two samples before it.
-        kept = max(due - 2, 0)
-        self._carried, self._counted = pairs[kept:], due - kept
-
-    def _find_windows(self, rows: Pairs, until: int) -> None:
-        """Find the windows of all impacts before ``until`` (ns)."""
-        last = bisect_left(self._impacts, (until,))
-        speeds: dict[int, tuple[Vector, Vector]] = {}
-        n = self._system.n
-        for impact, c in self._impacts[self._searched : last]:
-            if c not in speeds:
-                w = self._system.W[:, c]
-                speeds[c] = (rows["truth"][:, n:] @ w, rows["estimate"][:, n:] @ w)
-            own = self._of_contact[c]
-            before, after = bisect_left(own, impact), bisect_right(own, impact)
-            others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
-            begin, end = map(int, windows(rows["stamp"], *speeds[c], impact, others))
-            if begin < end and end > self._begin:
-                self._windows.append((begin, end))
-                self._mismatch.windows += 1
-                self._mismatch.longest = max(self._mismatch.longest, seconds_between(begin, end))
-        self._searched = max(self._searched, last)
-
-    def _count(self, pairs: Pairs) -> None:
-        """Count pairs whose windows are all found."""
-        if not pairs.size:
-            return
-        n, stamps = self._system.n, pairs["stamp"]
-        rows = np.empty(pairs.size, error_type(2 * n))
-        rows["stamp"], rows["error"] = stamps, pairs["estimate"] - pairs["truth"]
-        rows["V"] = distance(self._system, rows["error"][:, :n], rows["error"][:, n:])
-        punctual = arrived(stamps, pairs["last_event"], self._outcomes.reported)
-        between = np.zeros(stamps.size, dtype=np.bool_)
-        for begin, end in self._windows:
-            between |= (begin <= stamps) & (stamps < end)
-        self._windows = [each for each in self._windows if each[1] > stamps[-1]]
-        between &= punctual
-        self._late += int(np.count_nonzero(~punctual))
-        self._mismatch.samples += int(np.count_nonzero(between))
-        self._mismatch.V = max(self._mismatch.V, float(np.max(rows["V"][between], initial=0.0)))
-        kept = rows[punctual & ~between]
-        if kept.size:
-            self._sum_up(kept)
-
-    def _sum_up(self, rows: ErrorRows) -> None:
-        stamps, error, V = rows["stamp"], rows["error"], rows["V"]
-        if not self._samples:
-            self._first = self._last = float(V[0])
-        self._samples += stamps.size
-        self._squares += np.sum(error**2, axis=0)
-        self._largest = np.maximum(self._largest, np.max(np.abs(error), axis=0))
-        self._rise = max(self._rise, float(np.max(np.diff(V, prepend=self._last))))
-        self._last = float(V[-1])
-        above = np.flatnonzero(self._settled * self._first < V)
-        after = int(above[-1]) + 1 if above.size else 0
-        if above.size or self._settled_since is None:
-            self._settled_since = int(stamps[after]) if after < stamps.size else None
-        self._keep(rows)
-
-    def result(self) -> Comparison:
-        """The comparison, when all blocks have been added.
-
-        Raises:
-            BagError: no stamp is in both, or every estimate came before its events.
-            UsageError: they end before the stamp from which samples count.
-        """
-        self.update(done=True)
-        if not (self._samples or self._late or self._mismatch.samples) and self._begin:
-            raise UsageError(
-                f"{self.law}: no sample from stamp {text(self._begin)} s on, where --from begins:"
-                f" {self.pairing.ranges()}"
-            )
-        if not (self._samples or self._late or self._mismatch.samples):
-            raise BagError(
-                f"{self.law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
-                " both must be sampled at the same instants"
-            )
-        if not self._samples:
-            raise BagError(
-                f"{self.law}: every estimate came before its events; nothing to compare"
-            )
-        rows, start = self._curve.rows(), self._first
-        settling_time = None
-        if self._settled_since is not None and (start > 0 or self._rise == 0):
-            settling_time = seconds_between(int(rows["stamp"][0]), self._settled_since)
-        return Comparison(
-            system=self._system,
-            law=self.law,
-            stamps=rows["stamp"],
-            error=rows["error"],
-            V=rows["V"],
-            samples=self._samples,
-            late=self._late,
-            stale=self.pairing.truth.stale + self.pairing.estimates.stale,
-            mismatch=self._mismatch,
-            outcomes=self._outcomes,
-            rms=np.sqrt(self._squares / self._samples),
-            largest=self._largest,
-            largest_rise=self._rise / start if start > 0 else 0.0,
-            settled=self._settled,
-            settling_time=settling_time,
+    if not np.isfinite(estimates["x"]).all():
+        raise DynamicsError(f"{law}: the estimate has left all bounds")
+    kept_truth, kept_estimates = fresh(truth), fresh(estimates)
+    pairs = paired(kept_truth, kept_estimates)
+    between, mismatch = _mismatch(system, pairs, outcomes, begin)
+    counted = pairs["stamp"] >= begin
+    pairs, between = pairs[counted], between[counted]
+    ranges = f"truth {stamp_range(truth)}, estimate {stamp_range(estimates)}"
+    if not pairs.size and begin:
+        raise UsageError(
+            f"{law}: no sample from stamp {text(begin)} s on, where --from begins: {ranges}"
         )
+    if not pairs.size:
+        raise BagError(
+            f"{law}: truth and estimate have no stamp in common: {ranges};"
+            " both must be sampled at the same instants"
+        )
+    punctual = arrived(pairs["stamp"], pairs["last_event"], outcomes.reported)
+    between &= punctual
+    error = pairs["estimate"] - pairs["truth"]
+    V = distance(system, error[:, : system.n], error[:, system.n :])
+    mismatch.samples = int(np.count_nonzero(between))
+    mismatch.V = float(np.max(V[between], initial=0.0))
+    kept = punctual & ~between
+    if not kept.any():
+        raise BagError(f"{law}: every estimate came before its events; nothing to compare")
+    stamps, error, V = pairs["stamp"][kept], error[kept], V[kept]
+    return Comparison(
+        system=system,
+        law=law,
+        stamps=stamps,
+        error=error,
+        V=V,
+        samples=stamps.size,
+        late=int(np.count_nonzero(~punctual)),
+        stale=truth.size - kept_truth.size + estimates.size - kept_estimates.size,
+        mismatch=mismatch,
+        outcomes=outcomes,
+        rms=np.sqrt(np.mean(error**2, axis=0)),
+        largest=np.max(np.abs(error), axis=0),
+        largest_rise=largest_rise(V),
+        settled=settled,
+        settling_time=settling_time(stamps, V, settled),
+    )
+
+
+def largest_rise(V: NDArray[np.float64]) -> float:
+    """Largest rise of V from one sample to the next, over V at the start; 0 if V starts at 0."""
+    rise = float(np.diff(V).max(initial=0.0))
+    return rise / float(V[0]) if V[0] > 0 else 0.0
+
+
+def settling_time(stamps: Stamps, V: NDArray[np.float64], settled: float) -> float | None:
+    """Seconds from the first sample until V has settled for good; None for never.
+
+    Args:
+        stamps: of the samples, ns, shape (samples,).
+        V: distance from the truth at the samples, J, shape (samples,).
+        settled: V over V at the start below which the estimate has settled.
+    """
+    above = np.flatnonzero(settled * V[0] < V)
+    since = int(above[-1]) + 1 if above.size else 0
+    if since == V.size or (V[0] == 0 and V.any()):
+        return None
+    return seconds_between(int(stamps[0]), int(stamps[since]))
+
+
+def _mismatch(
+    system: System, pairs: Pairs, outcomes: EventOutcomes, begin: int
+) -> tuple[NDArray[np.bool_], Mismatch]:
+    """Which samples lie between the jumps of truth and estimate, and the windows they form."""
+    between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
+    for c, name in enumerate(system.contact_names):
+        w = system.W[:, c]
+        truth, estimate = (pairs[key][:, system.n :] @ w for key in ("truth", "estimate"))
+        for impact, others in impacts_with_neighbours(outcomes, name):
+            first, end = map(int, windows(stamps, truth, estimate, impact, others))
+            low, high = np.searchsorted(stamps, [first, end])
+            between[low:high] = True
+            if first < end and end > begin:
+                mismatch.windows += 1
+                mismatch.longest = max(mismatch.longest, seconds_between(first, end))
+    return between, mismatch
+
+
+def impacts_with_neighbours(
+    outcomes: EventOutcomes, contact: str
+) -> Iterator[tuple[int, list[int]]]:
+    """Stamps of a contact's impacts (ns), each with the stamps of the nearest other impacts."""
+    stamps = [stamp for stamp, name in outcomes.impacts if name == contact]
+    for impact in stamps:
+        before, after = bisect_left(stamps, impact), bisect_right(stamps, impact)
+        yield impact, [*stamps[max(before - 1, 0) : before], *stamps[after : after + 1]]
 
 
 def compare_observer(
     observer: Observer,
     events: Sequence[ImpactEvent],
-    truth: Callable[[], Iterable[Samples]],
+    truth: Samples,
     *,
     system: System | None = None,
     settled: float = SETTLED,
@@ -305,14 +258,11 @@ def compare_observer(
 ) -> Comparison:
     """Run an observer over events and compare its estimates with the truth.
 
-    Estimates wait in a temporary file until all events are through: a law may revise its verdict
-    on an event later.
-
     Args:
-        observer: has received nothing yet.
+        observer: an observer that has received nothing yet.
         events: in order of episode, stamp and sequence.
-        truth: makes the blocks of the plant's states; their stamps are where to estimate.
-        system: whose energy V is; None for the observer's.
+        truth: states of the plant; estimates are made at their stamps.
+        system: the system whose energy is V; None for the observer's.
         settled: V over V at the start below which the estimate has settled.
         begin: stamp before which samples are left out, ns.
         needs_event: whether it is an error that the observer could not apply any event.
@@ -324,48 +274,36 @@ def compare_observer(
         DynamicsError: an estimate is not finite.
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
-    stamps = np.unique(np.concatenate([block["stamp"] for block in truth()]))
-    law = observer.law.name
+    stamps, law = np.unique(truth["stamp"]), observer.law.name
     verdicts: list[Verdict] = []
-    with TemporaryFile() as file:
-        made, row = 0, sample_type(2 * observer.system.n)
-        for item in replay_batches(observer, events, stamps, only_states=True, samples=samples):
-            if isinstance(item, Verdict):
-                verdicts.append(item)
-                continue
-            last_event = np.full(item.stamps.size, item.first.last_event)
-            file.write(samples_of(item.stamps, item.x, last_event).tobytes())
-            made += item.stamps.size
-            progress(made, stamps.size)
-        outcomes = outcomes_of(events, verdicts)
-        if verdicts and not outcomes.instants.size and (needs_event or not made):
-            raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
-        if not made:
-            raise BagError(
-                f"{law}: no impact was received, so there is no estimate to compare; expected"
-                " impacts, or a bag of observe with the --epoch at which the initial state holds"
-            )
-        file.seek(0)
-        estimates = iter(lambda: file.read(4096 * row.itemsize), b"")
-        comparator = Comparator(system or observer.system, outcomes, law, settled, begin=begin)
-        _compare_blocks(comparator, truth(), (np.frombuffer(data, row) for data in estimates))
-    return comparator.result()
-
-
-def _compare_blocks(
-    comparator: Comparator, truth: Iterable[Samples], estimates: Iterator[Samples]
-) -> None:
-    """Add blocks of both by turns, so that neither gets far ahead of the other."""
-    pairing = comparator.pairing
-    for block in truth:
-        pairing.truth.add(block)
-        while pairing.estimates.newest < pairing.truth.newest:
-            if (samples := next(estimates, None)) is None:
-                break
-            if not np.isfinite(samples["x"]).all():
-                raise DynamicsError(f"{comparator.law}: the estimate has left all bounds")
-            pairing.estimates.add(samples)
-        comparator.update()
+    estimates: list[Samples] = []
+    made = 0
+    for item in replay_batches(observer, events, stamps, only_states=True, samples=samples):
+        if isinstance(item, Verdict):
+            verdicts.append(item)
+            continue
+        last_event = np.full(item.stamps.size, item.first.last_event)
+        estimates.append(samples_of(item.stamps, item.x, last_event))
+        made += item.stamps.size
+        progress(made, stamps.size)
+    # A law may revise its verdict on an event later, so outcomes need all verdicts.
+    outcomes = outcomes_of(events, verdicts)
+    if verdicts and not outcomes.instants.size and (needs_event or not made):
+        raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
+    if not made:
+        raise BagError(
+            f"{law}: no impact was received, so there is no estimate to compare; expected"
+            " impacts, or a bag of observe with the --epoch at which the initial state holds"
+        )
+    return compare_states(
+        system or observer.system,
+        law,
+        truth,
+        np.concatenate(estimates),
+        outcomes,
+        settled=settled,
+        begin=begin,
+    )
 
 
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:

@@ -4,14 +4,18 @@
 The metrics are those of ``comparison`` for each replica alone, but for rounding.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.comparison import Comparison
+from impact_observer.compare.comparison import (
+    Comparison,
+    impacts_with_neighbours,
+    largest_rise,
+    settling_time,
+)
 from impact_observer.compare.mismatch import REACH, Mismatch, windows
 from impact_observer.dynamics.lyapunov import root_of_energy
 from impact_observer.errors import BagError, DynamicsError
@@ -20,7 +24,7 @@ from impact_observer.io.pairing import arrived
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
-from impact_observer.stamps import seconds_between, text
+from impact_observer.stamps import text
 from impact_observer.states import Matrix, Stamps
 
 _MOST = 2**22
@@ -80,12 +84,6 @@ def compare_replicas(
     late, unknown = int(np.count_nonzero(~errors.punctual)), np.full_like(truth, np.nan)
     for every, counting in zip(errors.V, counts, strict=True):
         V, own = every[counting], stamps[counting]
-        start, rise = float(V[0]), float(np.diff(V).max(initial=0.0))
-        above = np.flatnonzero(settled * start < V)
-        since = int(above[-1]) + 1 if above.size else 0
-        settling_time = None
-        if since < V.size and (start > 0 or rise == 0):
-            settling_time = seconds_between(int(own[0]), int(own[since]))
         yield Comparison(
             system=system,
             law=observer.law.name,
@@ -99,9 +97,9 @@ def compare_replicas(
             outcomes=errors.outcomes,
             rms=unknown[0],
             largest=unknown[0],
-            largest_rise=rise / start if start > 0 else 0.0,
+            largest_rise=largest_rise(V),
             settled=settled,
-            settling_time=settling_time,
+            settling_time=settling_time(own, V, settled),
         )
 
 
@@ -179,15 +177,12 @@ def _between(
     stamps: Stamps, truth: Matrix, errors: _ReplicaErrors, system: System
 ) -> NDArray[np.bool_]:
     """Which samples lie between the jumps of truth and replica, shape (N, samples)."""
-    found = np.zeros(errors.V.shape, dtype=np.bool_)
+    between = np.zeros(errors.V.shape, dtype=np.bool_)
     for c, name in enumerate(system.contact_names):
-        own = [at for at, contact in errors.outcomes.impacts if contact == name]
         gamma = truth[:, system.n :] @ system.W[:, c]
-        for impact in own:
-            before, after = bisect_left(own, impact), bisect_right(own, impact)
-            others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
+        for impact, others in impacts_with_neighbours(errors.outcomes, name):
             rows = _about(stamps, impact)
             replicas = errors.speeds[c][:, np.searchsorted(errors.near, rows)] + gamma[rows]
             begin, end = windows(stamps[rows], gamma[rows], replicas, impact, others)
-            found[:, rows] |= (begin[:, None] <= stamps[rows]) & (stamps[rows] < end[:, None])
-    return found
+            between[:, rows] |= (begin[:, None] <= stamps[rows]) & (stamps[rows] < end[:, None])
+    return between

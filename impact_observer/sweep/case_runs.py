@@ -105,7 +105,7 @@ def _outcome(case: Case) -> Outcome:
     comparison = compare_observer(
         make_observer(parsed(case.variant.text).system, case.options, measurements=measurements),
         events,
-        lambda: [samples_of(run.stamps, run.states)],
+        samples_of(run.stamps, run.states),
         system=system,
         settled=case.settled,
         needs_event=False,

@@ -14,7 +14,6 @@ from itertools import islice, product
 
 from impact_observer import __version__
 from impact_observer.compare.comparison import SETTLED
-from impact_observer.compare.error_curve import MOST_ROWS
 from impact_observer.errors import UsageError
 from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation
 from impact_observer.model import Model, parse_model
@@ -217,8 +216,7 @@ class Sweep:
             ModelError, ImpactLawError, DynamicsError: as ``plant_run``.
         """
         samples = self.plant.stamps.size
-        # Of more samples than MOST_ROWS a case alone keeps the peaks of V only.
-        most = min(BATCH, _SAMPLES // samples) if samples <= MOST_ROWS else 1
+        most = max(min(BATCH, _SAMPLES // samples), 1)
         persist = any(each.closed for each in plant_run(self.plant).switchings)
         cases = self.cases()
         while alike := (*islice(cases, self.runs),):

@@ -1,27 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparing streams: figures do not depend on the blocks, and the sides of a jump do not mix."""
+"""Comparing estimates with the truth: the two sides of a jump do not mix."""
 
 from collections.abc import Iterable
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from systems import sample
 
-from impact_observer.compare.comparison import Comparator, Comparison, compare_observer
-from impact_observer.compare.error_curve import MOST_ROWS, ErrorCurve, error_type
+from impact_observer.compare.comparison import Comparison, compare_observer, compare_states
 from impact_observer.compare.mismatch import windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
-from impact_observer.io.pairing import HOLD, Pairing, Samples, samples_of
+from impact_observer.io.pairing import HOLD, Samples, samples_of
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.event_outcomes import outcomes_of
 from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, grid
-from impact_observer.states import Stamps
 
 SYSTEM = sample("two_mass").system
 EPOCH = NS_PER_S
@@ -38,28 +35,14 @@ def run_of(rate: float = 1000.0) -> Run:
 RUN = run_of()
 
 
-def in_blocks(series: Samples, *cuts: int) -> list[Samples]:
-    """``series`` cut before these rows."""
-    edges = [0, *cuts, series.size]
-    return [series[a:b] for a, b in pairwise(edges)]
-
-
 def compared(
-    truth: Iterable[Samples],
-    estimates: Iterable[Samples],
+    truth: Samples,
+    estimates: Samples,
     events: Iterable[ImpactEvent] = (),
     verdicts: Iterable[Verdict] | None = None,
 ) -> Comparison:
-    """The comparison when the blocks of both are added by turns."""
-    comparator = Comparator(SYSTEM, outcomes_of(events, verdicts), "some law")
-    waiting = [[*truth][::-1], [*estimates][::-1]]
-    while any(waiting):
-        if waiting[0]:
-            comparator.pairing.truth.add(waiting[0].pop())
-        if waiting[1]:
-            comparator.pairing.estimates.add(waiting[1].pop())
-        comparator.update()
-    return comparator.result()
+    """The comparison of some estimates of two_mass."""
+    return compare_states(SYSTEM, "some law", truth, estimates, outcomes_of(events, verdicts))
 
 
 def shifted(delay: int) -> NDArray[np.float64]:
@@ -67,13 +50,12 @@ def shifted(delay: int) -> NDArray[np.float64]:
     return np.vstack([RUN.states[:1].repeat(delay, axis=0), RUN.states[: len(RUN.states) - delay]])
 
 
-@pytest.mark.parametrize("cuts", [(), (1,), (7, 4000, 4001, 12000), tuple(range(100, 20000, 333))])
-def test_metrics_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
-    """They are those of plain formulas on whole arrays."""
+def test_metrics_are_those_of_plain_formulas() -> None:
+    """Errors, V, the settling time and the rate, of an estimate with a fading error."""
     rng = np.random.default_rng(3)
     x = RUN.states + rng.normal(size=RUN.states.shape) * np.exp(-np.arange(20001) / 3000)[:, None]
     truth, estimate = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, x)
-    found = compared(in_blocks(truth, *cuts), in_blocks(estimate, *(c // 2 for c in cuts[::2])))
+    found = compared(truth, estimate)
     error = x - RUN.states
     V = distance(SYSTEM, error[:, :2], error[:, 2:])
     np.testing.assert_array_equal(found.stamps, RUN.stamps)
@@ -96,7 +78,7 @@ def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
         ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events
     ]
     truth, late = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, shifted(delay))
-    found = compared(in_blocks(truth, 5000), in_blocks(late, 9000, 9001), delayed)
+    found = compared(truth, late, delayed)
     assert found.mismatch.windows == len(RUN.events)
     assert found.mismatch.samples == delay * len(RUN.events)
     assert found.mismatch.longest == pytest.approx(delay * 1e-3, abs=1e-9)
@@ -104,7 +86,7 @@ def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
     assert 0.4 * jumps**2 < found.mismatch.V, "half the square of the jump, m = 1 kg"
     assert found.largest[3] < 0.2 * jumps, "no jump is among the errors"
     assert found.samples + found.mismatch.samples == RUN.stamps.size
-    early = compared([late], [truth], RUN.events)
+    early = compared(late, truth, RUN.events)
     assert early.mismatch.samples == delay * len(RUN.events), "whichever of the two is late"
 
 
@@ -114,7 +96,7 @@ def test_rates_are_finite_where_an_estimate_is_exact_for_a_moment() -> None:
     decay = np.exp(-np.arange(RUN.stamps.size) / 2000)
     estimate["x"][:, 1] += decay
     estimate["x"][9_000] = truth["x"][9_000]
-    found = compared([truth], [estimate], RUN.events)
+    found = compared(truth, estimate, RUN.events)
     assert found.V.min() == 0.0
     assert found.rate_per_second == pytest.approx(1.0, rel=1e-9)
 
@@ -123,8 +105,8 @@ def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
     """Whatever the size of the estimate's jump, up or down, and with openings among the events."""
     for factor in (0.1, 1.0, -0.7):
         found = compared(
-            [samples_of(RUN.stamps, RUN.states)],
-            [samples_of(RUN.stamps, RUN.states * factor)],
+            samples_of(RUN.stamps, RUN.states),
+            samples_of(RUN.stamps, RUN.states * factor),
             RUN.events,
         )
         assert found.mismatch.windows == found.mismatch.samples == 0
@@ -154,7 +136,7 @@ def test_a_spurious_impact_is_an_error_and_no_mismatch() -> None:
     x[np.searchsorted(RUN.stamps, instant) :, 3] += 5.0
     spurious = ImpactEvent(instant, (Switch("stop"),))
     found = compared(
-        [samples_of(RUN.stamps, RUN.states)], [samples_of(RUN.stamps, x)], [*RUN.events, spurious]
+        samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, x), [*RUN.events, spurious]
     )
     assert found.mismatch.windows == 0
     assert found.largest[3] == pytest.approx(5.0)
@@ -178,9 +160,7 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
     events = [each.event for each in sensed]
     options = Options("geometric", "random:1", clock_error=0.0, ensemble=1)
     observer = make_observer(SYSTEM, options)
-    found = compare_observer(
-        observer, events, lambda: [samples_of(sampled.stamps, sampled.states)]
-    )
+    found = compare_observer(observer, events, samples_of(sampled.stamps, sampled.states))
     samples = 0
     for true, received in zip(sampled.events, events, strict=False):
         a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, received.stamp]))
@@ -191,12 +171,10 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
 
 
 def test_the_last_estimate_at_a_stamp_counts() -> None:
-    """A live estimate is published again when a late event corrects it, blocks later too."""
+    """A live estimate is published again when a late event corrects it, also much later."""
     wrong = samples_of(RUN.stamps[:5000], RUN.states[:5000] + 7.0)
     right = samples_of(RUN.stamps, RUN.states + 0.5)
-    found = compared(
-        [samples_of(RUN.stamps, RUN.states)], [wrong, *in_blocks(right, 2500, 10_000)]
-    )
+    found = compared(samples_of(RUN.stamps, RUN.states), np.concatenate([wrong, right]))
     np.testing.assert_allclose(found.largest, 0.5)
     assert found.stale == 0
 
@@ -205,18 +183,10 @@ def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> No
     """A bag that was played twice while it was recorded: the first pass counts."""
     truth = samples_of(RUN.stamps, RUN.states)
     again = samples_of(RUN.stamps, RUN.states + 1.0)
-    pairing = Pairing()
-    pairs = 0
-    for block in (truth, again):
-        pairing.truth.add(block)
-        pairing.estimates.add(block)
-        ready = pairing.ready()
-        pairs += 0 if ready is None else ready.size
-    last = pairing.ready(done=True)
-    assert last is not None
-    assert pairs + last.size == RUN.stamps.size
+    found = compared(np.concatenate([truth, again]), np.concatenate([truth, again]))
     held = HOLD // 1_000_000
-    assert pairing.truth.stale == RUN.stamps.size - held
+    assert found.samples == RUN.stamps.size
+    assert found.stale == 2 * (RUN.stamps.size - held)
 
 
 def test_an_estimate_without_its_event_is_late() -> None:
@@ -228,9 +198,7 @@ def test_an_estimate_without_its_event_is_late() -> None:
     last_event[here : here + 6] = instants[3]
     x = RUN.states.copy()
     x[here : here + 6, 3] -= 3.0
-    found = compared(
-        [samples_of(stamps, RUN.states)], [samples_of(stamps, x, last_event)], RUN.events
-    )
+    found = compared(samples_of(stamps, RUN.states), samples_of(stamps, x, last_event), RUN.events)
     assert found.late == 6
     assert found.mismatch.samples == 0
     assert not found.largest.any()
@@ -251,7 +219,7 @@ def test_a_missed_impact_makes_no_estimate_late() -> None:
     ]
     received = [e for e in RUN.events if e is not missed]
     found = compared(
-        [samples_of(stamps, RUN.states)], [samples_of(stamps, x, last_event)], received, verdicts
+        samples_of(stamps, RUN.states), samples_of(stamps, x, last_event), received, verdicts
     )
     assert found.late == 0
     assert found.largest[1] == pytest.approx(2.0)
@@ -276,7 +244,7 @@ def test_both_ranges_are_named_where_they_do_not_overlap() -> None:
     truth = samples_of(RUN.stamps, RUN.states)
     estimate = samples_of(RUN.stamps + 3600 * NS_PER_S, RUN.states)
     with pytest.raises(BagError) as error:
-        compared([truth], [estimate])
+        compared(truth, estimate)
     assert str(error.value) == (
         "some law: truth and estimate have no stamp in common: truth 1.000000000 to 21.000000000"
         " s, estimate 3601.000000000 to 3621.000000000 s; both must be sampled at the same"
@@ -299,38 +267,3 @@ def test_rejected_impacts_are_not_used_and_inserted_ones_are() -> None:
     assert outcomes.instants.tolist() == [2 * NS_PER_S, 5 * NS_PER_S]
     assert outcomes.rulings == {Ruling.APPLIED: 1, Ruling.REJECTED: 2, Ruling.INSERTED: 1}
     assert outcomes.until(3 * NS_PER_S) == 1
-
-
-def test_a_curve_of_any_length_keeps_its_ends_and_peaks() -> None:
-    """Millions of rows become at most twice ``MOST_ROWS``; the largest V is among them."""
-    rng = np.random.default_rng(5)
-    count = 10 * MOST_ROWS
-    stamps: Stamps = np.arange(1, count + 1, dtype=np.int64)
-    V = rng.random(count)
-    V[123_457] = 2.0
-    curve = ErrorCurve()
-    for begin in range(0, count, 1000):
-        part = slice(begin, begin + 1000)
-        added = np.empty(V[part].size, error_type(1))
-        added["stamp"], added["error"], added["V"] = stamps[part], V[part, None], V[part]
-        curve.add(added)
-    rows = curve.rows()
-    assert MOST_ROWS <= rows["V"].size <= 2 * MOST_ROWS + 2
-    assert rows["stamp"][0] == 1
-    assert rows["stamp"][-1] == count
-    assert rows["V"].max() == 2.0
-    assert (np.diff(rows["stamp"]) > 0).all()
-    np.testing.assert_array_equal(V[rows["stamp"] - 1], rows["V"])
-    np.testing.assert_array_equal(rows["error"][:, 0], rows["V"])
-
-
-def test_memory_does_not_grow_with_the_length() -> None:
-    """A long run keeps ``HOLD`` of samples in memory and no more."""
-    pairing = Pairing()
-    for k in range(400):
-        stamps = np.arange(k * 1000 + 1, (k + 1) * 1000 + 1, dtype=np.int64) * 1_000_000
-        for stream in (pairing.truth, pairing.estimates):
-            stream.add(samples_of(stamps, np.zeros((1000, 4))))
-        pairing.ready()
-        for stream in (pairing.truth, pairing.estimates):
-            assert sum(each.size for each in stream._waiting) <= HOLD // 1_000_000 + 1000

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from systems import sample
 
-from impact_observer.compare.comparison import Comparator, Comparison
+from impact_observer.compare.comparison import Comparison, compare_states
 from impact_observer.compare.error_pictures import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
 from impact_observer.io.pairing import samples_of
@@ -23,10 +23,8 @@ def fading(law: str, decades: float) -> Comparison:
     """A comparison whose V falls from 1 J by ``decades``."""
     error = np.zeros((STAMPS.size, 4))
     error[:, 2] = np.sqrt(2.0 * 10.0 ** -np.linspace(0.0, decades, STAMPS.size))  # M = 1 kg
-    comparator = Comparator(sample("two_mass").system, outcomes_of((), ()), law)
-    comparator.pairing.truth.add(samples_of(STAMPS, np.zeros_like(error)))
-    comparator.pairing.estimates.add(samples_of(STAMPS, error))
-    return comparator.result()
+    truth, estimates = samples_of(STAMPS, np.zeros_like(error)), samples_of(STAMPS, error)
+    return compare_states(sample("two_mass").system, law, truth, estimates, outcomes_of((), ()))
 
 
 def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:

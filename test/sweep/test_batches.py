@@ -182,7 +182,6 @@ def test_random_events_and_laws_that_move_each_replica_have_no_batches() -> None
     contact = replace(model.system.contacts[0], contact_time=2e-3)
     soft = replace(model, system=replace(model.system, contacts=(contact,)))
     assert {len(each) for each in swept(soft).batches()} == {1}
-    assert {len(each) for each in swept(model, rate=6000.0).batches()} == {1}
 
 
 def test_batches_are_the_same_whatever_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
