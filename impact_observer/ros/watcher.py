@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from impact_observer.draw.observer_topics import ObserverTopics
+from impact_observer.draw.reports import figure
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Verdict
@@ -39,7 +40,7 @@ from impact_observer.io.messages import (
 )
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import with_unit
-from impact_observer.plain_text import printable, with_deviation
+from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -506,7 +507,7 @@ def _own_error(view: ObserverView) -> list[str]:
         bound = f"V <= {view.bound:.3g} J" if view.bound >= 0 else "none"
         rows.append(f"bound  {bound} certified")
     rows += [
-        f"learned  {with_unit(name)} {with_deviation(value, deviation)}"
+        f"learned  {with_unit(name)} {figure(value, deviation=deviation)}"
         for name, value, deviation in view.learned
     ]
     if view.closed:
