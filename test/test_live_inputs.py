@@ -56,7 +56,7 @@ def test_gaps_and_films_contain_the_recorded_motion_of_grounds(tmp_path: Path) -
     (truth,) = content.series
     assert truth.values.min() > -1e-4
     assert truth.values.min() < 0.02
-    moved = [film.moved(EPOCH + t * 10**8)[0] for t in range(10)]
+    moved = [film.ground_motion(EPOCH + t * 10**8)[0] for t in range(10)]
     np.testing.assert_allclose(moved, [-base(t / 10)[0] for t in range(10)], atol=1e-6)
 
 
