@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a process ends: in order after a signal, in one line after an error.
 
-All commands and nodes run inside :func:`run`. A command that goes through ``COMMANDS`` needs no
-code of its own: a signal raises ``KeyboardInterrupt`` in it, once, so that its ``with`` and
-``finally`` blocks finish what was begun.
+All commands and nodes run inside :func:`run`. A signal raises ``KeyboardInterrupt`` once, so that
+the ``with`` and ``finally`` blocks of a command finish what was begun.
 """
 
 import ctypes
@@ -23,45 +22,33 @@ from impact_observer.errors import ImpactObserverError
 from impact_observer.plain_text import printable, say
 
 TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
-"""Environment variable: if it is set, errors show their traceback too."""
+"""Environment variable: if set, errors show their traceback too."""
 MAINTAINERS = "maintainers@impact-observer.invalid"
 """Where unforeseen errors are reported, as in package.xml."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_LONGEST = 1000
-"""Most letters of an error."""
 _PR_SET_PDEATHSIG = 1
 _PACKAGE = Path(__file__).resolve().parent
 
 
-class _Interrupt(KeyboardInterrupt):
-    """A class of its own: after one of Python's, in an ``exec``, the process ends by SIGINT."""
-
-
 @dataclass(slots=True)
 class Received:
-    """The signals of nested blocks: the first, how many, how many after the exception.
-
-    ``over``: the work is done, and what still comes changes nothing.
-    """
+    """The signals that nested blocks have received: the first one, and how many."""
 
     number: int | None = None
     count: int = 0
-    late: int = 0
-    raised: bool = False
-    over: bool = False
 
 
 @final
 class Stop:
     """Whether SIGINT (Ctrl-C), SIGTERM or SIGHUP has asked the process to end; a context manager.
 
-    The first signal sets ``requested``; a second one, or the first if ``at_once``, raises
-    ``KeyboardInterrupt``. That is raised once: what comes while the process ends is answered by a
-    line, and then by an end at once. Blocks may be nested; the signals are counted together.
-    Outside the main thread, which receives signals, it does nothing.
+    The first signal sets ``requested``; the second one, or the first if ``at_once``, raises
+    ``KeyboardInterrupt``. A later signal writes a line, and one more ends the process at once.
+    Blocks may be nested; the signals are counted together. Outside the main thread, which receives
+    signals, a block does nothing.
 
     Attributes:
-        received: the signals of this block and of those around it.
+        received: the signals of this block and of the blocks around it.
     """
 
     def __init__(self, *, at_once: bool = False) -> None:
@@ -70,7 +57,7 @@ class Stop:
         Args:
             at_once: whether the first signal raises ``KeyboardInterrupt``.
         """
-        self._at_once = at_once
+        self._raising = 1 if at_once else 2
         self.received = Received()
         self._previous: dict[signal.Signals, signal._HANDLER] = {}
 
@@ -106,43 +93,37 @@ class Stop:
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         received = self.received
-        if received.over:
-            return
         received.number = received.number or number
         received.count += 1
-        if not received.raised:
-            received.raised = self._at_once or received.count > 1
-            if received.raised:
-                raise _Interrupt
-            return
-        received.late += 1
-        if received.late == 1:
-            _write("ending already; once more ends it at once, with work unfinished")
-        else:
-            _write("ended at once; `impact-observer check --salvage` mends a bag that was open")
+        if received.count == self._raising:
+            raise KeyboardInterrupt
+        # Streams of Python cannot be entered twice, so these lines go round them.
+        if received.count == self._raising + 1:
+            os.write(2, b"ending already; once more ends it at once, with work unfinished\n")
+        elif received.count > self._raising:
+            salvage = b"`impact-observer check --salvage` mends a bag that was open"
+            os.write(2, b"ended at once; " + salvage + b"\n")
             os._exit(128 + number)
 
 
 def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
-    """Run ``job``; whatever it raises becomes one line on standard error and an exit code.
+    """Run ``job``; an error becomes one line on standard error and an exit code.
 
     Args:
-        program: what the line begins with.
+        program: begin of the line.
         job: returns an exit code.
-        own: whether the process ends after this: then signals have their default effect.
+        own: whether the process ends after ``job``: then signals have their default effect.
 
     Returns:
-        That of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and the
-        number of another signal: 143 after SIGTERM.
+        The exit code of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and
+        the number of another signal: 143 after SIGTERM.
     """
     with Stop(at_once=True) as stop, _hooks(program):
         try:
             code = job()
-            stop.received.over = True
         except SystemExit:
             raise
-        except BaseException as error:  # noqa: BLE001 (whatever it is, it is reported here)
-            stop.received.over = not stop.requested
+        except BaseException as error:  # noqa: BLE001 (every error is reported here)
             code = _report(program, error, stop.number)
     if own and threading.current_thread() is threading.main_thread():
         for each in _SIGNALS:  # Python's own handler would show a traceback
@@ -151,9 +132,9 @@ def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
 
 
 def end_with_parent(parent: int) -> None:
-    """Have the kernel send SIGTERM when the process ``parent``, if it is the parent, ends (Linux).
+    """Have Linux send SIGTERM when the process ``parent`` ends.
 
-    In any other process nothing is done.
+    A process that is no child of ``parent`` gets no signal.
     """
     if parent == os.getppid():
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -162,16 +143,16 @@ def end_with_parent(parent: int) -> None:
 def one_line(error: BaseException) -> str:
     """An error in one line, without control characters.
 
-    Errors of the package say what to do. Of those that nobody foresaw the line has the place in
-    the package and where to report them.
+    Errors of the package say what to do. The line of another error has the place in the package
+    and where to report the error.
     """
-    words = _shortened(printable(" ".join(str(error).split())))
+    words = printable(" ".join(str(error).split()))
     if isinstance(error, ImpactObserverError):
         return words
     if isinstance(error, MemoryError):
         return f"not enough memory{words and f': {words}'}; use a smaller model, or shorter data"
     if isinstance(error, OSError) and error.strerror:
-        return f"{_shortened(printable(str(error.filename or 'files')))}: {error.strerror}"
+        return f"{printable(str(error.filename or 'files'))}: {error.strerror}"
     place = next(
         (
             f" in {Path(frame.filename).relative_to(_PACKAGE.parent)}, line {frame.lineno}"
@@ -187,32 +168,24 @@ def one_line(error: BaseException) -> str:
     )
 
 
-def _shortened(line: str) -> str:
-    """A line without its middle, where it is very long, as with a name of thousands of letters."""
-    return (
-        line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
-    )
-
-
 def _report(program: str, error: BaseException, number: int | None) -> int:
-    """Write why a process ends; its exit code."""
+    """Write why a process ends; the exit code."""
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
-    by_user = number in (None, signal.SIGINT)
-    if isinstance(error, ImpactObserverError):
-        _write(f"{program}: {one_line(error)}")
-        return error.exit_code if by_user else 128 + (number or 0)
     if isinstance(error, BrokenPipeError):
-        # The reader of our output has closed it; Python would report that again at exit.
+        # The reader of our output has closed the pipe; Python would report that again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    if isinstance(error, KeyboardInterrupt) or number is not None:
+    by_user = number in (None, signal.SIGINT)
+    code, words = 1, one_line(error)
+    if isinstance(error, ImpactObserverError):
+        code = error.exit_code
+    elif isinstance(error, KeyboardInterrupt) or number is not None:
         how = "interrupted" if by_user else f"ended by {signal.Signals(number or 0).name}"
         done = map(str, error.args) if isinstance(error, KeyboardInterrupt) else ()
-        _write(f"{program}: {'; '.join([how, *done])}")
-        return 1 if by_user else 128 + (number or 0)
-    _write(f"{program}: {one_line(error)}")
-    return 1
+        words = printable("; ".join([how, *done]))
+    _say(f"{program}: {words}")
+    return code if by_user else 128 + (number or 0)
 
 
 @contextmanager
@@ -224,7 +197,7 @@ def _hooks(program: str) -> Iterator[None]:
         if error is not None and not isinstance(error, (SystemExit, KeyboardInterrupt)):
             if os.environ.get(TRACEBACK):
                 traceback.print_exception(error)
-            _write(f"{program}: {one_line(error)}")
+            _say(f"{program}: {one_line(error)}")
 
     threading.excepthook = lambda args: report(args.exc_value)
     sys.unraisablehook = lambda args: report(args.exc_value)
@@ -234,10 +207,7 @@ def _hooks(program: str) -> Iterator[None]:
         threading.excepthook, sys.unraisablehook = before
 
 
-def _write(line: str) -> None:
-    """Write a line to standard error; nothing where that is closed."""
+def _say(line: str) -> None:
+    """Write a line to standard error, unless that is closed."""
     with suppress(OSError, ValueError):
-        try:
-            say(printable(line), file=sys.stderr)
-        except RuntimeError:  # a signal has interrupted the writing of another line
-            os.write(2, f"{printable(line)}\n".encode(errors="backslashreplace"))
+        say(line, file=sys.stderr)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The entry point: runs the subcommand, and prints the package's errors in one line."""
+"""The entry point: parses the arguments and runs the subcommand."""
 
 import argparse
 import re
@@ -44,34 +44,35 @@ COMMANDS = {
 }
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _OPERAND = re.compile(r"^  ([A-Z]+)\b", re.MULTILINE)
-"""An argument without an option, in the text of help."""
+"""A positional argument in the text of help."""
 _ALIKE = 0.7
-"""Least similarity of a word that may be meant."""
+"""Least similarity between an unknown word and a suggestion."""
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line, with what unknown words are like."""
+    """An argument parser whose errors are one line with suggestions for unknown options."""
 
     given: Sequence[str] = ()
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As ``ArgumentParser``; the words are kept for :meth:`error`."""
+        """Parse as ``ArgumentParser`` does, and keep the words for :meth:`error`."""
         self.given = args or ()
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        line = "; ".join([message, *self._near(message)])
+        """End with a line and exit code 2."""
+        line = "; ".join([message, *self._suggestions(message)])
         self.exit(2, f"{self.prog}: {printable(line)}; see {self.prog} --help\n")
 
     def refuse(self, words: Sequence[str]) -> NoReturn:
         """End with the unknown ``words``."""
         self.error(f"unrecognized arguments: {' '.join(words)}")
 
-    def _near(self, message: str) -> Iterator[str]:
-        """Of each option that does not exist: what may be meant."""
+    def _suggestions(self, message: str) -> Iterator[str]:
+        """The option or argument that each unknown option resembles."""
         is_named = message.startswith("unrecognized arguments")
         text = self.format_help()
         lines = [line.strip() for line in text.splitlines() if line.lstrip().startswith("-")]
@@ -85,8 +86,8 @@ class _Parser(argparse.ArgumentParser):
                 f"{operands[name]} without {word}" if name in operands else name for name in near
             ]
             unknown = [] if is_named else [f"{word} is unrecognized"]
-            if found := [*unknown, *(f"did you mean {name}?" for name in meant)]:
-                yield ", ".join(found)
+            if parts := [*unknown, *(f"did you mean {name}?" for name in meant)]:
+                yield ", ".join(parts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -113,20 +114,19 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 
 def _run(argv: Sequence[str]) -> int:
+    """Parse the arguments and run the subcommand."""
     parser = _Parser(
         prog=PROGRAM,
         description="Estimate the state of an impacting mechanical system from its impact times.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((word for word in argv if word in COMMANDS), None)
     command = next((word for word in argv if not word.startswith("-")), "")
     if command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
         parser.error(f"no command {command}; did you mean {near[0]}?")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)
-        if name == chosen:
-            # Only the module that is needed is imported: --help stays quick.
+        if name == command:  # only the module that is needed is imported: --help stays quick
             module = _module(name)
             subparser.description = module.__doc__
             subparser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -138,6 +138,6 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _module(command: str) -> ModuleType:
-    """The module of a subcommand; a keyword of Python has ``_`` at its end."""
+    """The module of a subcommand; after a keyword of Python stands ``_``."""
     name = f"{command}_" if iskeyword(command) else command.replace("-", "_")
     return import_module(f"impact_observer.cli.{name}")
