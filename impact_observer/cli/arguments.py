@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 
 if TYPE_CHECKING:
@@ -143,6 +144,22 @@ def observer_options(args: argparse.Namespace, law: str) -> Options:
     rows = {each.name for each in OBSERVER_OPTIONS} - {"law"}
     given = {name: value for name, value in vars(args).items() if name in rows}
     return Options(law, **{name: value for name, value in given.items() if value is not None})
+
+
+def installed_laws(text: str) -> tuple[str, ...]:
+    """The names in ``LAW,LAW,...``, each once; all installed laws for ``all``.
+
+    Raises:
+        UsageError: no law is named, or a law is not installed.
+    """
+    from impact_observer.observer import law_named, law_names
+
+    if not text:
+        raise UsageError("laws: none named; expected LAW,LAW,... or all")
+    names = law_names() if text == "all" else [name.strip() for name in text.split(",")]
+    for name in names:
+        law_named(name)
+    return tuple(dict.fromkeys(names))
 
 
 def add_model(

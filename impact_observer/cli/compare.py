@@ -7,18 +7,19 @@ the other way round, are counted separately.
 """
 
 import argparse
-import json as json_module
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observer_arguments,
     add_observers,
+    installed_laws,
     not_negative,
     observer_options,
     positive,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from impact_observer.options import Options
 
 _MOST_LINES = 5
-"""Contacts with a line of their own that are not the model's."""
+"""Most contacts that are warned of because the model does not have them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,73 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    from impact_observer.observer import options_of_laws
-
-    laws = () if args.laws is None else laws_in(args.laws)
-    options = options_of_laws(observer_options(args, ""), laws)
-    if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
-        raise UsageError("laws: none named, but how to run observers; name some with --laws")
-    return compare(
-        args.bags,
-        model=args.model,
-        observers=options,
-        truth=args.truth,
-        estimates=args.observers,
-        settled=args.settled,
-        since=args.since,
-        namespace=args.namespace,
-        plot=args.plot,
-        report=args.report,
-        csv=args.csv,
-        json=args.json,
-    )
-
-
-def laws_in(text: str) -> tuple[str, ...]:
-    """Read ``LAW,LAW,...`` or ``all``: names of installed laws, each once.
-
-    Raises:
-        UsageError: no law is named, or one that is not installed.
-    """
-    from impact_observer.observer import law_named, law_names
-
-    if not text:
-        raise UsageError("laws: none named; expected LAW,LAW,... or all")
-    names = law_names() if text == "all" else [name.strip() for name in text.split(",")]
-    for name in names:
-        law_named(name)
-    return tuple(dict.fromkeys(names))
-
-
-def compare(
-    bags: Sequence[Path],
-    *,
-    model: str | None = None,
-    observers: "Sequence[Options]" = (),
-    truth: str | None = None,
-    estimates: Sequence[str] | None = None,
-    settled: float = SETTLED,
-    since: float | None = None,
-    namespace: str = "",
-    plot: Path | None = None,
-    report: Path | None = None,
-    csv: Path | None = None,
-    json: bool = False,
-) -> int:
-    """Compare bags, print the metrics, and write the files that are asked for.
-
-    The arguments are the options. ``observers`` are run on each bag, one a law, without their
-    ensemble: no estimate depends on it. Files that exist are replaced.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read, or has nothing to compare.
-        ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
-    """
+    """Compare bags, print the metrics, and write the files that are asked for."""
     from impact_observer.compare.bag_comparison import labelled_by_law
     from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables, write_csv
@@ -160,36 +95,47 @@ def compare(
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
 
-    if plot is not None:
-        check_output(plot)
-    if report is not None:
-        check_output(report, (".html", ".htm"))
-    if csv is not None:
-        check_output(csv, (".csv",))
-    how = {"truth": truth, "estimates": estimates, "settled": settled, "since": since}
-    results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
+    options = _options(args)
+    if args.plot is not None:
+        check_output(args.plot)
+    if args.report is not None:
+        check_output(args.report, (".html", ".htm"))
+    if args.csv is not None:
+        check_output(args.csv, (".csv",))
+    results = [(bag, _compare_one(bag, options, args)) for bag in args.bags]
     labelled = labelled_by_law(results)
-    _warn_of_unknown_contacts(results, sys.stderr if json else sys.stdout)
-    if json:
-        say(json_module.dumps({k: metrics_of(v) for k, v in labelled.items()}, indent=2))
+    _warn_of_unknown_contacts(results, sys.stderr if args.json else sys.stdout)
+    if args.json:
+        say(json.dumps({law: metrics_of(each) for law, each in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
-    if csv is not None:
-        write_csv(labelled, csv)
-    if plot is not None:
-        save(distance_picture(labelled, results), plot)
-    if report is not None:
-        write_report(report, labelled, results)
-    for what, path in (("metrics", csv), ("picture", plot), ("report", report)):
-        if path is not None and not json:
+    if args.csv is not None:
+        write_csv(labelled, args.csv)
+    if args.plot is not None:
+        save(distance_picture(labelled, results), args.plot)
+    if args.report is not None:
+        write_report(args.report, labelled, results)
+    for what, path in (("metrics", args.csv), ("picture", args.plot), ("report", args.report)):
+        if path is not None and not args.json:
             say(f"{what}: {path}")
     return 0
+
+
+def _options(args: argparse.Namespace) -> "Sequence[Options]":
+    """The options of each law that is run; none without ``--laws``."""
+    from impact_observer.observer import options_of_laws
+
+    laws = () if args.laws is None else installed_laws(args.laws)
+    given = observer_options(args, "")
+    if not laws and given != observer_options(argparse.Namespace(), ""):
+        raise UsageError("laws: none named, but how to run observers; name some with --laws")
+    return options_of_laws(given, laws)
 
 
 def _warn_of_unknown_contacts(
     results: "Sequence[tuple[Path, BagComparison]]", lines: TextIO
 ) -> None:
-    """Print a line for each contact that has impacts and is none of the model's."""
+    """Print a line for each contact with impacts that the model does not have."""
     from impact_observer.draw.reports import counted, listed
 
     for bag, result in results:
@@ -201,26 +147,27 @@ def _warn_of_unknown_contacts(
 
 
 def _compare_one(
-    bag: Path,
-    namespace: str,
-    model: str | None,
-    observers: "Sequence[Options]",
-    how: dict[str, Any],
+    bag: Path, options: "Sequence[Options]", args: argparse.Namespace
 ) -> "BagComparison":
-    """Compare one bag, with a progress bar on a terminal."""
+    """Compare one bag, and run observers with these ``options`` on the bag."""
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
 
-    with BagReader(bag, namespace) as reader, Progress() as progress:
+    with BagReader(bag, args.namespace) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
-        read = model_of(reader, model)
-        alone = [replace(each, ensemble=1) for each in observers]
-        made = [make_observer(read.system, each, read.elements) for each in alone]
-
-        def show(what: str, done: int, total: int) -> None:
-            progress.step(f"{bag}: {what}", done, total)
-
-        return compare_bag(reader, read.system, made, progress=show, **how)
+        read = model_of(reader, args.model)
+        # The ensemble is left out: no estimate depends on the ensemble.
+        alone = [replace(each, ensemble=1) for each in options]
+        return compare_bag(
+            reader,
+            read.system,
+            [make_observer(read.system, each, read.elements) for each in alone],
+            truth=args.truth,
+            estimates=args.observers,
+            settled=args.settled,
+            since=args.since,
+            progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
+        )

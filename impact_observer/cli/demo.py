@@ -52,45 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return demo(
-        args.model,
-        args.output,
-        duration=args.duration,
-        realtime_factor=args.realtime_factor,
-        initial=args.initial,
-        rate=args.rate,
-        flush=args.flush,
-    )
-
-
-def demo(
-    model: str,
-    output: Path | None = None,
-    *,
-    duration: float,
-    realtime_factor: float,
-    initial: str,
-    rate: float,
-    flush: float,
-) -> int:
     """Run the demonstration and check its result.
 
-    Args:
-        model: a model file or a sample's name.
-        output: folder for bag, picture and logs; None for a new one here.
-        duration: simulated seconds.
-        realtime_factor: simulated seconds a second.
-        initial: the observers' initial state, as on the command line.
-        rate: true states and estimates, Hz.
-        flush: longest time until a message is on the disk, s.
-
     Returns:
-        0 when the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
-
-    Raises:
-        UsageError, ModelError: an argument is wrong, or ROS is not installed.
-        DemonstrationError: a process failed.
+        0 if the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
@@ -98,23 +63,33 @@ def demo(
     from impact_observer.ros.session import require_ros
 
     require_ros()
-    read = read_model(model)
+    read = read_model(args.model)
     read.initial_state()
-    initial_state(initial, read.system)
+    initial_state(args.initial, read.system)
     from impact_observer.ros import demonstration
     from impact_observer.ros.wiring import DemoSetup
 
-    folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
-    setup = DemoSetup(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
+    folder = args.output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
+    setup = DemoSetup(
+        args.model,
+        LAWS,
+        args.initial,
+        args.duration,
+        args.realtime_factor,
+        args.rate,
+        epoch=time.time_ns(),
+    )
     with Progress() as progress:
         progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
         progress.show("starting the processes")
 
         def show(now: demonstration.DemoProgress) -> None:
             v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(now.v.items()))
-            progress.show(f"{now.time:5.1f}/{duration:g} s {now.impacts:4d} impacts  V [J]: {v}")
+            progress.show(
+                f"{now.time:5.1f}/{args.duration:g} s {now.impacts:4d} impacts  V [J]: {v}"
+            )
 
-        bag = demonstration.run(setup, folder, show, flush=flush)
+        bag = demonstration.run(setup, folder, show, flush=args.flush)
     return check_result(bag, folder / "lyapunov.png")
 
 

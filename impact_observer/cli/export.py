@@ -7,7 +7,6 @@ dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_obser
 """
 
 import argparse
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -55,56 +54,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return export(
-        args.bag,
-        args.output,
-        what=args.what,
-        topics=args.topics,
-        model=args.model,
-        epoch=args.epoch,
-        namespace=args.namespace,
-    )
-
-
-def export(
-    bag: Path,
-    output: Path,
-    *,
-    what: str = STATES,
-    topics: Sequence[str] | None = None,
-    model: str | None = None,
-    epoch: int | None = None,
-    namespace: str = "",
-) -> int:
-    """Export a bag and print how many rows were written.
-
-    The arguments are the options; ``epoch`` is a stamp, ns.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used, or ``pyarrow`` is not installed.
-        BagError: the bag cannot be read or holds nothing to export, or the file cannot be written.
-    """
+    """Export a bag and print how many rows were written."""
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_export import error_rows, event_rows, state_rows
     from impact_observer.compare.table_files import write_table
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
 
-    if topics is not None and what == EVENTS:
-        raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
-    with BagReader(bag, namespace) as reader, Progress() as progress:
-        show = partial(progress.step, f"exporting {bag.name}")
-        if what == EVENTS:
-            blocks = event_rows(reader, epoch, show)
-        elif what == ERRORS:
-            blocks = error_rows(reader, system_of(reader, model), topics, epoch, show)
+    if args.topics is not None and args.what == EVENTS:
+        raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
+    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        show = partial(progress.step, f"exporting {args.bag.name}")
+        if args.what == EVENTS:
+            blocks = event_rows(reader, args.epoch, show)
+        elif args.what == ERRORS:
+            system = system_of(reader, args.model)
+            blocks = error_rows(reader, system, args.topics, args.epoch, show)
         else:
-            blocks = state_rows(reader, topics, epoch, show)
-        written = write_table(output, blocks)
+            blocks = state_rows(reader, args.topics, args.epoch, show)
+        written = write_table(args.output, blocks)
         each = ", ".join(f"{count} of {topic}" for topic, count in written.items())
-        progress.line(f"{output}: {written.total()} rows of {what}: {each}")
+        progress.line(f"{args.output}: {written.total()} rows of {args.what}: {each}")
     return 0

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import installed_laws, positive
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
@@ -51,12 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from impact_observer.cli.compare import laws_in
-
     return figure(
         args.model,
         args.output,
-        laws_in(args.laws),
+        installed_laws(args.laws),
         initial=args.initial,
         duration=args.duration,
         rate=args.rate,

@@ -2,10 +2,11 @@
 """Identify parameters of a model from impact times and samples, or check a model against them."""
 
 import argparse
-import json as json_module
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_measurements,
@@ -18,6 +19,10 @@ from impact_observer.cli.arguments import (
 from impact_observer.errors import BagError, UsageError
 from impact_observer.options import Options
 from impact_observer.plain_text import say
+
+if TYPE_CHECKING:
+    from impact_observer.identify.fit_check import FitCheck
+    from impact_observer.identify.identification import Identification
 
 _MOST_HELD_BACK = 0.5
 
@@ -102,58 +107,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return identify(
-        args.bag,
-        tuple(name.strip() for name in args.free.split(",") if name.strip()),
-        model=args.model,
-        clock_error=None if args.clock_error < 0 else args.clock_error,
-        epoch=args.epoch,
-        horizon=args.horizon,
-        trust_events=args.trust_events,
-        held_back=args.held_back,
-        check=args.check,
-        namespace=args.namespace,
-        measurements=args.measurements,
-        output=args.output,
-        initial_state=args.initial_state,
-        plot=args.plot,
-        json=args.json,
-        dead_time=Options(dead_time=args.dead_time).dead_time,
-    )
-
-
-def identify(
-    bag: Path,
-    free: tuple[str, ...] = (),
-    *,
-    model: str | None = None,
-    clock_error: float | None = None,
-    epoch: int = 0,
-    horizon: float | None = None,
-    trust_events: bool = False,
-    held_back: float = 0.2,
-    check: bool = False,
-    namespace: str = "",
-    measurements: str | None = None,
-    output: Path | None = None,
-    initial_state: bool = False,
-    plot: Path | None = None,
-    json: bool = False,
-    dead_time: float = 0.0,
-) -> int:
     """Fit a model to the impacts in a bag, and to samples if any, and print the result.
 
-    The arguments are the options.
-
     Returns:
-        0; 1 where a parameter is not determined or ends at its bound, the fit does not converge
-        or the model does not fit.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        BagError: the bag cannot be read, or contains no impact of the model's contacts.
-        IdentificationError: too few impacts, or parameters that move no impact.
+        0; 1 if a parameter is not determined or ends at its bound, the fit does not converge or
+        the model does not fit.
     """
     from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
@@ -161,7 +119,7 @@ def identify(
     from impact_observer.identify import fit_report
     from impact_observer.identify.fit_check import check_fit
     from impact_observer.identify.fit_picture import fit_picture
-    from impact_observer.identify.identification import identify as fit
+    from impact_observer.identify.identification import identify
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from
@@ -171,92 +129,94 @@ def identify(
     from impact_observer.model.free_parameters import parametric_family
     from impact_observer.model.measurements_file import read_measurements
 
-    _check_usage(free, output, plot, check=check, clock=clock_error, initial_state=initial_state)
-    _check_held_back(held_back)
-    with BagReader(bag, namespace) as reader:
-        given = text_of_model(reader, model)
+    free = tuple(name.strip() for name in args.free.split(",") if name.strip())
+    clock = None if args.clock_error < 0 else args.clock_error
+    dead_time = Options(dead_time=args.dead_time).dead_time
+    _check_usage(args, free, clock)
+    lines = sys.stderr if args.json else sys.stdout
+    with BagReader(args.bag, args.namespace) as reader:
+        given = text_of_model(reader, args.model)
         parsed = parse_model(*given)
-        events = [replace(e, epoch=e.epoch or epoch) for e in events_from(reader, epoch)]
+        events = [replace(e, epoch=e.epoch or args.epoch) for e in events_from(reader, args.epoch)]
         system = with_recorded(reader, parsed.system, epoch_of(events))
-        declared = read_measurements(measurements)
+        declared = read_measurements(args.measurements)
         recorded = samples_in(reader, declared)
-        odd = doubts(bag, HitTimes(events), system, has_covariance=True)
+        odd = doubts(args.bag, HitTimes(events), system, has_covariance=True)
         for line in (*recorded.problems, *odd):
-            say(f"warning: {line}", file=sys.stderr if json else sys.stdout)
-    # What arrived live is known now, as samples.
+            say(f"warning: {line}", file=lines)
+    # Live signals are known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
     with Progress() as progress:
         try:
-            found = fit(
+            fit = identify(
                 family,
                 events,
-                clock=clock_error,
-                horizon=horizon,
-                trust_events=trust_events,
-                held_back=held_back,
+                clock=clock,
+                horizon=args.horizon,
+                trust_events=args.trust_events,
+                held_back=args.held_back,
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
                 measurements=declared,
                 samples=recorded.samples,
                 dead_time=dead_time,
             )
         except BagError as error:
-            raise type(error)(f"{bag}: {error}") from None
-    checked = check_fit(found)
-    good = (
-        found.converged
-        and not (found.undetermined or found.bounded)
-        and (checked.fits or not check)
-    )
-    if json:
-        say(json_module.dumps(fit_report.for_json(found, checked), indent=2, allow_nan=False))
-    elif check:
-        fit_report.print_check(found, checked)
-    else:
-        fit_report.print_parameters(found, checked)
-    lines = sys.stderr if json else sys.stdout
-    if output is not None and good:
-        left_out = fit_report.write_model(found, given, bag, output, initial=initial_state)
-        say(", ".join(filter(None, [f"model: {output}", left_out])), file=lines)
+            raise type(error)(f"{args.bag}: {error}") from None
+    checked = check_fit(fit)
+    _print(args, fit, checked)
+    good = fit.converged and not (fit.undetermined or fit.bounded)
+    good = good and (checked.fits or not args.check)
+    if args.output is not None and good:
+        left_out = fit_report.write_model(
+            fit, given, args.bag, args.output, initial=args.initial_state
+        )
+        say(", ".join(filter(None, [f"model: {args.output}", left_out])), file=lines)
         good = not left_out
-    if plot is not None:
-        name = found.family.system.name
-        save(fit_picture(found, title=f"{name}: instants of the model minus stamps"), plot)
-        say(f"picture: {plot}", file=lines)
+    if args.plot is not None:
+        title = f"{fit.family.system.name}: instants of the model minus stamps"
+        save(fit_picture(fit, title=title), args.plot)
+        say(f"picture: {args.plot}", file=lines)
     return 0 if good else 1
 
 
-def _check_held_back(share: float) -> None:
-    """Raise UsageError where the share of impacts that are held back is too large."""
-    if not 0 <= share <= _MOST_HELD_BACK:
-        raise UsageError(
-            f"--held-back: {share:g} found; expected a share from 0 to {_MOST_HELD_BACK:g}"
-        )
+def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck") -> None:
+    """Print a fit as JSON, as a check, or as a table of parameters."""
+    from impact_observer.identify import fit_report
+
+    if args.json:
+        say(json.dumps(fit_report.for_json(fit, checked), indent=2, allow_nan=False))
+    elif args.check:
+        fit_report.print_check(fit, checked)
+    else:
+        fit_report.print_parameters(fit, checked)
 
 
-def _check_usage(
-    free: tuple[str, ...],
-    output: Path | None,
-    plot: Path | None,
-    *,
-    check: bool,
-    clock: float | None,
-    initial_state: bool,
-) -> None:
+def _check_usage(args: argparse.Namespace, free: tuple[str, ...], clock: float | None) -> None:
     """Raise UsageError before the work is done."""
-    if initial_state and output is None:
+    if not 0 <= args.held_back <= _MOST_HELD_BACK:
+        raise UsageError(
+            f"--held-back: {args.held_back:g} found;"
+            f" expected a share from 0 to {_MOST_HELD_BACK:g}"
+        )
+    if args.initial_state and args.output is None:
         raise UsageError("--initial-state: written into the model, so -o is needed")
-    if check and (free or output):
+    if args.check and (free or args.output):
         raise UsageError("--check identifies nothing; expected no --free and no -o beside it")
-    if check and clock is None:
+    if args.check and clock is None:
         raise UsageError(
             "--check: no --clock-error declared; expected the standard deviation of a stamp, s:"
             " without one an error of the model looks like one of the clock"
         )
-    if not check and not free:
+    if not args.check and not free:
         raise UsageError("--free: names no parameter; expected some, such as restitution,gap")
+    _check_files(args.output, args.plot)
+
+
+def _check_files(output: Path | None, plot: Path | None) -> None:
+    """Raise UsageError if a file cannot be made."""
     if output is not None and (output.exists() or not output.parent.is_dir()):
-        found = "exists already" if output.exists() else "its folder does not exist"
-        raise UsageError(f"{output}: {found}; expected the name of a file to make")
+        problem = "exists already" if output.exists() else "its folder does not exist"
+        raise UsageError(f"{output}: {problem}; expected the name of a file to make")
     if plot is not None:
         from impact_observer.draw.output import check_output
 

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monte Carlo over laws, starts, sensors and wrong models, on all cores or on a cluster.
 
-Every law is run with every combination of the values that are given, --runs times each. Run k has
-the seed SEED + k: its observer begins at random:SEED+k, and its sensor draws from that seed,
-whatever else is swept. The plant is the same in all runs. The results go into one Parquet file;
-the same command goes on where it was interrupted. Needs impact_observer[sweep].
+Every law is run with every combination of the given values, --runs times each. Run k has the seed
+SEED + k: the observer begins at random:SEED+k, and the sensor draws from the seed, whatever else
+is swept. The plant is the same in all runs. The results go into one Parquet file; the same command
+continues an interrupted sweep. Needs impact_observer[sweep].
 """
 
 import argparse
-import json as json_module
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -19,6 +19,7 @@ from impact_observer.cli.arguments import (
     add_measurements,
     add_observer_arguments,
     count,
+    installed_laws,
     metavar,
     observer_options,
     parsed,
@@ -39,9 +40,9 @@ if TYPE_CHECKING:
 EPOCH = 1_000_000_000
 """Default stamp of ``t = 0``, ns."""
 SWEPT = tuple(each for each in SENSOR_FAULTS if each.name != "transport")
-"""Faults that change estimates made afterwards, from all events; the transport time does not."""
+"""Faults that change estimates; the transport time changes none that is made of all events."""
 _SENSOR = "sensor_"
-"""Before a fault's name among the arguments: observers have options of the same names."""
+"""Prefix of a fault among the arguments: observers have options of the same names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,9 +108,9 @@ def _values_of(fault: Option) -> "Callable[[str], tuple[Value, ...]]":
     """The type of an argument that lists values of ``fault`` with commas."""
 
     def value(text: str) -> Value:
-        found = parsed(fault, text.strip())
-        fault.check(found)
-        return found
+        number = parsed(fault, text.strip())
+        fault.check(number)
+        return number
 
     def values(text: str) -> tuple[Value, ...]:
         try:
@@ -135,25 +136,64 @@ def _off(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return sweep(
-        sweep_in(args),
-        args.output,
-        jobs=args.jobs,
-        scheduler=args.scheduler,
-        plot=args.plot,
-        against=args.against,
-        json=args.json,
-    )
+    """Run the cases that are not in the file yet, and print a summary of all.
+
+    Raises:
+        SweepError: the sweep could not go on, or some cases have failed; the file has the others.
+        KeyboardInterrupt: the file has the cases that are done.
+    """
+    from impact_observer.cli.progress import Progress
+    from impact_observer.draw.output import check_output
+    from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
+    from impact_observer.sweep.plan import plant_run
+    from impact_observer.sweep.summary import document, groups_of, print_groups
+
+    wanted = sweep_in(args)
+    check_output(args.output, (".parquet",))
+    if args.plot is not None:
+        from impact_observer.sweep.summary_picture import against_of
+
+        check_output(args.plot)
+        against_of(wanted, args.against)
+    elif args.against is not None:
+        raise UsageError(f"--against {args.against}: there is no picture; add --plot FILE")
+    outcomes = read_outcomes(args.output, wanted)
+    with Progress() as progress:
+        progress.show(f"{args.output}: simulating")
+        impacts = len(plant_run(wanted.plant).impacts)
+        if outcomes:
+            kept = f"{args.output}: has {len(outcomes)} of {wanted.size} cases already"
+            say(kept, file=sys.stderr if args.json else None)
+        run_missing(
+            wanted,
+            args.output,
+            outcomes,
+            jobs=args.jobs,
+            scheduler=args.scheduler,
+            progress=lambda done: progress.step(f"{args.output}: cases", done, wanted.size),
+        )
+    groups = groups_of(wanted, outcomes.values())
+    if args.plot is not None:
+        from impact_observer.sweep.summary_picture import save_picture
+
+        save_picture(wanted, groups, args.plot, against=args.against)
+    if args.json:
+        say(json.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))
+    else:
+        print_groups(wanted, groups)
+        say(f"{args.output}: {wanted.size} cases, {impacts} impacts of the plant in each")
+        if args.plot is not None:
+            say(f"picture: {args.plot}")
+    _raise_failed(outcomes.values(), wanted.size)
+    return 0
 
 
 def sweep_in(args: argparse.Namespace) -> "Sweep":
     """The sweep that the arguments define.
 
     Raises:
-        UsageError, ModelError: they cannot be used.
+        UsageError, ModelError: an argument cannot be used.
     """
-    from impact_observer.cli.compare import laws_in
     from impact_observer.model import read_model
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.sweep.model_variants import model_variants
@@ -162,7 +202,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     model = read_model(args.model)
     model.initial_state()
     faults = {each.name: getattr(args, _SENSOR + each.name) for each in SWEPT}
-    options, laws = observer_options(args, ""), laws_in(args.laws)
+    options, laws = observer_options(args, ""), installed_laws(args.laws)
     return Sweep(
         plant=PlantSetup(
             replace(model, provenance={}).text(), args.duration, args.rate, args.epoch
@@ -184,87 +224,12 @@ def _by_name(off: Sequence[tuple[str, tuple[float, ...]]]) -> dict[str, tuple[fl
     Raises:
         UsageError: a name is given twice.
     """
-    found: dict[str, tuple[float, ...]] = {}
+    by_name: dict[str, tuple[float, ...]] = {}
     for name, values in off:
-        if name in found:
+        if name in by_name:
             raise UsageError(f"off: {name} found twice; give all its values at once, with commas")
-        found[name] = values
-    return found
-
-
-def sweep(
-    wanted: "Sweep",
-    output: Path,
-    *,
-    jobs: int | None = None,
-    scheduler: str | None = None,
-    plot: Path | None = None,
-    against: str | None = None,
-    json: bool = False,
-) -> int:
-    """Run the cases that are not in the file yet, and print a summary of all.
-
-    Args:
-        wanted: what is swept.
-        output: a Parquet file, to make or to go on with.
-        jobs: processes on this machine; None for as many as it has cores.
-        scheduler: address of a Dask scheduler, whose workers run the cases instead.
-        plot: a picture to draw; None for none.
-        against: the quantity on its axis; None for the first that is swept.
-        json: whether to print JSON instead of a table.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError: something cannot be used, or a package is missing.
-        ImpactLawError, DynamicsError: the plant has no solution.
-        SweepError: the sweep could not go on, or some cases have failed; the file has the others.
-        KeyboardInterrupt: the file has the cases that are done.
-    """
-    from impact_observer.cli.progress import Progress
-    from impact_observer.draw.output import check_output
-    from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
-    from impact_observer.sweep.plan import plant_run
-    from impact_observer.sweep.summary import document, groups_of, print_groups
-
-    check_output(output, (".parquet",))
-    if plot is not None:
-        from impact_observer.sweep.summary_picture import against_of
-
-        check_output(plot)
-        against_of(wanted, against)
-    elif against is not None:
-        raise UsageError(f"--against {against}: there is no picture; add --plot FILE")
-    outcomes = read_outcomes(output, wanted)
-    with Progress() as progress:
-        progress.show(f"{output}: simulating")
-        impacts = len(plant_run(wanted.plant).impacts)
-        if outcomes:
-            kept = f"{output}: has {len(outcomes)} of {wanted.size} cases already"
-            say(kept, file=sys.stderr if json else None)
-        run_missing(
-            wanted,
-            output,
-            outcomes,
-            jobs=jobs,
-            scheduler=scheduler,
-            progress=lambda done: progress.step(f"{output}: cases", done, wanted.size),
-        )
-    groups = groups_of(wanted, outcomes.values())
-    if plot is not None:
-        from impact_observer.sweep.summary_picture import save_picture
-
-        save_picture(wanted, groups, plot, against=against)
-    if json:
-        say(json_module.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))
-    else:
-        print_groups(wanted, groups)
-        say(f"{output}: {wanted.size} cases, {impacts} impacts of the plant in each")
-        if plot is not None:
-            say(f"picture: {plot}")
-    _raise_failed(outcomes.values(), wanted.size)
-    return 0
+        by_name[name] = values
+    return by_name
 
 
 def _raise_failed(outcomes: "Iterable[Outcome]", size: int) -> None:
