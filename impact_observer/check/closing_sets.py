@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which contacts can close together, and which of these are redundant.
+"""Sets of contacts that can close together, and redundant contacts in such sets.
 
 The contacts of a set A can close together when ``{q: g_A = 0, g >= 0}`` is not empty, which a
-linear programme decides. If A can, so can every subset of A. A search therefore starts from all
-contacts and removes some only where it must; the subsets are never enumerated.
+linear programme decides. If A can close, every subset of A can close. A search therefore starts
+from all contacts and removes some only if it must; the subsets are never enumerated.
 
 With ``q = L^-T y``, ``M = L L^T``, and columns ``B = L^-1 W`` scaled to length one, ``G = B^T B``
 has a unit diagonal; gaps are divided by the same lengths.
@@ -21,28 +21,28 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 STEPS = 200
-"""Most linear programmes and tested sets per question; beyond them it is not decided."""
+"""Most linear programmes and tested sets for one question; then the answer is "not decided"."""
 LISTED = 100
 """Most sets that an answer lists."""
 _CLOSED = 1e-8
 """Gap that counts as closed, relative to the largest gap in the rest position."""
 _FEASIBLE = 1e-10
-"""Tolerance of the linear programmes, the least that HiGHS accepts."""
+"""Tolerance of the linear programmes, the smallest that HiGHS accepts."""
 _RANK = 1e-10
 """Singular value that counts as zero, for columns of length one."""
 
 
 class NotDecidedError(Exception):
-    """``STEPS`` was reached; the searches catch it and answer "not decided"."""
+    """A search took ``STEPS`` steps; the searches catch this error and answer "not decided"."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """Sets of contacts that a search has found.
+    """The result of a search for sets of contacts.
 
     Attributes:
         sets: as sorted indices.
-        decided: whether the search was completed. Where sets were found, there may be more.
+        decided: whether the search was completed; else further sets may exist.
     """
 
     sets: tuple[Contacts, ...]
@@ -50,7 +50,7 @@ class SearchResult:
 
     @property
     def is_empty(self) -> bool | None:
-        """Whether there is no such set; None where that is not decided."""
+        """Whether no such set exists; None if the search did not decide."""
         return False if self.sets else True if self.decided else None
 
 
@@ -65,7 +65,7 @@ class ClosingSets:
         gap: gaps in the rest position, scaled, shape (m,), the largest 1.
         feasible: whether some position is outside all stops.
         has_clearance: whether some position is clear of all stops at once.
-        conflicts: sets found to be unable to close together.
+        conflicts: known sets that cannot close together.
     """
 
     def __init__(self, system: System) -> None:
@@ -105,48 +105,48 @@ class ClosingSets:
         """Count one step.
 
         Raises:
-            NotDecidedError: it is one too many.
+            NotDecidedError: ``STEPS`` steps were taken before.
         """
         if self._steps == 0:
             raise NotDecidedError
         self._steps -= 1
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
-        """A subset of ``contacts`` that cannot close together, small if possible; None if all can.
+        """A small subset of ``contacts`` that cannot close together; None if all can close.
 
         Raises:
             NotDecidedError: too many steps.
         """
         if (earlier := self.conflict_so_far(contacts)) is not None:
             return earlier
-        found = self._blocked(contacts)
-        if found is None:
+        blocked = self._blocked(contacts)
+        if blocked is None:
             return None
-        for i in found:
-            if len(found) > 2:
-                found = self._blocked(tuple(k for k in found if k != i)) or found
-        self.conflicts.add(found)
-        return found
+        for i in blocked:
+            if len(blocked) > 2:
+                blocked = self._blocked(tuple(k for k in blocked if k != i)) or blocked
+        self.conflicts.add(blocked)
+        return blocked
 
     def conflict_so_far(self, contacts: Contacts) -> Contacts | None:
-        """As ``conflict``, from what was found before: it takes no step."""
+        """A known subset of ``contacts`` that cannot close together, without a new search."""
         if not self.feasible:
             return contacts
         chosen = set(contacts)
         return next((each for each in self.conflicts if chosen.issuperset(each)), None)
 
     def _blocked(self, contacts: Contacts) -> Contacts | None:
-        """As ``conflict``, but not reduced: minimise ``sum g_A`` subject to ``g >= 0``.
+        """A subset that cannot close together, of any size: minimise ``sum g_A`` for ``g >= 0``.
 
         With multipliers ``z`` the minimum c is ``sum g_A - sum z_j g_j``. So the contacts of A
         with ``z_i < 1`` alone have ``sum (1 - z_i) g_i >= c``: they cannot be zero together.
         """
         index = list(contacts)
         cost = np.asarray(self._rows[index].sum(axis=0)).ravel()
-        found = self._solve(cost, self._rows, self.gap)
-        if found.fun + np.sum(self.gap[index]) <= _CLOSED * len(index):
+        minimum = self._solve(cost, self._rows, self.gap)
+        if minimum.fun + np.sum(self.gap[index]) <= _CLOSED * len(index):
             return None
-        multipliers = -np.asarray(found.ineqlin.marginals)
+        multipliers = -np.asarray(minimum.ineqlin.marginals)
         return tuple(i for i in contacts if multipliers[i] < 1 - _CLOSED) or contacts
 
     def _largest_clearance(self) -> float:
@@ -156,11 +156,11 @@ class ClosingSets:
             return 1.0
         rows = sparse.bmat([[self._rows, -np.ones((m, 1))], [None, -np.ones((1, 1))]]).tocsr()
         try:
-            found = self._solve(np.append(np.zeros(n), -1.0), rows, np.append(self.gap, 1.0))
+            largest = self._solve(np.append(np.zeros(n), -1.0), rows, np.append(self.gap, 1.0))
         except NotDecidedError:
             self._steps = 0  # no programme will be solved
             return 1.0
-        return float(found.x[n])
+        return float(largest.x[n])
 
     def _solve(
         self, cost: Vector, rows: sparse.csr_matrix, gap: Vector
@@ -169,17 +169,17 @@ class ClosingSets:
         self.step()
         names = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
         options = dict.fromkeys(names, _FEASIBLE)
-        found = optimize.linprog(cost, -rows, gap, bounds=(None, None), options=options)
-        if found.status != 0:  # it is feasible and bounded: a numerical failure
+        solution = optimize.linprog(cost, -rows, gap, bounds=(None, None), options=options)
+        if solution.status != 0:  # the programme is feasible and bounded: a numerical failure
             raise NotDecidedError
-        return found
+        return solution
 
 
 def redundant(closing: ClosingSets) -> SearchResult:
     """Minimal sets of contacts that are linearly dependent and can close together.
 
     Args:
-        closing: of any system; its steps are used up.
+        closing: the sets of a system; the search uses up the steps.
 
     Returns:
         All parallel pairs, and enough of the larger sets to name every contact that the others
@@ -188,27 +188,27 @@ def redundant(closing: ClosingSets) -> SearchResult:
     columns = np.vstack([closing.B, closing.gap])
 
     def dependent(contacts: Contacts) -> bool:
-        """Whether ``W_A a = 0`` and, as where ``g_A = 0``, ``q_r,A . a = 0`` for some ``a``."""
+        """Whether some ``a`` has ``W_A a = 0`` and ``q_r,A . a = 0``, as closed contacts have."""
         index = list(contacts)
         return _rank_deficient(columns[:, index], _CLOSED) and _rank_deficient(
             closing.B[:, index], _RANK
         )
 
-    found: list[Contacts] = []
+    dependent_sets: list[Contacts] = []
     try:
         for pair in closing.parallel():
-            if len(found) < LISTED and closing.conflict(pair) is None:
-                found.append(pair)
-        contacts = _on_dependent_lines(closing, {pair[1] for pair in found})
-        while contacts and len(found) < LISTED:
+            if len(dependent_sets) < LISTED and closing.conflict(pair) is None:
+                dependent_sets.append(pair)
+        contacts = _on_dependent_lines(closing, {pair[1] for pair in dependent_sets})
+        while contacts and len(dependent_sets) < LISTED:
             closed = first_failing(closing, dependent, closing.conflict, contacts)
             if closed is None:
                 break
-            found.append(minimal_dependent(closing.B, closed))
-            contacts = tuple(i for i in contacts if i != found[-1][-1])
+            dependent_sets.append(minimal_dependent(closing.B, closed))
+            contacts = tuple(i for i in contacts if i != dependent_sets[-1][-1])
     except NotDecidedError:
-        return SearchResult(tuple(found), False)
-    return SearchResult(tuple(found), True)
+        return SearchResult(tuple(dependent_sets), False)
+    return SearchResult(tuple(dependent_sets), True)
 
 
 def _rank_deficient(columns: Matrix, tolerance: float) -> bool:
@@ -232,7 +232,7 @@ def _on_dependent_lines(closing: ClosingSets, without: set[int]) -> Contacts:
 
 
 def minimal_dependent(B: Matrix, contacts: Contacts) -> Contacts:
-    """A minimal linearly dependent subset of ``contacts``; empty where they are independent."""
+    """A minimal linearly dependent subset of ``contacts``; empty for independent contacts."""
     if not contacts:
         return ()
     R, order = linalg.qr(B[:, list(contacts)], mode="r", pivoting=True)
@@ -251,10 +251,10 @@ def first_failing(
     conflict: Callable[[Contacts], Contacts | None],
     contacts: Contacts,
 ) -> Contacts | None:
-    """A subset of ``contacts`` that fails a test and has no conflict; None if there is none.
+    """A subset of ``contacts`` that fails a test and has no conflict; None if no subset does.
 
-    Subsets of a set that passes the test pass it too. So of a failing set with a conflict, only
-    those subsets are searched that lack one contact of the conflict.
+    Subsets of a set that passes the test pass too. Of a failing set with a conflict, the search
+    takes only the subsets that lack one contact of the conflict.
 
     Args:
         closing: counts the steps.
@@ -271,10 +271,10 @@ def first_failing(
         closing.step()
         if not fails(chosen):
             continue
-        found = conflict(chosen)
-        if found is None:
+        blocked = conflict(chosen)
+        if blocked is None:
             return chosen
-        for i in found:
+        for i in blocked:
             fewer = tuple(k for k in chosen if k != i)
             if fewer not in seen:
                 seen.add(fewer)

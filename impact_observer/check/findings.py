@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings of a bag check: how severe, what was found, what was expected, and the remedy."""
+"""Findings of a bag check: severity, fault, expectation and remedy."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far constant loads and excitations move the gaps of a model, as if nothing ever hit.
+"""Motion of the gaps of a model under constant loads and excitations, without impacts.
 
-Of the steady motion without contacts: ``K q_0 = f_0``, and for each harmonic
+The steady motion without contacts: ``K q_0 = f_0``, and for each harmonic
 ``(K - omega^2 M + i omega C) q_k = f_k``. Grounds that move are part of the forcing; a drive turns
 at its nominal frequency.
 """
@@ -19,7 +19,7 @@ from impact_observer.states import Vector, frozen
 _MOVED = 1e-12
 """Change of a gap by a rigid-body mode that counts as none."""
 _NEVER = 10.0
-"""A gap so many times larger than what moves it is never reached."""
+"""Ratio of a gap to its motion above which the contact is never reached."""
 _FAST = 100.0
 """Contact speed that hardly any machine has, m/s."""
 _BOUNDLESS = 1e9
@@ -30,18 +30,18 @@ _ABOVE, _BELOW = 10.0, 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForcedMotion:
-    """What the gaps do without impacts and friction; NaN where the model does not say it.
+    """The motion of the gaps without impacts and friction; NaN where the model lacks the forces.
 
     Attributes:
         rest: gap under the constant loads, shape (m,), m.
-        sag: its distance to the gap without any load, shape (m,), m.
-        swing: amplitude of the excitations, at most, shape (m,), m; infinite at a resonance.
-        speed: amplitude of its rate, at most, shape (m,), m/s.
+        sag: change of the gap by the constant loads, shape (m,), m.
+        swing: largest amplitude of the gap, shape (m,), m; infinite at a resonance.
+        speed: largest amplitude of the gap's rate, shape (m,), m/s.
         pull: acceleration by which constant loads close the gap of a body without springs, m/s^2,
             shape (m,); zero elsewhere.
-        shake: amplitude of the excitations' acceleration there, shape (m,), m/s^2.
-        slowest: lowest frequency of a mode, rad/s; NaN where one is rigid.
-        fastest: the highest one; NaN where all are.
+        shake: amplitude of the acceleration of such a gap by the excitations, shape (m,), m/s^2.
+        slowest: lowest frequency of a mode, rad/s; NaN with a rigid-body mode.
+        fastest: highest frequency of a mode, rad/s; NaN if all modes are rigid.
     """
 
     rest: Vector
@@ -54,7 +54,7 @@ class ForcedMotion:
     fastest: float
 
     def never_reached(self) -> list[int]:
-        """Contacts whose gap is far larger than what moves it."""
+        """Contacts whose gap is far larger than its motion."""
         reach = np.abs(self.sag) + self.swing
         return _where((self.swing > 0) & (self.rest > _NEVER * reach))
 
@@ -69,11 +69,11 @@ class ForcedMotion:
         return _where(pressed)
 
     def too_fast(self) -> list[int]:
-        """Contacts whose speed is that of no machine."""
+        """Contacts with a speed that no machine has."""
         return _where((self.speed > _FAST) & np.isfinite(self.speed))
 
     def odd_frequencies(self, system: System) -> list[tuple[float, str]]:
-        """Frequencies of excitations far from all modes (rad/s), and how they are."""
+        """Frequencies of excitations far from all modes, rad/s, and on which side they lie."""
         odd = list[tuple[float, str]]()
         for each in np.unique(system.forcing.frequency).tolist():
             if each > _ABOVE * self.fastest:
@@ -84,13 +84,13 @@ class ForcedMotion:
 
 
 def _where(true: NDArray[np.bool_]) -> list[int]:
-    """The indices of what is true."""
+    """The indices of the true entries."""
     return [int(i) for i in np.flatnonzero(true)]
 
 
 def forced_motion(system: System) -> ForcedMotion:
     """The steady motion of a system without contacts."""
-    modes = UndampedModes.of(system)
+    modes = UndampedModes.of_system(system)
     elastic, free = np.sqrt(modes.squares), modes.rigid
     slowest, fastest = (elastic[0], elastic[-1]) if elastic.size else (math.nan, math.nan)
     slowest = math.nan if free.size else slowest

@@ -146,7 +146,7 @@ def longest_interval(system: System) -> float:
     """
     if system.live is not None or system.forcing.sampled is not None:
         return math.inf
-    modes = UndampedModes.of(system)
+    modes = UndampedModes.of_system(system)
     frequencies = [*np.sqrt(modes.squares), *system.forcing.frequency]
     periods = [2 * math.pi / each for each in frequencies if each > 0]
     longest = _PERIODS * max(periods, default=0.0)

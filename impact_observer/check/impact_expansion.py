@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an impact can raise ``V``: an eigenvalue test on contacts that can close together.
+"""Impacts that can raise ``V``: an eigenvalue test on contacts that can close together.
 
 An impact of the contacts A never raises ``V`` when ``H = G - E G E`` is positive semidefinite,
-with ``G = W_A^T M^-1 W_A`` and ``E = diag(eps)``. ``H`` then is so for every subset of A, so only
-the largest sets that can close together need the test.
+with ``G = W_A^T M^-1 W_A`` and ``E = diag(eps)``. ``H`` of every subset of A then is positive
+semidefinite too, so only the largest sets that can close together need the test.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class Growth:
         contacts: indices of the contacts that close, sorted.
         factor: the most by which an impact of exactly these contacts multiplies ``V``.
         one: contact speeds before the impact, shape (len(contacts),), m/s.
-        two: of the other solution, shape (len(contacts),), m/s.
+        two: contact speeds of the other solution, shape (len(contacts),), m/s.
     """
 
     contacts: Contacts
@@ -52,16 +52,16 @@ class Growth:
 def expansive(closing: ClosingSets) -> SearchResult:
     """Sets of contacts that can close together where an impact can raise ``V``.
 
-    Pairs are tested first, larger sets only where no pair is found. Every set found is linearly
+    Pairs are tested first, larger sets only if no pair fails. Every set of the result is linearly
     independent, since the impact law acts on dependent contacts as on an independent subset. The
-    test is conservative in one case: where a set never closes without some other contact, its
-    impact alone is tested all the same.
+    test is conservative in one case: the impact of a set alone is tested even if the set never
+    closes without some other contact.
 
     Args:
-        closing: of any system; its steps are used up.
+        closing: the sets of a system; the search uses up the steps.
 
     Returns:
-        Sets for which ``G - E G E`` has a negative eigenvalue. None, and decided, where no impact
+        Sets for which ``G - E G E`` has a negative eigenvalue; none, and decided, if no impact
         raises ``V``.
     """
     test = _EigenvalueTest(closing)
@@ -72,11 +72,11 @@ def expansive(closing: ClosingSets) -> SearchResult:
         if closing.B.shape[1] <= 2 or np.linalg.matrix_rank(closing.B) <= 2:
             return SearchResult((), True)
         for component in test.components():
-            if found := first_failing(closing, test.fails, test.conflict, component):
-                for i in found:  # only what the failure needs is kept
-                    fewer = tuple(k for k in found if k != i)
-                    found = fewer if test.fails(fewer) else found
-                return SearchResult((found,), True)
+            if failing := first_failing(closing, test.fails, test.conflict, component):
+                for i in failing:  # only what the failure needs is kept
+                    fewer = tuple(k for k in failing if k != i)
+                    failing = fewer if test.fails(fewer) else failing
+                return SearchResult((failing,), True)
     except NotDecidedError:
         return SearchResult((), False)
     return SearchResult((), True)
@@ -115,15 +115,15 @@ class _EigenvalueTest:
         )
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
-        """A subset of ``contacts`` that is dependent or cannot close together; None if none is."""
+        """A subset that is dependent or cannot close together; None if there is none."""
         closing = self._closing
-        found = (
+        blocked = (
             closing.conflict_so_far(contacts)
             or minimal_dependent(closing.B, contacts)
             or closing.conflict(contacts)
         )
-        self._exclude(found or ())
-        return found
+        self._exclude(blocked or ())
+        return blocked
 
     def components(self) -> list[Contacts]:
         """Connected components of more than two contacts; each is tested by itself."""
@@ -146,29 +146,29 @@ class _EigenvalueTest:
         pairs = np.argwhere(np.triu(fail, k=1))
         # Stops that face the same way are the ones most likely to close together.
         order = np.argsort(-self._closing.G[pairs[:, 0], pairs[:, 1]], kind="stable")
-        found: list[Contacts] = []
+        failing: list[Contacts] = []
         try:
             for i, j in pairs[order].tolist():
                 if self.conflict((i, j)) is None:
-                    found.append((i, j))
-                if len(found) == LISTED:
+                    failing.append((i, j))
+                if len(failing) == LISTED:
                     break
         except NotDecidedError:
-            if not found:
+            if not failing:
                 raise
-        return tuple(found)
+        return tuple(failing)
 
 
 def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
-    """By how much, and for which two solutions, an impact of ``contacts`` can raise ``V``.
+    """The largest rise of ``V`` by an impact of ``contacts``, and two solutions that show it.
 
     With an impulse at every contact ``dgamma+ = -E dgamma-``, in the metric ``G^-1``. The factor
-    is the largest ratio of the two norms squared. With impulses at fewer contacts it is smaller:
-    the Rayleigh quotient of ``E G E`` over ``G`` on fewer coordinates.
+    is the largest ratio of the two norms squared. Impulses at fewer contacts give a smaller
+    factor: the Rayleigh quotient of ``E G E`` over ``G`` on fewer coordinates.
 
     Args:
-        closing: of the system.
-        contacts: linearly independent.
+        closing: the sets of the system.
+        contacts: linearly independent contacts.
     """
     index = list(contacts)
     eps, lengths = closing.eps[index], closing.lengths[index]
@@ -186,20 +186,20 @@ def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
 
 
 def _closing_impulses(G: Matrix) -> Vector:
-    """Impulses ``Lambda > 0`` with ``G Lambda > 0``, which every positive definite G has."""
+    """Impulses ``Lambda > 0`` with ``G Lambda > 0``, for a positive definite G."""
     # Maximise t subject to G Lambda >= t, Lambda >= t, Lambda <= 1.
     count = len(G)
     rows = np.hstack([np.vstack([-G, -np.eye(count)]), np.ones((2 * count, 1))])
     cost = np.append(np.zeros(count), -1.0)
     bounds = [(0.0, 1.0)] * count + [(None, None)]
-    found = optimize.linprog(cost, A_ub=rows, b_ub=np.zeros(2 * count), bounds=bounds)
-    return np.asarray(found.x[:count])
+    solution = optimize.linprog(cost, A_ub=rows, b_ub=np.zeros(2 * count), bounds=bounds)
+    return np.asarray(solution.x[:count])
 
 
 def expansive_sets(system: System) -> tuple[Contacts, ...]:
     """Sets of contacts that can close together where an impact can raise ``V``, as indices.
 
-    It is also empty where ``is_nonexpansive`` is None, not decided.
+    The result is also empty if ``is_nonexpansive`` is None, that is, not decided.
     """
     return expansive(ClosingSets(system)).sets
 
@@ -208,6 +208,6 @@ def is_nonexpansive(system: System) -> bool | None:
     """Whether no impact of contacts that can close together raises ``V``.
 
     Returns:
-        None where ``STEPS`` were not enough to decide.
+        None if ``STEPS`` steps do not decide.
     """
     return expansive(ClosingSets(system)).is_empty

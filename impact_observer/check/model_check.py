@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model means for an observer, before a run: modes, contacts, the impact law.
+"""Properties of a model that matter to an observer: modes, contacts, the impact law.
 
-Modes are those of ``A`` in ``dx/dt = A x`` without contacts. Rigid-body positions are split off;
-the rest is written in energy coordinates ``(a', Omega b, b')``, with ``q = R a + P b`` in
-``M``-orthonormal shapes. There ``A`` has no double eigenvalue 0, and an undamped mode is
+The modes are those of ``A`` in ``dx/dt = A x`` without contacts. Rigid-body positions are split
+off; the other states are written in energy coordinates ``(a', Omega b, b')``, with
+``q = R a + P b`` in ``M``-orthonormal shapes. Then ``A`` has no double eigenvalue 0, and an
+undamped mode is
 orthogonal to all others, whatever shapes the damping couples.
 """
 
@@ -50,11 +51,12 @@ Basis = NDArray[Any]
 
 
 class UnseenMotion(NamedTuple):
-    """A motion that moves no contact, so that no event depends on it.
+    """A motion that moves no contact, so that no event depends on the motion.
 
     Attributes:
-        eigenvalue: 1/s; 0 for a rigid-body mode, real for one that does not oscillate.
-        shape: of the coordinates, at the phase of the largest, which is 1; shape (n,).
+        eigenvalue: 1/s; 0 for a rigid-body mode, real for a mode that does not oscillate.
+        shape: amplitudes of the coordinates at the phase of the largest one, which is 1; shape
+            (n,).
     """
 
     eigenvalue: complex
@@ -70,7 +72,7 @@ class ModelCheck:
         undamped: eigenfrequencies without the damping, shape (n,), rad/s, ascending.
         modes: of each oscillating mode with the damping the eigenvalue above the real axis,
             1/s, the slowest first; the real part is exactly 0 for an undamped mode.
-        rates: real eigenvalues, ascending, 1/s; without those of rigid-body positions.
+        rates: real eigenvalues, ascending, 1/s; without the zeros of rigid-body positions.
         rigid: directions of rigid-body modes, shape (r, n), in coordinates.
         resonances: harmonics that drive an undamped mode at its own frequency, so that its
             amplitude grows without bound: index and frequency, rad/s.
@@ -79,8 +81,8 @@ class ModelCheck:
         feasible: whether some position is outside all stops.
         has_clearance: whether some position is clear of all stops.
         redundant: contacts that are linearly dependent and can close together.
-        nonexpansive: whether no impact ever raises ``V``; None where that is not decided.
-        growths: by how much, for sets that can close together where an impact can raise ``V``.
+        nonexpansive: whether no impact ever raises ``V``; None if the search did not decide.
+        growths: the largest rise of ``V`` for each set of contacts whose impact can raise ``V``.
     """
 
     system: System
@@ -104,7 +106,7 @@ class ModelCheck:
 
 
 def check_model(system: System) -> ModelCheck:
-    """Check a model; it takes seconds for some hundred coordinates and contacts."""
+    """Check a model, in seconds for some hundred coordinates and contacts."""
     spectrum = _Spectrum(system)
     values = spectrum.values
     modes = values[values.imag > 0]
@@ -128,7 +130,12 @@ def check_model(system: System) -> ModelCheck:
 
 
 def _nonexpansive(system: System, constant: bool | None) -> bool | None:
-    """Whether no impact raises V; ``constant``: if no restitution depended on the speed."""
+    """Whether no impact raises V.
+
+    Args:
+        system: the model.
+        constant: the answer if no restitution depended on the speed.
+    """
     curves = [each.curve for each in system.contacts if each.curve]
     if not all(each.is_nonexpansive for each in curves):
         return False
@@ -138,8 +145,9 @@ def _nonexpansive(system: System, constant: bool | None) -> bool | None:
 def largest_kept(system: System) -> float | None:
     """Largest V between two states of rest in which only the springs and guides act, J.
 
-    Loads differ by up to twice their bounds: ``1/2 dl' W_T' K^-1 W_T dl`` is convex, so largest
-    at a corner. None where guides hold what no spring does, or there are too many to try.
+    Loads differ by up to twice their bounds. ``1/2 dl' W_T' K^-1 W_T dl`` is convex, so its
+    largest value is at a corner of the loads. Returns None if a guide holds a body that no spring
+    holds, or if the model has more than 12 guides.
     """
     k, W = len(system.guides), system.W_T
     pulled, rank = linalg.lstsq(system.K, W)[0], np.abs(system.K).max() or 1.0
@@ -155,7 +163,7 @@ class _Spectrum:
 
     def __init__(self, system: System) -> None:
         self._system = system
-        modes = UndampedModes.of(system)
+        modes = UndampedModes.of_system(system)
         self._shapes = np.hstack([modes.rigid, modes.elastic])
         self.rigid: Matrix = modes.rigid
         self._r = modes.rigid.shape[1]
@@ -186,20 +194,20 @@ class _Spectrum:
         """
         forcing = self._system.forcing
         forces = self._shapes.T @ (forcing.cosine - 1j * forcing.sine).T
-        found = set()
+        resonances = set()
         for i in np.flatnonzero((self.values.real == 0) & (self.values.imag > 0)):
             frequency = float(self.values[i].imag)
             for k in np.flatnonzero(abs(forcing.frequency - frequency) <= _RESONANCE * frequency):
                 along = abs(self._speeds[:, i].conj() @ forces[:, k])
                 if along > _UNSEEN * np.linalg.norm(forces[:, k]):
-                    found.add((int(k), float(forcing.frequency[k])))
-        return tuple(sorted(found))
+                    resonances.add((int(k), float(forcing.frequency[k])))
+        return tuple(sorted(resonances))
 
     def unseen(self, lengths: Vector) -> tuple[UnseenMotion, ...]:
         """The Popov-Belevitch-Hautus test, with gaps and contact speeds as outputs."""
         seen = self._shapes.T @ self._system.W / lengths
         rigid = _readable(self.rigid @ _null(seen[: self._r].T))
-        found = [UnseenMotion(0.0, shape) for shape in rigid.T]
+        motions = [UnseenMotion(0.0, shape) for shape in rigid.T]
         scale = float(np.max(np.abs(self.values)))
         at = np.flatnonzero((self.values.imag >= 0) & (self.values != 0))
         values = self.values[at]
@@ -210,8 +218,8 @@ class _Spectrum:
             speeds = speeds[:, size > _SAME_SHAPE * size[0]]
             value = complex(np.mean(self.values[members]))
             hidden = _readable(self._shapes @ speeds @ _null(seen.T @ speeds))
-            found.extend(UnseenMotion(value, shape) for shape in hidden.T)
-        return tuple(sorted(found, key=lambda each: abs(each.eigenvalue)))
+            motions.extend(UnseenMotion(value, shape) for shape in hidden.T)
+        return tuple(sorted(motions, key=lambda each: abs(each.eigenvalue)))
 
 
 def _null(seen: Basis) -> Basis:

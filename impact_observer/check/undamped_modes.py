@@ -17,8 +17,8 @@ class UndampedModes(NamedTuple):
     """Modes of ``K`` and ``M``, orthonormal in ``M``.
 
     Attributes:
-        squares: squared frequencies of the elastic ones, ascending, rad^2/s^2.
-        elastic: their shapes, a column each.
+        squares: squared frequencies of the elastic modes, ascending, rad^2/s^2.
+        elastic: shapes of the elastic modes, a column each.
         rigid: shapes of the rigid-body modes, a column each, shape (n, r).
     """
 
@@ -27,12 +27,12 @@ class UndampedModes(NamedTuple):
     rigid: Matrix
 
     @classmethod
-    def of(cls, system: System) -> "UndampedModes":
-        """Those of ``system``."""
+    def of_system(cls, system: System) -> "UndampedModes":
+        """The modes of ``system``."""
         squares, shapes = linalg.eigh(system.K, system.M)
         r = int(np.sum(squares <= _RIGID * max(float(squares[-1]), 0.0)))
         return cls(squares[r:], shapes[:, r:], shapes[:, :r])
 
     def gap_acceleration(self, system: System) -> Vector:
-        """By constant loads in rigid-body motion, shape (m,), m/s^2; positive where one opens."""
+        """Acceleration of the gaps by constant loads in rigid-body motion, shape (m,), m/s^2."""
         return np.asarray(system.W.T @ self.rigid @ (self.rigid.T @ system.forcing.constant))

@@ -141,9 +141,9 @@ def _warn_of_unknown_contacts(
     for bag, result in results:
         own = result.system.contact_names
         for name in [each for each in result.impacts if each not in own][:_MOST_LINES]:
-            found = f"{bag}: {counted(result.impacts[name].size, 'impact')} of {name}, a contact"
-            found += f" that the model {result.system.name} does not have"
-            say(f"warning: {found}; expected one of {listed(own, joint=' or ')}", file=lines)
+            impacts = f"{bag}: {counted(result.impacts[name].size, 'impact')} of {name}, a contact"
+            impacts += f" that the model {result.system.name} does not have"
+            say(f"warning: {impacts}; expected one of {listed(own, joint=' or ')}", file=lines)
 
 
 def _compare_one(

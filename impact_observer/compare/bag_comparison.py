@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparing estimates in a bag with the truth, and those of observers that are run on the bag."""
+"""Comparison of estimates with the truth in a bag: recorded ones, and those of observers run."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,10 +36,10 @@ class BagComparison:
     Attributes:
         system: the system that plant and observers share.
         comparisons: recorded estimates by their observer's topic prefix, such as
-            ``/observer_geometric``, or by the topic that was named; those of observers that were
-            run on the bag by the law's name.
+            ``/observer_geometric``, or by the named topic; estimates of observers that were run
+            on the bag by the law's name.
         impacts: stamps of the impacts (ns), by contact.
-        epoch: stamp of ``t = 0``, ns; the first true stamp where no event says it.
+        epoch: stamp of ``t = 0``, ns; the first true stamp if no event has an epoch.
     """
 
     system: System
@@ -65,14 +65,14 @@ def compare_bag(
         reader: the bag.
         system: gives M and K for V.
         observers: to run on the bag, one a law; they have received nothing yet.
-        truth: the topic of the plant's true states; None for the only one there is.
+        truth: the topic of the plant's true states; None for the only one in the bag.
         estimates: observers' prefixes, or topics of states; None for every observer.
         settled: V over V at the start below which an estimate has settled.
         since: seconds after the epoch; samples before it are left out. None for all.
-        progress: receives what is being done, how much of it is done, and how much there is.
+        progress: receives the name of the work, the amount done, and the whole amount.
 
     Raises:
-        UsageError: a topic that is named is not in the bag.
+        UsageError: a named topic is not in the bag.
         BagError: the bag has no truth, no estimate, or no stamp that both have, or an observer
             could not apply any of its events.
         ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
@@ -122,7 +122,7 @@ def compare_bag(
 
 
 def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Comparison]:
-    """All estimates by a unique label: the law, with observer and bag where that is not enough.
+    """All estimates by a unique label: the law, with observer and bag if the law is ambiguous.
 
     An observer that was run on the bag, and not recorded in it, has no prefix.
     """
@@ -181,11 +181,11 @@ def states_of_topics(
 def _truth_topic(reader: BagReader, named: str | None) -> str:
     if named is not None:
         return named_topic(reader, named)
-    if (found := reader.truth_topic()) is None:
+    if (topic := reader.truth_topic()) is None:
         raise UnfitBagError(
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
-    return found
+    return topic
 
 
 def _samples(block: JointStates) -> Samples:

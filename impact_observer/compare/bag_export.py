@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states, errors or events of a bag as rows of a table, block by block.
 
-Everywhere ``epoch`` is the stamp of ``t = 0``, ns; None for that of the events, else the first
-stamp. ``topics`` are topics of states, or observers' prefixes; None for all.
+In all functions ``epoch`` is the stamp of ``t = 0``, ns; None for the epoch of the events, else
+the first stamp. ``topics`` are topics of states, or observers' prefixes; None for all.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -24,7 +24,7 @@ from impact_observer.io.topic_names import first_block, first_stamp, named_state
 from impact_observer.model import System
 
 DEVIATIONS = ("deviation_q", "deviation_u")
-"""What the columns of standard deviations begin with, of coordinates and of velocities."""
+"""Prefixes of the columns of standard deviations, of coordinates and of velocities."""
 Progress: TypeAlias = Callable[[int, int], None]
 """Receives the number of messages read, and of all."""
 
@@ -34,8 +34,7 @@ def state_rows(
 ) -> Iterator[TableBlock]:
     """The true states and the estimates, in the order of the bag.
 
-    Where an observer has a covariance there are columns of standard deviations too; NaN in rows
-    without one.
+    If an observer has a covariance, the rows have standard deviations too; NaN without one.
 
     Raises:
         UsageError: a topic is not in the bag.
@@ -144,7 +143,7 @@ def _deviations(block: JointStates) -> NDArray[np.float64]:
 
 
 def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
-    """Topics of states: those named, else the truth and those of every observer."""
+    """Topics of states: the named ones, else the truth and the states of every observer."""
     if named is not None:
         return [*dict.fromkeys(named_states(reader, name) for name in named)]
     truth = reader.truth_topic()

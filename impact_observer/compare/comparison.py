@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates against the truth, where the two sides of an impact are never mixed.
+"""Estimates against the truth; the two sides of an impact are never mixed.
 
 A true sample at the stamp of an impact holds after the impact, and so does an estimate that has
-used the event. Two kinds of samples say nothing about the observer, since their distance is the
-size of a jump. They are counted, and left out of all other metrics: a live estimate that was
-published before its event arrived is *late*; a sample where the truth has jumped and the estimate
-has not, or the other way round, is a *mismatch*.
+used the event. Two kinds of samples show the size of a jump and not the error of the observer.
+Both are counted, and left out of all other metrics: a live estimate that was published before its
+event arrived is *late*; a sample between the jumps of truth and estimate is a *mismatch*.
 """
 
 from bisect import bisect_left, bisect_right
@@ -44,7 +43,7 @@ _FLOOR = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """One law's estimate against the truth; ``compare.metrics`` has what is printed of it.
+    """One law's estimate against the truth; ``compare.metrics`` has the printed metrics.
 
     Attributes:
         system: the system, whose energy is V.
@@ -82,7 +81,7 @@ class Comparison:
 
     @property
     def ratio(self) -> float | None:
-        """``V`` at the end over ``V`` at the start; None where they start equal."""
+        """``V`` at the end over ``V`` at the start; None if plant and estimate start equal."""
         return float(self.V[-1] / self.V[0]) if self.V[0] > 0 else None
 
     @property
@@ -98,14 +97,14 @@ class Comparison:
 
     @property
     def rate_per_second(self) -> float | None:
-        """Fall of ``ln V`` in a second until V is near its end; None where V does not fall."""
+        """Fall of ``ln V`` in a second until V is near its end; None if V does not fall."""
         fall, until = self._fall()
         seconds = seconds_between(int(self.stamps[0]), until)
         return fall / seconds if fall > 0 and seconds > 0 else None
 
     @property
     def rate_per_impact(self) -> float | None:
-        """Fall of ``ln V`` per used impact until V is near its end; None where V does not fall."""
+        """Fall of ``ln V`` per used impact until V is near its end; None if V does not fall."""
         fall, until = self._fall()
         impacts = self.outcomes.until(until) - self.outcomes.until(int(self.stamps[0]))
         return fall / impacts if fall > 0 and impacts else None
@@ -119,7 +118,7 @@ class Comparison:
 
 
 def is_near_end(V: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Where V, samples first, is near its last value; zero has no logarithm and is not."""
+    """Whether V at each sample is near its last value; a V of zero, without logarithm, is not."""
     return np.asarray((V > 0) & (_FLOOR * V[-1] >= V))
 
 
@@ -309,7 +308,7 @@ def compare_observer(
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:
     """Stamps of the impacts (ns), by contact.
 
-    A closing is an impact too; an impact that a closing at the same stamp supersedes is not.
+    A closing is an impact too. An impact with a closing at the same stamp is not counted.
     """
     by_contact: dict[str, list[int]] = {}
     for stamp, contact, _ in impacts_of(events):

@@ -25,7 +25,7 @@ _FONT, _PAPER_FONT = 10.0, 7.5
 _ROOM, _PAPER_ROOM = 108, 54
 """Letters of a legend side by side above the axes."""
 _HANDLE = 11
-"""Letters that the line before a legend's label takes, with the space around it."""
+"""Width of the line before a legend's label with its margins, in letters."""
 
 
 def distance_picture(
@@ -65,7 +65,7 @@ def _by_bag(
 def _impacts(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Stamps]:
     """Stamps of impacts since the epoch, by contact; also by bag where the bags' runs differ.
 
-    Empty where there would be too many rows to distinguish.
+    Empty if the rows are too many to distinguish.
     """
     runs = [
         {contact: stamps - result.epoch for contact, stamps in result.impacts.items()}
@@ -177,7 +177,7 @@ def _legend_style(labels: Sequence[str], room: int) -> Style:
 
 
 def _shortened(label: str, most: int) -> str:
-    """``label`` with dots for its middle where it has more than ``most`` letters."""
+    """``label`` with dots for its middle if the label has more than ``most`` letters."""
     kept = (most - 1) // 2
     return label if len(label) <= most else f"{label[:kept]}…{label[-kept:]}"
 

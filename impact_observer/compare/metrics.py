@@ -15,7 +15,7 @@ from impact_observer.events import Ruling
 DISTANCE = "Estimates of {names}; settled: V < {settled:g} V0; rates: fall of ln V"
 IMPACTS = "Impacts; samples left out: late, or between the jumps of truth and estimate"
 ERRORS = "Errors, estimate minus truth, SI units"
-"""Titles of the printed tables. A table of errors has a row a state, the others a row a law."""
+"""Titles of the printed tables. The table of errors has a row a state, the others a row a law."""
 
 
 class Metric(NamedTuple):
@@ -23,12 +23,12 @@ class Metric(NamedTuple):
 
     Attributes:
         key: its name in JSON and CSV.
-        value: computes it: a word, a number, a list with a number a state, or None where the
-            metric has no meaning.
-        table: title of the table in which it is printed; empty for none.
+        value: computes the metric: a word, a number, a list with a number a state, or None
+            without a meaning.
+        table: title of the printed table that has the metric; empty for none.
         heading: of its column.
         cell: makes the text of one number.
-        optional: whether its column is left out where no comparison has a value.
+        optional: whether the column is left out if no comparison has a value.
     """
 
     key: str
@@ -39,7 +39,7 @@ class Metric(NamedTuple):
     optional: bool = False
 
     def is_shown(self, comparisons: Iterable[Comparison]) -> bool:
-        """Whether the printed table of some ``comparisons`` has its column."""
+        """Whether the printed table of some ``comparisons`` has a column for the metric."""
         return not self.optional or any(self.value(each) is not None for each in comparisons)
 
 

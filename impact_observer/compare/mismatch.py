@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples between the jumps of truth and estimate, where one has jumped and the other has not.
+"""Samples between the jumps of truth and estimate: one has jumped and the other has not.
 
 A stamp that is off by a millisecond makes the estimate jump a millisecond before or after the
-truth. In between they differ by the whole jump, which says nothing about the estimate before or
-after: the *peaking* of Biemond, van de Wouw, Heemels and Nijmeijer, Tracking control for hybrid
-systems with state-triggered jumps, IEEE Transactions on Automatic Control, 2013.
+truth. In between, truth and estimate differ by the whole jump, whatever the error of the
+estimate before and after. This is the *peaking* of Biemond, van de Wouw, Heemels and Nijmeijer,
+Tracking control for hybrid systems with state-triggered jumps, IEEE Transactions on Automatic
+Control, 2013.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ declared, less than the usual time between two impacts of a contact."""
 _LEAST = 0.05
 """Smallest step of the true contact speed that is a jump, over the largest speed around it."""
 _ALIKE = 0.5
-"""Smallest jump that counts beside another one, over that one."""
+"""Ratio of a jump to another one beside it below which the smaller jump does not count."""
 
 
 @dataclass(slots=True)
@@ -31,7 +32,7 @@ class Mismatch:
 
     Attributes:
         windows: impacts with such samples.
-        samples: their number; they are left out of all other metrics.
+        samples: samples in all windows; they are left out of all other metrics.
         longest: the longest window, s.
         V: the largest distance in a window, J.
     """
@@ -54,15 +55,15 @@ def windows(
     Args:
         stamps: of the samples, ns, ascending, shape (samples,).
         truth: the true contact speed, gamma = w^T u, shape (samples,), m/s.
-        estimates: estimated ones, shape (..., samples), m/s.
-        impact: stamp of the impact at which the estimate jumps, ns; where to look, ``REACH`` to
+        estimates: estimated contact speeds, shape (..., samples), m/s.
+        impact: stamp of the impact at which the estimate jumps, ns; jumps are sought ``REACH`` to
             both sides.
-        others: stamps of the contact's other impacts, ns. A jump that is nearer to one of them
-            belongs to that impact.
+        others: stamps of the contact's other impacts, ns. A jump nearer to another impact belongs
+            to the other impact.
 
     Returns:
-        Stamps of the first sample between them and of the first one after both, ns, shape (...)
-        each; equal where there is no sample between the jumps, or the truth has no jump.
+        Stamps of the first sample between the jumps and of the first sample after both, ns, shape
+        (...) each; equal if no sample is between the jumps, or the truth has no jump.
     """
     nothing = np.full(estimates.shape[:-1], impact), np.full(estimates.shape[:-1], impact)
     low, high = np.searchsorted(stamps, [impact - REACH, impact + REACH + 1])
@@ -74,7 +75,7 @@ def windows(
     for other in others:
         of_this_impact &= np.abs(near - impact) <= np.abs(near - other)
     jumps = _jumps(near, truth[low:high])
-    # Coarse samples show curvature as small steps: they are no jumps beside the largest one.
+    # Coarse samples show curvature as small steps; beside the largest jump these are no jumps.
     largest = float(np.max(jumps, where=of_this_impact, initial=0.0))
     least = max(_LEAST * float(np.max(np.abs(truth[low:high]))), _ALIKE * largest)
     of_truth = int(_nearest(jumps, least, here))
@@ -83,13 +84,13 @@ def windows(
     # An estimate that is wrong may jump by any amount at the stamp. Elsewhere only a jump like
     # that of the truth counts: a law that predicts the impact may jump before its stamp.
     least = _ALIKE * float(jumps[of_truth])
-    found = _nearest(_jumps(near, estimates[..., low:high]), least, here)
-    of_estimates = np.where((found >= 0) & of_this_impact[found], found, here)
+    jump = _nearest(_jumps(near, estimates[..., low:high]), least, here)
+    of_estimates = np.where((jump >= 0) & of_this_impact[jump], jump, here)
     return near[np.minimum(of_truth, of_estimates)], near[np.maximum(of_truth, of_estimates)]
 
 
 def _jumps(stamps: Stamps, speed: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much a contact speed, shape (..., samples), rises beyond what its slope explains.
+    """Rise of a contact speed, shape (..., samples), beyond the rise that its slope explains.
 
     The slope over a jump explains nothing, so a rise that follows a fall is set to zero.
     """
@@ -105,5 +106,5 @@ def _nearest(jumps: NDArray[np.float64], least: float, here: int) -> NDArray[np.
     """The sample nearest to ``here`` with a jump of more than ``least``; -1 for none."""
     far = jumps.shape[-1]
     away = np.where(jumps > least, np.abs(np.arange(far) - here), far)
-    found = away.argmin(axis=-1)
-    return np.where(away.min(axis=-1) < far, found, -1)
+    nearest = away.argmin(axis=-1)
+    return np.where(away.min(axis=-1) < far, nearest, -1)

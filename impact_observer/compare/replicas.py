@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All replicas of one observer against the truth at once: runs that differ in their start only.
+"""Comparison of all replicas of one observer at once: runs that differ only in their start.
 
-The metrics are those of ``comparison`` for each replica alone, but for rounding.
+The metrics of each replica are those of ``compare_states``, but for rounding.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,9 +28,9 @@ from impact_observer.stamps import text
 from impact_observer.states import Matrix, Stamps
 
 _MOST = 2**22
-"""Numbers in the errors of all replicas that are made together."""
+"""Most numbers in the errors of all replicas that are made together."""
 _AT_ONCE = 2**12
-"""States that are made together: they stay in the processor's cache."""
+"""States that are made together, so that they stay in the processor's cache."""
 
 
 class _ReplicaErrors(NamedTuple):
@@ -62,14 +62,14 @@ def compare_replicas(
 ) -> Iterator[Comparison]:
     """Run an observer over events, and compare each of its replicas with the truth.
 
-    What is found has V, but no errors of single states.
+    Each comparison has V, but NaN for the errors of single states.
 
     Args:
         observer: has received nothing yet.
         events: in order of episode, stamp and sequence.
-        stamps: where to compare, ns, ascending, shape (samples,).
-        truth: states of the plant there, shape (samples, 2n).
-        system: of the plant, whose energy V is.
+        stamps: of the samples, ns, ascending, shape (samples,).
+        truth: states of the plant at the samples, shape (samples, 2n).
+        system: the plant, whose energy is V.
         settled: V over V at the start below which an estimate has settled.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page of HTML on a comparison: metrics and pictures in one file that needs no network."""
+"""The report of a comparison: metrics and pictures in one HTML file that needs no network."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -24,7 +24,7 @@ class TableBlock(NamedTuple):
     """Rows of a table; all blocks of one table have the same columns.
 
     Attributes:
-        topic: that they are from.
+        topic: the topic of the rows.
         epoch: stamp of ``t = 0``, ns.
         stamps: ns, shape (rows,).
         words: columns of words, one a row.
@@ -39,11 +39,11 @@ class TableBlock(NamedTuple):
 
 
 def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
-    """Write a file that replaces the one at ``path`` when all rows are written, and not before.
+    """Write a table; an existing file is replaced when all rows are written, and not before.
 
     Args:
-        path: its ending says the format.
-        blocks: of the table, at least one.
+        path: the file; ``.csv`` or ``.parquet``.
+        blocks: the rows, at least one block.
 
     Returns:
         Number of rows by topic.
@@ -86,7 +86,7 @@ def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
 
 
 def _write_csv(path: Path, blocks: Iterable[TableBlock]) -> None:
-    """Numbers are written so that they are read back bit by bit."""
+    """Write CSV; numbers are read back bit by bit."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         for block in blocks:
@@ -106,7 +106,7 @@ def _cells(column: NDArray[np.float64] | NDArray[np.int64]) -> list[float | str]
 
 
 def _write_parquet(path: Path, blocks: Iterable[TableBlock]) -> None:
-    """Each block becomes a row group."""
+    """Write Parquet; each block becomes a row group."""
     import pyarrow.parquet as pq
 
     tables = map(_arrow_table, blocks)

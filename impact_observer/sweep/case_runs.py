@@ -38,7 +38,7 @@ class Outcome:
         V_start: V at the start, J.
         V_end: V at the end, J.
         V_ratio: V at the end over V at the start; None if plant and estimate start equal.
-        V_largest_rise: of V from one sample to the next, over V at the start.
+        V_largest_rise: largest rise of V from one sample to the next, over V at the start.
         rate_per_second: decrease of ln V in a second; None if it did not decrease.
         rate_per_impact: decrease of ln V for each impact used; None if it did not decrease.
         events: reported by the sensor.
@@ -69,9 +69,9 @@ _SHOWN = tuple(each for each in METRICS if each.key in _NAMES)
 
 
 def run_case(case: Case) -> Outcome:
-    """The outcome of a case, which depends on nothing else.
+    """The outcome of a case, which depends on the case alone.
 
-    A case that fails has an outcome with the error, and the sweep goes on.
+    A case that fails gives an outcome with the error, and the sweep goes on.
     """
     try:
         return _outcome(case)
@@ -83,9 +83,10 @@ def run_case(case: Case) -> Outcome:
 
 
 def run_batch(cases: Sequence[Case]) -> list[Outcome]:
-    """The outcomes of one of ``Sweep.batches``: one observer runs all of its starts at once.
+    """The outcomes of one of ``Sweep.batches``: one observer runs all starts at once.
 
-    They are those of ``run_case`` but for rounding. Where a start fails, each runs by itself.
+    The outcomes are those of ``run_case`` but for rounding. If a start fails, each case runs by
+    itself.
     """
     if len(cases) > 1:
         try:
@@ -96,7 +97,7 @@ def run_batch(cases: Sequence[Case]) -> list[Outcome]:
 
 
 def _outcome(case: Case) -> Outcome:
-    """The metrics; V is computed with the energy of the plant, also for another model."""
+    """The outcome of one case; V is the energy of the plant, also for another model."""
     run, system, events = _sensed(case)
     measurements, samples = case.measurements, list[SensorSample]()
     if measurements:
@@ -115,7 +116,7 @@ def _outcome(case: Case) -> Outcome:
 
 
 def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
-    """The same for cases with equal events."""
+    """The outcomes of cases with equal events."""
     first = cases[0]
     run, system, events = _sensed(first)
     model = parsed(first.variant.text).system
@@ -133,7 +134,7 @@ def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
 
 
 def _sensed(case: Case) -> tuple[Run, System, list[ImpactEvent]]:
-    """The plant's run, the plant, and what its sensor reports."""
+    """The plant's run, the plant, and the events that its sensor reports."""
     run, system = plant_run(case.plant), parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs cases: in processes of this machine by joblib, or on a Dask cluster."""
+"""Engines that run cases: processes of this machine by joblib, or a Dask cluster."""
 
 import logging
 import os
@@ -74,7 +74,7 @@ def _on_machine(batches: "Batches", jobs: int | None) -> "Generator[Outcome, Non
 
 
 def _run_for(parent: int, batch: "tuple[Case, ...]") -> "list[Outcome]":
-    """The outcomes of a batch, in a process that ends with the one that wants them."""
+    """The outcomes of a batch, in a process that ends with its parent."""
     end_with_parent(parent)
     from impact_observer.sweep.case_runs import run_batch
 
@@ -83,14 +83,14 @@ def _run_for(parent: int, batch: "tuple[Case, ...]") -> "list[Outcome]":
 
 @contextmanager
 def _unused_results_dropped() -> "Iterator[None]":
-    """Without the warning of joblib that an interrupted sweep does not use some results."""
+    """Suppress the warning of joblib on unused results of an interrupted sweep."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*successfully executed.*but not used")
         yield
 
 
 def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None, None]":
-    """Run cases by the workers of a Dask cluster, including those that join later."""
+    """Run cases by the workers of a Dask cluster, including workers that join later."""
     try:
         from distributed import as_completed
     except ImportError as error:
@@ -167,7 +167,7 @@ def _check_workers(client: "Client", scheduler: str) -> None:
 
 
 def _installed() -> str:
-    """Version of the package on the worker that calls this."""
-    from impact_observer import __version__ as found
+    """Version of the package on this worker."""
+    from impact_observer import __version__ as version
 
-    return found
+    return version

@@ -33,7 +33,7 @@ class ModelVariant:
 
     Attributes:
         text: a model file in matrix form, without an initial state.
-        parameters: those that are swept.
+        parameters: the swept parameters.
     """
 
     text: str
@@ -41,7 +41,7 @@ class ModelVariant:
 
 
 def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[ModelVariant, ...]:
-    """A variant for every combination of the values in ``off``; the true model if it is empty.
+    """A variant for every combination of the values in ``off``; the true model without values.
 
     Args:
         model: of the plant.
@@ -49,7 +49,7 @@ def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Mo
             without a point sets all parameters of its kind.
 
     Raises:
-        UsageError: a name that this model has not, or a value that the parameter cannot have.
+        UsageError: the model has no such parameter, or the parameter cannot have the value.
         ModelError: the values make no valid model.
     """
     if not off:
@@ -67,7 +67,7 @@ def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Mo
                 raise UsageError(
                     f"off: {each.name} {value:g} found; expected {each.low:g} to {each.high:g}"
                 )
-    found = []
+    variants = []
     for values in product(*off.values()):
         chosen = dict(zip(off, map(float, values), strict=True))
         try:
@@ -76,5 +76,5 @@ def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Mo
             values_set = ", ".join(f"{name} {value:g}" for name, value in chosen.items())
             raise ModelError("", f"off: {values_set}: {error}") from None
         swept = (ParameterValue(name, value, units[name]) for name, value in chosen.items())
-        found.append(ModelVariant(Model(system).text(), tuple(swept)))
-    return tuple(found)
+        variants.append(ModelVariant(Model(system).text(), tuple(swept)))
+    return tuple(variants)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcomes of a sweep in one Parquet file, and the runs that are missing in it.
+"""The outcomes of a sweep in one Parquet file, and the runs that the file lacks.
 
-There is one row a case, in order of their numbers: the labels of the case, then its metrics. The
-metadata describe the sweep. The file is written beside the old one and then replaces it, so it
-is always complete. Equal outcomes make equal files.
+Each case has a row, in order of the numbers of the cases: labels, then metrics. The metadata
+describe the sweep. A new file is written beside the old one and then replaces the old one, so the
+file is always complete. Equal outcomes make equal files.
 """
 
 import json
@@ -39,7 +39,7 @@ def read_outcomes(path: Path, sweep: Sweep) -> dict[int, Outcome]:
     """The outcomes in a file, by the numbers of their cases; empty without a file.
 
     Raises:
-        UsageError: the file is not of ``sweep``, and must not be replaced.
+        UsageError: the file belongs to another sweep, or is no sweep; the file stays.
     """
     if not path.exists():
         return {}
@@ -48,10 +48,10 @@ def read_outcomes(path: Path, sweep: Sweep) -> dict[int, Outcome]:
     except (pa.ArrowException, OSError) as error:
         line = " ".join(str(error).split())
         raise UsageError(f"{path}: exists and is no sweep ({line}); name another file") from None
-    found = (table.schema.metadata or {}).get(_KEY)
-    if found is None:
+    description = (table.schema.metadata or {}).get(_KEY)
+    if description is None:
         raise UsageError(f"{path}: exists and is no sweep; name another file")
-    _check_same(path, json.loads(found), sweep.description())
+    _check_same(path, json.loads(description), sweep.description())
     names = [field.name for field in fields(Outcome)]
     return {row["case"]: Outcome(**row) for row in table.select(names).to_pylist()}
 
@@ -60,13 +60,13 @@ def write_outcomes(path: Path, sweep: Sweep, outcomes: Mapping[int, Outcome]) ->
     """Replace the file by one with all of ``outcomes``.
 
     Raises:
-        SweepError: it cannot be written.
+        SweepError: the file cannot be written.
     """
     cases = [case for case in sweep.cases() if case.number in outcomes]
     labels = [case.labels for case in cases]
-    found = [outcomes[case.number] for case in cases]
+    present = [outcomes[case.number] for case in cases]
     columns = {name: [each[name] for each in labels] for name in labels[0]}
-    columns |= {each.name: [getattr(o, each.name) for o in found] for each in fields(Outcome)}
+    columns |= {each.name: [getattr(o, each.name) for o in present] for each in fields(Outcome)}
     part = path.with_name(f".{path.name}.part")
     try:
         pq.write_table(pa.table(columns, _schema(sweep)), part, compression="zstd")
@@ -87,10 +87,10 @@ def _schema(sweep: Sweep) -> pa.Schema:
     return pa.schema([(name, _TYPES[kind]) for name, kind in columns.items()], metadata=metadata)
 
 
-def _check_same(path: Path, found: Mapping[str, object], wanted: Mapping[str, object]) -> None:
+def _check_same(path: Path, recorded: Mapping[str, object], wanted: Mapping[str, object]) -> None:
     """Raise unless both descriptions are of the same sweep."""
-    for key in {**wanted, **found}:
-        if (one := found.get(key)) != (other := wanted.get(key)):
+    for key in {**wanted, **recorded}:
+        if (one := recorded.get(key)) != (other := wanted.get(key)):
             difference = f"{key} is {one} there and {other} here"
             if max(len(str(one)), len(str(other))) > _LONGEST:
                 difference = f"its {key} is another"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A sweep and its cases.
 
-Both are immutable values that can be pickled. A case has all that its outcome depends on, and its
-random numbers come from its own seed, so order and place of the runs do not matter. Cases of the
-same run share the seed: laws, sensors and models are compared on equal initial states and equal
-random numbers of the sensor.
+Both are immutable values that can be pickled. A case has everything that its outcome depends
+on, and its random numbers come from its own seed, so order and place of the runs do not matter.
+Cases of the same run share the seed: laws, sensors and models are compared on equal initial
+states and equal random numbers of the sensor.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -34,13 +34,13 @@ from impact_observer.sweep.model_variants import ModelVariant
 BATCH = 512
 """Most cases that are computed at once."""
 _FEW = 8
-"""The same where contacts stay closed: each replica then moves by itself, which takes longer."""
+"""Most cases at once if contacts stay closed: each replica then moves by itself, at more cost."""
 _SAMPLES = 2**22
-"""Most samples of all of these."""
+"""Most samples of all cases that are computed at once."""
 MOST_CASES = 10_000_000
 """The largest sweep: its outcomes are kept in memory."""
 FORMAT = 1
-"""Version of the description; a file of another one is of another sweep."""
+"""Version of the description; a file with another version is of another sweep."""
 RANDOM = "random"
 """The initial state ``random:SEED`` with the seed of the run."""
 Label = str | int | float | bool
@@ -67,7 +67,7 @@ class PlantSetup:
 
     @property
     def stamps(self) -> Stamps:
-        """Those of the samples, ns."""
+        """Stamps of the samples, ns."""
         return grid(self.epoch, self.epoch + from_seconds(self.duration), self.rate)
 
 
@@ -76,7 +76,7 @@ def parsed(text: str) -> Model:
     """The model in a text, which many cases share.
 
     Raises:
-        ModelError: it is invalid.
+        ModelError: the model is invalid.
     """
     return parse_model(text, "model")
 
@@ -95,17 +95,17 @@ def plant_run(plant: PlantSetup) -> Run:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One run of plant, sensor and observer, with all that it depends on.
+    """One run of plant, sensor and observer, with everything that the run depends on.
 
     Attributes:
         number: its place in the sweep.
-        run: which of the seeds, from 0.
-        seed: of everything random in it.
-        plant: its run.
+        run: number of the seed, from 0.
+        seed: of everything random in the run.
+        plant: the run of the plant.
         sensor: the sensor with its faults.
         variant: the model of the observer.
-        observer: its options, but for the initial state.
-        initial_state: of the observer, as users write it.
+        observer: options of the observer without the initial state.
+        initial_state: initial state of the observer, as users write it.
         settled: V over V at the start below which an estimate has settled.
         measurements: of sensors beside the impacts, at the stamps of the plant's run.
     """
@@ -123,12 +123,12 @@ class Case:
 
     @property
     def options(self) -> Options:
-        """Of the observer."""
+        """Options of the observer with the initial state."""
         return replace(self.observer, initial_state=self.initial_state)
 
     @property
     def labels(self) -> dict[str, Label]:
-        """All that differs between cases of a sweep; the names are the same for all cases."""
+        """The values that differ between cases of a sweep; all cases have the same names."""
         return {
             "case": self.number,
             "law": self.observer.law,
@@ -141,7 +141,7 @@ class Case:
 
 @lru_cache
 def _labels(sensor: SensorModel, variant: ModelVariant) -> dict[str, Label]:
-    """The labels that all runs share."""
+    """The labels of a sensor and a model, which all runs share."""
     values = {field.name: getattr(sensor, field.name) for field in fields(SensorModel)}
     return {
         **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in values.items()},
@@ -154,7 +154,7 @@ class Sweep:
     """Every combination of law, sensor and model, each with several seeds.
 
     Attributes:
-        plant: its run, the same in all cases.
+        plant: the run of the plant, the same in all cases.
         laws: names of the observers' laws.
         sensors: the sensors with their faults.
         variants: the models of the observers.
@@ -176,7 +176,7 @@ class Sweep:
     measurements: tuple[Measurement, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check what all cases have in common.
+        """Check the values that all cases have in common.
 
         Raises:
             UsageError, ModelError: a law, a sensor, an option, a model that cannot be used.
@@ -272,7 +272,7 @@ class Sweep:
         return f"{words} [{units[name]}]" if units[name] else words
 
     def description(self) -> dict[str, object]:
-        """All that the outcomes depend on, as JSON can hold it."""
+        """Everything that the outcomes depend on, as values for JSON."""
         left_out = {"law", "ensemble", "epoch"}  # set by each case
         options = {
             name: list(value) if isinstance(value, tuple) else value
@@ -305,9 +305,9 @@ class Sweep:
 
 
 def _differ_in_start(case: Case) -> bool:
-    """Whether other runs of a case differ from it only in their start, and move as it does.
+    """Whether the runs of a case differ only in their start, so that they can move together.
 
-    Hits that last do not let them: each has its own state from onset to jump.
+    Runs with hits that last cannot: each run has its own state from onset to jump.
     """
     law = law_named(case.observer.law)
     together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase

@@ -15,7 +15,7 @@ from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
 _NEVER = 1e300
-"""Stands for infinity where numpy computes quartiles: infinities have no difference."""
+"""Stands for infinity in the quartiles of numpy: infinities have no difference."""
 
 
 class Quartiles(NamedTuple):
@@ -38,9 +38,9 @@ class CaseGroup:
 
     Attributes:
         law: of the observers.
-        labels: values of what is swept besides, by name.
+        labels: values of the other swept quantities, by name.
         runs: number of outcomes.
-        failed: number of those without metrics, which do not count below.
+        failed: number of outcomes without metrics, which do not count below.
         not_settled: share of the runs with metrics that have not settled; None if there is none.
         settling_time: s; infinite for runs that never settle; None without values.
         V_ratio: V at the end over V at the start; None without values.
@@ -59,13 +59,13 @@ def groups_of(sweep: Sweep, outcomes: Iterable[Outcome]) -> list[CaseGroup]:
     """The outcomes in groups, in the order of the sweep."""
     by_number = {each.case: each for each in outcomes}
     present = (case for case in sweep.cases() if case.number in by_number)
-    names, found = [*sweep.swept], []
+    names, groups = [*sweep.swept], []
     for _, group in groupby(present, lambda case: case.number // sweep.runs):
         cases = [*group]
         labels = {name: cases[0].labels[name] for name in names}
         own = [by_number[case.number] for case in cases]
-        found.append(_group(cases[0].observer.law, labels, own))
-    return found
+        groups.append(_group(cases[0].observer.law, labels, own))
+    return groups
 
 
 def _group(law: str, labels: Mapping[str, Label], outcomes: Sequence[Outcome]) -> CaseGroup:
@@ -89,16 +89,16 @@ def quartiles(values: Sequence[float]) -> Quartiles | None:
     """
     if not values:
         return None
-    found = np.quantile(np.minimum(values, _NEVER), (0.25, 0.5, 0.75)).tolist()
-    return Quartiles(*(math.inf if value > _NEVER / 8 else value for value in found))
+    cuts = np.quantile(np.minimum(values, _NEVER), (0.25, 0.5, 0.75)).tolist()
+    return Quartiles(*(math.inf if value > _NEVER / 8 else value for value in cuts))
 
 
 def document(sweep: Sweep, groups: Sequence[CaseGroup], impacts: int) -> dict[str, object]:
-    """What ``--json`` prints: SI units, None for never and for no metric.
+    """The values of ``--json``: SI units, None for never and for no metric.
 
     Args:
-        sweep: what was run.
-        groups: its outcomes.
+        sweep: the sweep.
+        groups: the outcomes of the sweep.
         impacts: number of impacts of the plant.
     """
     return {
@@ -130,7 +130,7 @@ def _finite(values: Quartiles | None) -> dict[str, float | None] | None:
 
 
 def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
-    """Print a row for each law with each combination of what was swept."""
+    """Print a row for each law with each combination of swept values."""
     metrics = (
         "runs",
         "settling time [s]",

@@ -19,7 +19,7 @@ from impact_observer.sweep.summary import CaseGroup
 
 LAW = "law"
 MOST_PANELS = 6
-"""Most combinations of the quantities that are not on the horizontal axis."""
+"""Most combinations of the swept quantities that are not on the horizontal axis."""
 _WIDE = 20.0
 """Ratio of largest to least value from which the axis is logarithmic."""
 _SIZE, _PANEL = (3.0, 5.2), 3.6
@@ -33,8 +33,8 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
     """The label of the horizontal axis; ``LAW`` if nothing is swept.
 
     Args:
-        sweep: what was swept.
-        wanted: its name as users write it; None for the first that has several values.
+        sweep: the sweep.
+        wanted: name of the quantity as users write it; None for the first swept quantity.
 
     Raises:
         UsageError: there is no such label, or the others have too many values.
@@ -42,18 +42,18 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
     swept = sweep.swept
     names = {each.removeprefix(SENSOR).removeprefix(OFF).replace("_", "-"): each for each in swept}
     names[LAW] = LAW
-    found = next(iter(swept), LAW) if wanted is None else names.get(wanted.replace("_", "-"))
-    if found is None:
+    label = next(iter(swept), LAW) if wanted is None else names.get(wanted.replace("_", "-"))
+    if label is None:
         raise UsageError(
             f"--against {wanted}: has not several values; expected one of {', '.join(names)}"
         )
-    panels = math.prod(len(values) for label, values in swept.items() if label != found)
+    panels = math.prod(len(values) for name, values in swept.items() if name != label)
     if panels > MOST_PANELS:
         raise UsageError(
             f"--plot: {panels} combinations of what is not on the axis found; expected at most"
             f" {MOST_PANELS}: put another quantity there with --against, or sweep fewer"
         )
-    return found
+    return label
 
 
 def save_picture(
