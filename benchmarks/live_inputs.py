@@ -233,7 +233,7 @@ BENCHMARK = Benchmark(
     "live",
     "what do a thousand live inputs a second cost a node?",
     prepare,
-    (Goal(1.3, BARE, "sample"),),
+    (Goal(1.6, BARE, "sample"),),
     rounds=5,
 )
 
@@ -241,7 +241,7 @@ SENSOR = Benchmark(
     "sensor",
     "what do a thousand samples of an encoder a second cost a node?",
     prepare_sensor,
-    (Goal(1.3, BARE, "sample"),),
+    (Goal(1.6, BARE, "sample"),),
     rounds=5,
 )
 

@@ -7,7 +7,7 @@ from collections import Counter
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Remark, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
@@ -35,6 +35,7 @@ class ObserverDiagnostics:
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
+        failure: why there is no estimate; empty while there are estimates.
         mismatch: a publisher with an incompatible quality of service; empty for none.
         odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
@@ -46,7 +47,7 @@ class ObserverDiagnostics:
         """Report on the ``observer`` of the node with the full name ``node``."""
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
-        self.mismatch = self.behind = self.odd_epoch = ""
+        self.failure = self.mismatch = self.behind = self.odd_epoch = ""
         self.inputs: LiveIntake | None = None
         self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
@@ -153,7 +154,7 @@ class ObserverDiagnostics:
             return {}
         try:
             why = self._observer.obstacle(last.stamp)
-        except UsageError:  # by now the history begins after the estimate
+        except ImpactObserverError:  # the history begins later by now, or there is no motion
             return {}
         return {interfaces.NOT_SYNCHRONIZED: why} if why else {}
 
@@ -165,8 +166,8 @@ class ObserverDiagnostics:
 
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
         """Level and message of the worst fault."""
-        if self.mismatch:
-            return DiagnosticStatus.ERROR, self.mismatch
+        if fault := self.mismatch or self.failure:
+            return DiagnosticStatus.ERROR, fault
         if self._refused and not self._applied:
             return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
         new = self._new_faults()

@@ -35,7 +35,7 @@ from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.subscribing import subscribe
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, seconds_between
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
 _DISCOVERY_PERIOD = 0.1
@@ -205,8 +205,7 @@ class ObserverNode(BaseNode):
                 self._diagnostics.note_latency(latency)
             self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
         if self.observer.samples.sensors:  # samples that came while events were inserted
-            since = min((s.stamp for s in self.observer.samples.waiting), default=MAX_STAMP)
-            self._on_samples(since, self.observer.measure(()))
+            self._sensors.use_waiting()
 
     def _correct_from(self, stamp: int) -> None:
         """Publish the last estimate again if what is known has changed from ``stamp`` (ns) on."""
@@ -275,7 +274,13 @@ class ObserverNode(BaseNode):
 
     def _publish(self, stamp: int) -> None:
         """Publish the estimate at ``stamp`` (ns)."""
-        estimate, last = self.observer.estimate(stamp), self._last
+        try:
+            estimate, last = self.observer.estimate(stamp), self._last
+        except ImpactObserverError as error:
+            self._diagnostics.failure = f"no estimate: {error}"
+            self.lines.error(self._diagnostics.failure)
+            return
+        self._diagnostics.failure = ""
         self._last = estimate
         self.publish(self._states, self.make.estimate, estimate, self._names)
         joints = JointState(stamp, self._names, estimate.q, estimate.u)
@@ -356,7 +361,10 @@ class ObserverNode(BaseNode):
         if news := self._diagnostics.note_epoch():
             self.lines.warning(news)
         now = self.stamp_now()
-        self.observer.forget_silence(now)
+        try:
+            self.observer.forget_silence(now)
+        except ImpactObserverError as error:
+            self.lines.error(f"samples of inputs: {error}")
         return [self._diagnostics.status(now, self._last), *self._sensors.statuses(now)]
 
 

@@ -19,7 +19,7 @@ from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.statuses import diagnostic_status
 from impact_observer.ros.subscribing import subscribe
-from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
@@ -93,11 +93,18 @@ class SensorIntake:
         samples = [*self._no_longer_ahead()]
         for message in messages:
             samples += self._read(topic, message)
-        self._give(samples)
+        if samples:
+            self._give(samples)
 
     def take_what_was_ahead(self) -> None:
         """Give the samples to the observer to which the clock has come near."""
-        self._give([*self._no_longer_ahead()])
+        if samples := [*self._no_longer_ahead()]:
+            self._give(samples)
+
+    def use_waiting(self) -> None:
+        """Use the samples that came while the observer inserted events."""
+        since = min((s.stamp for s in self._observer.samples.waiting), default=MAX_STAMP)
+        self._measure((), since)
 
     def clear(self) -> None:
         """Forget the samples that wait for the clock, as after a jump of the clock."""
@@ -144,9 +151,16 @@ class SensorIntake:
                 self._refuse(each.index, str(error))
 
     def _give(self, samples: Sequence[SensorSample]) -> None:
-        if samples:
+        self._measure(samples, min(each.stamp for each in samples))
+
+    def _measure(self, samples: Sequence[SensorSample], since: int) -> None:
+        """Give samples to the observer that change estimates from ``since`` (ns) on."""
+        try:
             revised = self._observer.measure(samples)
-            self._on_samples(min(each.stamp for each in samples), revised)
+        except ImpactObserverError as error:
+            self._on_problem(f"samples of sensors: {error}")
+        else:
+            self._on_samples(since, revised)
 
     def _read(self, topic: str, message: AnyMessage) -> list[SensorSample]:
         """The samples in a message that can be used now.

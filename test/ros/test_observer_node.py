@@ -23,7 +23,7 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
@@ -394,6 +394,26 @@ def test_an_estimate_that_is_not_finite_is_not_published(
     assert error in "".join(capfd.readouterr())
     rig.tick(EPOCH + 30_000_000)
     assert [each.stamp - EPOCH for each in rig.estimates()] == [20_000_000, 30_000_000]
+
+
+def test_a_node_without_a_motion_says_so_and_goes_on(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after an epoch of decades ago, whose motion takes too many steps."""
+
+    def fail(_: int) -> Estimate:
+        raise DynamicsError("the motion takes too many steps")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rig.node.observer, "estimate", fail)
+        rig.tick(EPOCH + 15_000_000)
+        said = "no estimate: the motion takes too many steps"
+        rig.spinner.until(lambda: rig.diagnostics and rig.diagnostics[-1].message == said)
+        assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
+        assert not rig.states
+    rig.tick(EPOCH + 30_000_000)
+    assert [each.stamp - EPOCH for each in rig.estimates()] == [20_000_000, 30_000_000]
+    rig.spinner.until(lambda: rig.diagnostics[-1].message != said)
 
 
 def test_services_do_not_wait_for_a_queue_of_events(
