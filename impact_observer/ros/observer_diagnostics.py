@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an observer node reports on ``/diagnostics``."""
+"""The diagnostic status of an observer node."""
 
 import math
 import time

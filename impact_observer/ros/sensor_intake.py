@@ -248,7 +248,7 @@ class SensorIntake:
         )
 
     def _fault(self, index: int, topic: str, age: float, learned: float | None) -> str:
-        """What is wrong with a sensor; empty for nothing.
+        """The fault of a sensor; empty for none.
 
         Args:
             index: of the sensor.

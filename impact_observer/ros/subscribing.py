@@ -16,7 +16,7 @@ from impact_observer.ros.qos import offered_quality, qos_profile
 MOST_TOGETHER = 200
 """Messages that one call of a callback takes at most: then timers and services have their turn."""
 MessageInfo: TypeAlias = Mapping[str, int]
-"""What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
+"""Data of the middleware on a message, such as its ``source_timestamp``, ns."""
 
 
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is stamped ahead of the clock."""
+"""Items that are stamped ahead of the clock."""
 
 from impact_observer.ros.ahead_of_clock import AheadOfClock
 

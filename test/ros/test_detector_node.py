@@ -111,7 +111,7 @@ def rig(ros_environment: dict[str, str], sources: Path) -> Iterator[Rig]:
 
 @pytest.mark.parametrize("quality", [STATES, BEST_EFFORT], ids=["reliable", "best effort"])
 def test_a_switch_is_received_whatever_its_quality_of_service(rig: Rig, quality: Quality) -> None:
-    """A short closure, then one without messages until it opens."""
+    """A short closure is an IMPACT; a long one without messages is a CLOSE and an OPEN."""
     switch = rig.sensor(Bool, "switch", quality)
     before = time.time_ns()
     switch.publish(Bool(data=True))
@@ -134,7 +134,7 @@ def test_a_switch_is_received_whatever_its_quality_of_service(rig: Rig, quality:
 
 
 def test_a_less_reliable_publisher_that_comes_later_is_received_too(rig: Rig) -> None:
-    """The subscription asks for what all offer."""
+    """The subscription asks for the quality that all publishers offer."""
     rig.sensor(Bool, "switch", STATES)
     second = rig.sensor(Bool, "switch", BEST_EFFORT)
     second.publish(Bool(data=True))
@@ -145,7 +145,7 @@ def test_a_less_reliable_publisher_that_comes_later_is_received_too(rig: Rig) ->
 def test_a_latched_switch_that_was_closed_before_the_node_started_is_closed(
     ros_environment: dict[str, str], sources: Path
 ) -> None:
-    """With the stamp of its closing; a publisher that does not latch later on is received too."""
+    """The event has the stamp of the closing; a later volatile publisher is received too."""
     assert ros_environment
     with spinning(ros_arguments({"sources": sources, "epoch": EPOCH})) as spinner:
         latched = spinner.probe.create_publisher(
@@ -170,7 +170,7 @@ def test_a_latched_switch_that_was_closed_before_the_node_started_is_closed(
 
 
 def test_stamps_of_headers_are_exact(rig: Rig) -> None:
-    """An accelerometer's peak between samples, as a parabola puts it."""
+    """The event is at the top of the parabola through the samples of a peak."""
     imu = rig.sensor(Imu, "imu", BEST_EFFORT)
     for k, value in enumerate((0.0, 0.0, 30.0, 40.0, 20.0, 0.0)):
         message = Imu()
@@ -185,7 +185,7 @@ def test_stamps_of_headers_are_exact(rig: Rig) -> None:
 
 
 def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
-    """Without a publisher; then messages, rate and events; then invalid messages."""
+    """A sensor without a publisher, messages, rate, events and invalid messages are reported."""
     status = rig.diagnosis("wall")
     assert status.level == DiagnosticStatus.WARN
     assert status.message == "no node publishes /imu"
@@ -212,7 +212,7 @@ def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
 def test_an_epoch_or_a_latency_in_another_unit_is_a_warning(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """In the diagnostics: 1 s given as 1, which is 1 ns, and 2 ms given as 2, which is 2 s."""
+    """The diagnostics warn of an epoch of 1 ns, meant as 1 s, and of 2 s, meant as 2 ms."""
     assert ros_environment
     sources = tmp_path / "rig.yaml"
     entries = "{contact: stop, topic: switch}, {contact: wall, topic: hit, latency: 2}"
@@ -230,7 +230,7 @@ def test_an_epoch_or_a_latency_in_another_unit_is_a_warning(
 def test_a_clock_that_jumps_back_is_a_new_episode(
     ros_environment: dict[str, str], sources: Path
 ) -> None:
-    """Under simulated time, which stamps messages without a header; nothing before it begins."""
+    """Simulated time stamps messages without a header; no event comes before it begins."""
     assert ros_environment
     with spinning(ros_arguments({"sources": sources, "use_sim_time": True})) as spinner:
         rig = make_rig(spinner)
@@ -257,7 +257,7 @@ def test_a_clock_that_jumps_back_is_a_new_episode(
 def test_the_node_publishes_the_events_that_detect_finds_in_a_recording_of_it(
     rig: Rig, sources: Path, tmp_path: Path
 ) -> None:
-    """Impacts and persistent contacts: the same events, in any order of arrival."""
+    """Impacts and persistent contacts are the same events, in any order of arrival."""
     sources.write_text(
         "sources: [{contact: wall, topic: imu, kind: switch, field: linear_acceleration.x,"
         " threshold: 10}]",
@@ -299,7 +299,7 @@ def test_the_node_publishes_the_events_that_detect_finds_in_a_recording_of_it(
 def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """The process under simulated time, played slowly for a busy machine: to 60 ms."""
+    """Stamps under simulated time are equal to 60 ms; the bag is played slowly."""
     sources = tmp_path / "rig.yaml"
     sources.write_text(SOURCES, encoding="utf-8")
     bag = tmp_path / "bag"
@@ -365,7 +365,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     given: dict[str, object],
     expected: str,
 ) -> None:
-    """It names the parameter, what was found and what is expected."""
+    """The line names the parameter, the value and the values that are expected."""
     assert ros_environment
     arguments = ros_arguments(given)
     assert expected in refusal("detector", arguments, capfd)
@@ -374,7 +374,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 def test_a_topic_that_is_not_what_was_declared_ends_the_node(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """As soon as the type is discovered: one line with the file and the key."""
+    """Once the type is discovered, the error is one line with the file and the key."""
     sources = tmp_path / "rig.yaml"
     sources.write_text("sources: [{contact: stop, topic: force}]", encoding="utf-8")
     arguments = ros_arguments({"sources": sources})

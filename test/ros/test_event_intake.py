@@ -52,7 +52,7 @@ class SlowObserver:
 
 
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
-    """What takes in its events, by its clock."""
+    """The intake of a slow observer, by the clock of the observer."""
     monkeypatch.setattr(event_intake, "time", observer)
     return EventIntake(observer, lambda: NS_PER_S, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
 
@@ -64,7 +64,7 @@ def message(number: int) -> AnyMessage:
 
 
 def taken(intake: EventIntake) -> list[Item]:
-    """What becomes of all that waits."""
+    """All waiting events with their verdicts."""
     found: list[Item] = []
     while intake.is_busy:
         found.extend(intake.apply_waiting())
@@ -72,7 +72,7 @@ def taken(intake: EventIntake) -> list[Item]:
 
 
 def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is never further behind than its patience and a batch, and takes what comes then."""
+    """The backlog never exceeds the patience and a batch; later events are applied."""
     slow = SlowObserver(seconds=0.5)
     intake = intake_of(slow, monkeypatch)
     for number in range(1, 501):
@@ -91,7 +91,7 @@ def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.Mo
 def test_a_quick_observer_is_given_ever_more_events_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """So that late ones cost few runs; none is refused."""
+    """Batches grow, so that late events cost few runs; no event is refused."""
     quick = SlowObserver(seconds=1e-5)
     intake = intake_of(quick, monkeypatch)
     for number in range(1, MOST_WAITING + 1):
@@ -102,7 +102,7 @@ def test_a_quick_observer_is_given_ever_more_events_together(
 
 
 def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the age of the oldest; those given to the observer count until they are applied."""
+    """Events given to the observer count until they are applied; the age is the oldest event's."""
     slow = SlowObserver(seconds=0.5)
     intake = intake_of(slow, monkeypatch)
     assert intake.backlog() == (0, 0.0)
@@ -123,7 +123,7 @@ def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch)
     ],
 )
 def test_an_observer_that_cannot_keep_up_warns_once(options: Options, remedy: str) -> None:
-    """While events wait longer than a second, with a remedy, and until they no longer do."""
+    """The warning has a remedy, and holds until no event waits for long."""
     observer = make_observer(read_model("two_mass").system, options)
     diagnostics = ObserverDiagnostics("observer", observer)
     behind = f"7 events wait, the oldest for 24.1 s: the observer cannot keep up{remedy}"

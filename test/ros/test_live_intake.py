@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node does with live samples and pulses, without an executor."""
+"""Live samples and pulses in a node, without an executor."""
 
 from types import SimpleNamespace
 

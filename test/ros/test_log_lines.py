@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node logs of events that come again and again."""
+"""The log lines of events that come again and again."""
 
 import pytest
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node's process begins with."""
+"""The environment of the process of every node."""
 
 import os
 

@@ -215,7 +215,7 @@ def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
 
 
 def test_a_clock_that_jumps_back_resets_the_observer(rig: Rig) -> None:
-    """As in a bag loop: the estimates are those of a new observer."""
+    """After a bag loop the estimates are those of a new observer."""
     rig.tick(EPOCH + 10_000_000)
     rig.send(event(EPOCH + 5_000_000, 1))
     rig.tick(EPOCH + 20_000_000)
@@ -262,7 +262,7 @@ def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(r
 
 
 def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
-    """It would make every true event too late."""
+    """An applied event from the future would make every true event too late."""
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 3_600_000_000_000, 1))
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
@@ -273,7 +273,7 @@ def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
 
 
 def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
-    """It would make every true event one of an earlier episode."""
+    """An epoch from the future would put every true event into an earlier episode."""
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 10_000_000, 1, epoch=EPOCH + 3_600_000_000_000))
     assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
@@ -283,7 +283,7 @@ def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
 
 
 def test_an_event_ahead_of_the_clock_is_taken_when_the_clock_is_near(rig: Rig) -> None:
-    """Also one that came before any clock; the estimates are as if it had come in time."""
+    """The estimates are as if the event had come in time, also for one before any clock."""
     before, ahead = event(EPOCH + 1_000_000, 1), event(EPOCH + 2_000_000_000, 2)
     rig.send(before)
     assert rig.verdicts[-1].reason.startswith("no /clock has come")
@@ -299,7 +299,7 @@ def test_an_event_ahead_of_the_clock_is_taken_when_the_clock_is_near(rig: Rig) -
 
 
 def test_a_message_beyond_the_limits_is_refused_by_name(ros_environment: dict[str, str]) -> None:
-    """By the name of the limit; a status is not OK after refusals only."""
+    """The diagnostics name the limit; the status is an ERROR while no event was applied."""
     assert ros_environment
     with rig_with(max_switches=2, max_name=5, max_frame=3) as rig:
         rig.tick(EPOCH + 50_000_000)
@@ -323,7 +323,7 @@ def test_a_message_beyond_the_limits_is_refused_by_name(ros_environment: dict[st
 
 
 def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
-    """Checked as at the start; the stamps of estimates stay ascending, on the new grid."""
+    """Values are checked as at the start; stamps of estimates ascend on the new grid."""
     rig.tick(EPOCH + 30_000_000)
     rig.send(event(EPOCH + 5_000_000, 1))
 
@@ -419,7 +419,7 @@ def test_a_node_without_a_motion_says_so_and_goes_on(
 def test_services_do_not_wait_for_a_queue_of_events(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Events that take long are taken for some milliseconds, not until none is left."""
+    """Slow events are applied for some milliseconds at a time, not until none is left."""
     rig.tick(EPOCH + 950_000_000)
     receive = rig.node.observer.receive
 
@@ -451,7 +451,7 @@ def test_each_estimate_before_the_epoch_is_published_once(rig: Rig) -> None:
 
 
 def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, str]) -> None:
-    """Up to ``future`` it is applied at its stamp; beyond it is rejected and counted."""
+    """An event up to ``future`` ahead is applied; one beyond is rejected and counted."""
     assert ros_environment
     with rig_with(future=0.05) as rig:
         rig.tick(EPOCH + 10_000_000)
@@ -618,7 +618,7 @@ def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
 
 
 def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -> None:
-    """Without it nothing is published; with it the replica started at the epoch."""
+    """Without an epoch no estimate is published; then the replica starts at the epoch."""
     assert ros_environment
     with spinning(ros_arguments(PARAMETERS)) as spinner:
         rig = make_rig(spinner)
@@ -632,7 +632,7 @@ def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -
 
 
 def test_an_epoch_in_another_unit_is_a_warning(ros_environment: dict[str, str]) -> None:
-    """A parameter of 1, which is 1 ns and was meant as 1 s."""
+    """The parameter is 1 ns, and was meant as 1 s."""
     assert ros_environment
     with rig_with(epoch=1) as rig:
         rig.tick(NS_PER_S + 40_000_000)
@@ -665,7 +665,7 @@ def test_persistent_contact_is_in_the_estimates_until_it_opens(
 
 
 def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
-    """And pulses of a drive; checked on the ROS graph: no ground truth goes into the observer."""
+    """The ROS graph shows impacts and pulses only: no ground truth goes into the observer."""
     arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
     with (
         running_node("observer", arguments, ros_environment),
@@ -766,7 +766,7 @@ def refused(parameters: Mapping[str, object]) -> str:
 def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Long before they are refused."""
+    """The warning comes long before events are refused."""
     with monkeypatch.context() as patch:
         patch.setattr(rig.node.intake, "backlog", lambda: (7, 24.1))
         behind = "7 events wait, the oldest for 24.1 s: the observer cannot keep up"

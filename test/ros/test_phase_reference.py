@@ -47,7 +47,7 @@ def pulse_publisher(probe: Node) -> Publisher:
 def test_observer_node_estimates_what_observe_does_under_a_drive(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Behind a lag longer than a period, to the bit."""
+    """With a lag longer than a period the states are equal to the bit."""
     recorded, output = shared("bags/hammer"), tmp_path / "out"
     assert main(["observe", str(recorded), "--initial", "random:1", "-o", str(output)]) == 0
     with BagReader(output) as reader:
@@ -85,7 +85,7 @@ def test_observer_node_estimates_what_observe_does_under_a_drive(
 def test_diagnostics_warn_of_inputs_that_are_silent_and_of_odd_periods(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Beyond ``input_timeout``; the ages of both are shown."""
+    """Silence beyond ``input_timeout`` is a WARN; the ages of both signals are shown."""
     (tmp_path / "driven.yaml").write_text(MOTOR)
     parameters = {"model": str(tmp_path / "driven.yaml"), "input_timeout": 2.5, "future": 60.0}
     found: list[DiagnosticStatus] = []
@@ -131,7 +131,7 @@ def test_diagnostics_warn_of_inputs_that_are_silent_and_of_odd_periods(
 
 
 def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str, str]) -> None:
-    """As their epoch, where no parameter gives it."""
+    """The first pulse is the epoch of events if no parameter gives an epoch."""
     sources = shared("config/detector/switch.yaml")
     events: list[ImpactEvent] = []
     make = ros_messages()
@@ -158,7 +158,7 @@ def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str
 def test_the_plant_publishes_the_pulses_of_its_own_drive(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """On request; pulses and impacts are those that simulate writes."""
+    """Pulses and impacts of the node are those that ``simulate`` writes."""
     assert main(["simulate", "hammer", "--duration", "4", "-o", str(tmp_path / "bag")]) == 0
     with BagReader(tmp_path / "bag") as reader:
         wanted = [raw.log_time for raw in reader.raw(["/phase_reference"])]
@@ -198,7 +198,7 @@ def test_the_plant_publishes_the_pulses_of_its_own_drive(
 def test_pulses_of_a_model_without_a_drive_are_refused(
     ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """One line with what is expected."""
+    """The error is one line with the values that are expected."""
     assert ros_environment
     arguments = ros_arguments({"model": "two_mass", "publish_pulses": True})
     assert "nothing of two_mass turns with a drive; expected" in refusal("plant", arguments, capfd)

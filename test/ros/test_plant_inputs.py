@@ -35,7 +35,7 @@ def stamp_of(message: JointState | ImpactEvent) -> int:
 def test_plant_waits_for_its_inputs_and_ends_without_them(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Impacts and true states are those offline up to the last sample; then one line."""
+    """Impacts and true states equal those offline up to the last sample; then one line follows."""
     position, velocity = (each.tolist() for each in START)
     initial = f"initial_state: {{position: {position}, velocity: {velocity}}}\n"
     (tmp_path / "rig.yaml").write_text(RIG + initial)

@@ -40,7 +40,7 @@ def stamp_of(time: object) -> int:
 def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     ros_environment: dict[str, str],
 ) -> None:
-    """Every event, in the order of arrival, also those that arrive after the end."""
+    """Every event comes in the order of arrival, also after the end of the duration."""
     parameters = {
         "model": "three_mass",
         "publish_clock": True,
@@ -95,7 +95,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
 def test_plant_node_publishes_what_simulated_sensors_measure(
     ros_environment: dict[str, str],
 ) -> None:
-    """The samples of ``simulate`` with the same seed and faults, best effort."""
+    """The samples equal those of ``simulate`` with the same seed and faults."""
     parameters = {
         "model": "two_mass",
         "publish_clock": True,
@@ -139,7 +139,7 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
 
 
 def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[str, str]) -> None:
-    """One line, as for every parameter."""
+    """The error is one line, as for every parameter."""
     arguments = ros_arguments({"model": "two_mass", "sensor.mislabelled": 0.1})
     with (
         running_node("plant", arguments, ros_environment) as process,

@@ -195,7 +195,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     parameters: dict[str, object],
     expected: str,
 ) -> None:
-    """It names the parameter, what was found and what is expected."""
+    """The line names the parameter, the value and the values that are expected."""
     assert ros_environment
     arguments = ros_arguments(parameters)
     line = refusal(module, arguments, capfd)

@@ -63,7 +63,7 @@ class Rig:
         self.spinner.until(lambda: self.node.get_clock().now().nanoseconds == stamp)
 
     def counts(self, index: int) -> dict[str, int]:
-        """What the node has counted of a sensor."""
+        """The counts of the samples of a sensor."""
         return self.node.observer.samples.counts[index]
 
     def send_encoder(self, stamp: int, value: float) -> None:
@@ -136,7 +136,7 @@ def run() -> Run:
 def test_live_estimates_are_those_of_the_same_samples_offline(
     law: str, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """In another order, late and with delays: equal in every bit; a verdict for each sample."""
+    """Samples in another order, late and delayed, give equal bits, and a verdict each."""
     assert ros_environment
     whole, draw = run(), np.random.default_rng(1)
     encoder = [(int(s), float(x[0])) for s, x in zip(whole.stamps, whole.states, strict=True)]
@@ -179,7 +179,7 @@ def test_live_estimates_are_those_of_the_same_samples_offline(
 def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """No publisher's message, a timeout, a clock off by an hour, no number; others go on."""
+    """Silence, a timeout, a clock off by an hour and NaN are reported; other samples are used."""
     assert ros_environment
     with rig_with(tmp_path) as rig:
         rig.tick(EPOCH + NS_PER_S)
@@ -203,7 +203,7 @@ def test_silence_and_what_is_wrong_with_a_sensor_are_its_diagnostics(
 def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """In its place among others, so that estimates are those of a node that was in time."""
+    """The sample takes its place among others, and none counts as invalid."""
     assert ros_environment
     stamps = [EPOCH + k * NS_PER_S // 2 for k in range(1, 8)]
     with rig_with(tmp_path, history=10.0) as rig:
@@ -222,7 +222,7 @@ def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
 def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """By default: sixty samples at 100 Hz without, thirty at 10 Hz with; few are lost."""
+    """By default samples at 10 Hz get published verdicts, samples at 100 Hz do not."""
     assert ros_environment
     with rig_with(tmp_path, measurements_reliability="best_effort", history=10.0) as rig:
         rig.spinner.until(rig.laser.get_subscription_count)
@@ -242,7 +242,7 @@ def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
 def test_a_topic_of_another_type_is_one_diagnostic_and_the_other_sensor_goes_on(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """A joint is wanted of a topic that has none."""
+    """A sensor that names a joint needs a topic with joints."""
     assert ros_environment
     wrong = SENSORS.replace("topic: laser, field: range, position", "topic: floats, joint: x2,"
                             " quantity: position, position")  # fmt: skip

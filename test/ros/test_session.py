@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a process that uses ROS checks, and what it survives."""
+"""The checks of a process that uses ROS, and the errors that do not end the process."""
 
 import pytest
 
@@ -19,7 +19,7 @@ from impact_observer.ros.session import require_ros, spin_once
 
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "1e2", "\u0661"])
 def test_a_domain_that_is_none_is_one_line(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
-    """Before the middleware, which says so in other words or not at all."""
+    """The check comes before the middleware, which reports the domain in other words or never."""
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(UsageError, match=rf"ROS_DOMAIN_ID: {domain} found; expected a whole"):
         require_ros()
@@ -27,7 +27,7 @@ def test_a_domain_that_is_none_is_one_line(monkeypatch: pytest.MonkeyPatch, doma
 
 @pytest.mark.parametrize("domain", ["", "0", "232"])
 def test_every_domain_is_accepted(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
-    """Also none at all."""
+    """An empty domain is accepted too."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "none")
     with pytest.raises(UsageError):
         require_ros()
@@ -95,7 +95,7 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
 def test_a_node_that_has_the_name_of_another_one_says_so(
     ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Their topics are the same, so what they publish would be merged unnoticed."""
+    """Both nodes publish on the same topics, so that their messages would be merged unnoticed."""
     assert ros_environment
     with spinning() as spinner:
         node = BaseNode("observer", ())

@@ -104,7 +104,7 @@ def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
 
 
 def test_viewer_shows_what_comes_and_removes_what_was_there(rig: Rig) -> None:
-    """First DELETEALL, then each row as soon as it has a state, at the place of its state."""
+    """DELETEALL comes first, then each row that has a state, at the place of the state."""
     rig.spinner.until(lambda: rig.received)
     assert [each.action for each in rig.received[0].markers] == [Marker.DELETEALL]
     assert all(len(each.markers) == 1 for each in rig.received)
@@ -126,7 +126,7 @@ def test_viewer_shows_what_comes_and_removes_what_was_there(rig: Rig) -> None:
 
 
 def test_viewer_lights_stops_that_are_hit_or_closed(rig: Rig) -> None:
-    """An impact for a moment, a closed contact until it opens."""
+    """An impact lights its stop for a moment, a closed contact until the contact opens."""
     rig.hit(EPOCH + 1_000_000_000, Kind.IMPACT, 1)
     for k, (ms, lit) in enumerate([(900, False), (1050, True), (1900, False)]):
         stamp = EPOCH + ms * 1_000_000
@@ -146,7 +146,7 @@ def test_viewer_lights_stops_that_are_hit_or_closed(rig: Rig) -> None:
 
 
 def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
-    """The second pass lights what the first one did, and what it left closed is open."""
+    """The second pass lights the same stops; contacts left closed by the first pass are open."""
     for _ in range(2):
         for ms, lit in ((1050, True), (1500, False)):
             stamp = EPOCH + ms * 1_000_000
@@ -191,7 +191,7 @@ def markers(scene: Scene, q: Vector, place: int = 0, lit: tuple[int, ...] = ()) 
 
 
 def test_rows_stand_side_by_side() -> None:
-    """They are equal except for their offset, and do not overlap."""
+    """The rows are equal except for their offset, and do not overlap."""
     one, two = (markers(SCENE, np.zeros(2), place) for place in (0, 1))
     for first, second in zip(one, two, strict=True):
         if first.type == Marker.LINE_LIST:
@@ -204,7 +204,7 @@ def test_rows_stand_side_by_side() -> None:
 
 
 def test_markers_of_all_kinds_of_contacts_are_valid() -> None:
-    """What RViz wants: positive scales, whole pairs of points, a text, an orientation, an id."""
+    """RViz needs positive scales, whole pairs of points, a text, an orientation, an id."""
     K = 5 * np.eye(4) - np.ones((4, 4))
     contacts = [
         ([0.0, 0.0, 0.0, -1.0], 0.2, 0.5),
@@ -235,7 +235,7 @@ def test_markers_of_all_kinds_of_contacts_are_valid() -> None:
 def test_viewer_runs_as_a_process_and_ends_in_good_order(
     ros_environment: dict[str, str],
 ) -> None:
-    """Under a name of its own, on Ctrl-C."""
+    """The process has a name of its own, and ends on Ctrl-C."""
     arguments = ros_arguments({"model": "three_mass"}, "__node:=my_viewer")
     with spinning() as spinner, running_node("viewer", arguments, ros_environment) as process:
         names = spinner.probe.get_node_names
@@ -247,7 +247,7 @@ def test_viewer_runs_as_a_process_and_ends_in_good_order(
 def test_wrong_parameters_are_one_line(
     ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """With the name of the parameter."""
+    """The line names the parameter."""
     assert ros_environment
     arguments = ros_arguments({"model": "two_mass", "observers": "'a,,b'"})
     line = refusal("viewer", arguments, capfd)
