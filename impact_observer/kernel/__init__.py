@@ -28,9 +28,9 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     Sizes,
     difference,
     dots,
+    one_impact,
     product,
     sizes_by,
-    struck,
 )
 
 __all__ = [
@@ -48,7 +48,7 @@ __all__ = [
     "Sizes",
     "difference",
     "dots",
+    "one_impact",
     "product",
     "sizes_by",
-    "struck",
 ]

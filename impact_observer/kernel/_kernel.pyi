@@ -54,17 +54,6 @@ class FreeMotion:
     ) -> None: ...
     def rates(self, t: float, x: Vector) -> Vector: ...
     def diffusion(self, s: float) -> Matrix: ...
-    def projected(
-        self,
-        t: float,
-        s: float,
-        x: Vector,
-        due: Matrix,
-        row: Vector,
-        rest: float,
-        towards: Vector,
-        value: float,
-    ) -> tuple[Vector, Matrix, float]: ...
     def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]: ...
 
 class Sizes:
@@ -247,9 +236,6 @@ class Arena:
     def flown(
         self, t: float, s: float, late: float, x: Vector, root: Matrix, differences: Matrix
     ) -> tuple[Vector, Matrix, Matrix] | None: ...
-    def rebounded(
-        self, contact: int, t: float, s: float, x: Vector, differences: Matrix
-    ) -> tuple[Vector, Vector, Matrix, float]: ...
     def fallback(
         self,
         noise: FreeMotion,
@@ -261,7 +247,7 @@ class Arena:
         lag: Vector,
     ) -> tuple[Vector, Matrix, float, float]: ...
 
-def struck(
+def one_impact(
     w: Vector, q_r: float, kick: Vector, Z: Vector, x: Vector, differences: Matrix
 ) -> tuple[Vector, Matrix]: ...
 

@@ -310,32 +310,20 @@ std::optional<std::tuple<Vector, Matrix, Matrix>> flown(const Arena& arena, cons
     return std::tuple(after.x, after.carried(s, own), after.carried(s, others));
 }
 
-// A replica after an impact of a contact with these numbers, and its differences.
-std::pair<Vector, Matrix> struck(const Array& w, double q_r, const Array& kick, const Array& Z,
-                                 const Array& x, const Array& differences) {
+// A replica after an impact of one contact with these numbers, and its differences from others.
+std::pair<Vector, Matrix> one_impact(const Array& w, double q_r, const Array& kick, const Array& Z,
+                                     const Array& x, const Array& differences) {
     const View row = checked(w, "w", ANY);
     const std::size_t n = row.size();
     const Contact stop{row, checked(kick, "kick", n), checked(Z, "Z", n), finite(q_r, "q_r"), 0.0};
-    std::pair<Vector, Matrix> found(checked(x, "x", 2 * n),
-                                    checked(differences, "differences", 2 * n, ANY));
-    stop.strike(found.first, found.second);
-    return found;
+    std::pair<Vector, Matrix> jumped(checked(x, "x", 2 * n),
+                                     checked(differences, "differences", 2 * n, ANY));
+    stop.strike(jumped.first, jumped.second);
+    return jumped;
 }
 
-// A replica s seconds after t, the same after an impact then, its differences, and the gap then.
-std::tuple<Vector, Vector, Matrix, double> rebounded(const Arena& arena, std::size_t contact,
-                                                     const Time& t, double s, const Array& x,
-                                                     const Array& differences) {
-    Estimate after(arena, t, s, x);
-    const Vector before = after.x;
-    Matrix columns = after.carried(s, checked(differences, "differences", before.size(), ANY));
-    const Contact& stop = known_contact(arena, contact);
-    stop.strike(after.x, columns);
-    return {before, after.x, columns, stop.gap(before)};
-}
-
-// The same of a replica with errors, by the white accelerations of `noise` and by a lag; and the
-// gap at the impact, with its deviation by these accelerations.
+// A replica s seconds after t and after an impact of one contact then, with its errors by the white
+// accelerations of `noise` and by a lag; the gap at the impact, and its deviation by `noise`.
 std::tuple<Vector, Matrix, double, double> fallback(const Arena& arena,
                                                     const kalman::FreeMotion& noise,
                                                     std::size_t contact, const Time& t, double s,
@@ -434,13 +422,13 @@ PYBIND11_MODULE(_kernel, module) {
         .def("learn", &learn, "contact"_a, "kick"_a, "Z"_a)
         .def("start", &fly, "stamp"_a, "remainder"_a, "x"_a)
         .def("flown", &flown, "t"_a, "s"_a, "late"_a, "x"_a, "root"_a, "differences"_a)
-        .def("rebounded", &rebounded, "contact"_a, "t"_a, "s"_a, "x"_a, "differences"_a)
         .def("fallback", &fallback, "noise"_a, "contact"_a, "t"_a, "s"_a, "x"_a, "errors"_a,
              "lag"_a);
     module.def("product", &checked_product, "A"_a, "B"_a);
     module.def("dots", &checked_dots, "X"_a, "Y"_a);
     module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a);
-    module.def("struck", &struck, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a, "differences"_a);
+    module.def("one_impact", &one_impact, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a,
+               "differences"_a);
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, "limit"_a, "most"_a, Released());
 }

@@ -242,23 +242,6 @@ std::pair<Vector, Matrix> moved(const FreeMotion& motion, double t, const Array&
     return {motion.flown(finite(t, "t"), checked(x, "x", motion.size()), s), motion.transition(s)};
 }
 
-// A replica s seconds later, moved by `towards` for each unit by which a sample is larger than
-// `row x + rest`; the map of differences from it since they were noted; and the innovation.
-std::tuple<Vector, Matrix, double> projected(const FreeMotion& motion, double t, double s,
-                                             const Array& x, const Array& due, const Array& row,
-                                             double rest, const Array& towards, double value) {
-    expect(std::abs(s) * motion.rate <= MOST_STEPS, "s: too long");
-    const std::size_t size = motion.size();
-    const View h = checked(row, "row", size), z = checked(towards, "towards", size);
-    Vector at = motion.flown(finite(t, "t"), checked(x, "x", size), s);
-    const double innovation = finite(value, "value") - (dot(h, at) + finite(rest, "rest"));
-    add(innovation, z, at);
-    Matrix after = product(motion.transition(s), checked(due, "due", size, size));
-    const Vector seen = product(Row(h), after);
-    for (std::size_t i = 0; i < size; ++i) add(-z[i], seen, after.row(i));
-    return {at, after, innovation};
-}
-
 double duration_of(const Gaps& gaps, double t, double duration) {
     finite(t, "t");
     expect(duration >= 0 && duration * gaps.motion->rate < 1e5,
@@ -419,8 +402,6 @@ void bind_estimation(py::module_& module) {
              "rate"_a, "decay"_a)
         .def("rates", &rates, "t"_a, "x"_a)
         .def("diffusion", &diffusion, "s"_a, Released())
-        .def("projected", &projected, "t"_a, "s"_a, "x"_a, "due"_a, "row"_a, "rest"_a, "towards"_a,
-             "value"_a)
         .def("moved", &moved, "t"_a, "x"_a, "s"_a);
     py::class_<Sizes>(module, "Sizes")
         .def(py::init(&sizes_of), "modes"_a, "spread"_a, "squares"_a, "timescale"_a);

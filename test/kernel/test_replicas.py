@@ -1,52 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates from one impact to the next by few calls of the kernel: against general methods."""
+"""The filter's flights by the kernel: against matrix exponentials and the general methods."""
 
 import numpy as np
-import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import linalg
-from systems import chain, examples, sample, system, systems
+from systems import examples, sample, system, systems
 
 from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.model import System
-from impact_observer.observer import law_named
-from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.fallback import FallbackReplica
-from impact_observer.observer.laws.geometric import Geometric
-from impact_observer.observer.laws.law import Law
 
 FREE = systems(max_n=4, contacts=(1, 3))
-
-
-@given(FREE, st.integers(0, 999), st.sampled_from([1e-3, 0.3, 2.0]))
-@examples(48)
-def test_an_impact_after_a_flight_is_that_of_the_prediction(
-    model: System, seed: int, s: float
-) -> None:
-    """Of replicas of the geometric law, some of which separate; the bound falls as much."""
-    law, random, t = law_named("geometric")(model), np.random.default_rng(seed), 0.25
-    replicas = random.normal(size=(4, 2 * model.n))
-    before = law.begin(replicas, np.eye(2 * model.n), ())
-    hit = (seed % model.m,)
-    change = ContactChange(t + s, (), hit, (), flown=s)
-    prior = law.predict(t, before, ()).belief(s)
-    after = law.correct(change, prior)
-    struck = law.struck(change, before, t, s)
-    assume(struck is not None)
-    assert struck is not None
-    found, x = struck
-    size = 1 + np.abs(prior.replicas).max() + np.abs(after.replicas).max()
-    np.testing.assert_allclose(x, prior.x, atol=1e-11 * size)
-    np.testing.assert_allclose(found.replicas, after.replicas, atol=1e-11 * size)
-    assert (found.bound is None) == (after.bound is None)
-    if found.bound is not None and after.bound is not None:
-        assert found.bound == pytest.approx(after.bound, rel=1e-9, abs=1e-9 * size**2)
 
 
 @given(FREE, st.integers(0, 999), st.sampled_from([1e-3, 0.3, 2.0]))
@@ -123,37 +91,3 @@ def test_a_gap_that_was_closed_in_the_last_moments_and_is_open_again_was_an_impa
     state = GaussianState(np.array([1.0, 0.0]), np.zeros(0), np.eye(2), np.zeros((2, 0)))
     assert filter_.flown(0.0, np.pi, 0.1, state) is not None
     assert filter_.flown(0.0, np.pi + 0.05, 0.1, state) is None
-
-
-def test_differences_that_have_faded_are_zero() -> None:
-    """Denormal numbers are slow."""
-    model = sample("two_mass").system
-    law = law_named("geometric")(model)
-    replicas = np.array([[0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3, 0.4]])
-    belief = Belief(Ensemble.of(replicas)._replace(due=1e-120 * np.eye(4)))
-    belief.ensemble.columns[:] = 1.0
-    struck = law.struck(ContactChange(1.0, (), (0,), (), flown=1.0), belief, 0.0, 1.0)
-    assert struck is not None
-    assert not struck[0].ensemble.differences.any()
-
-
-def test_many_coordinates_and_several_contacts_are_left_to_the_general_methods() -> None:
-    """Where the shortcut is no shortcut, or does not know the impact."""
-    model = sample("three_mass").system
-    law = law_named("geometric")(model)
-    before = law.begin(np.zeros((1, 6)), np.eye(6), ())
-    assert law.struck(ContactChange(1.0, (), (0, 1), (), flown=1.0), before, 0.0, 1.0) is None
-    assert law.struck(ContactChange(1.0, (0,), (1,), (0,), flown=1.0), before, 0.0, 1.0) is None
-    large = MovingSystem(chain(20, contacts=[([0] * 19 + [-1], 0.1, 0.5)]))
-    assert large.arena is None
-
-
-@pytest.mark.parametrize(
-    "method",
-    ["impact", "motion", "phase", "impact_ensemble", "energy_removed", "correct", "predict"],
-)
-def test_a_law_that_redefines_what_the_shortcut_replaces_does_not_inherit_it(method: str) -> None:
-    """Else it would be another law at most events."""
-    own = type("Own", (Geometric,), {"name": "own", method: getattr(Geometric, method)})
-    assert "struck" in vars(own)
-    assert own.struck is Law.struck  # type: ignore[attr-defined]

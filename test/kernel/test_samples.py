@@ -117,22 +117,3 @@ def test_a_gap_that_is_negative_meanwhile_is_left_to_others(
             0.0, s, [state], np.zeros(1), 0.0, row, 0.0, height, 1.0, 9.0, searches
         )
         assert (made is not None) == (is_found and s < 0.1)
-
-
-@examples(20)
-@given(systems(max_n=3, contacts=(0, 0)), st.integers(0, 999))
-def test_a_projected_replica_moves_towards_the_sample(model: System, seed: int) -> None:
-    """By the given direction; differences by the map of both."""
-    random, size, t, s = np.random.default_rng(seed), 2 * model.n, 0.4, 0.05
-    x, row, towards = random.normal(size=(3, size))
-    due, rest, value = random.normal(size=(size, size)), 0.2, 1.1
-    before, map_ = flown(model, t, x, s)
-    found, after, innovation = free(model).given.moving.free.projected(
-        t, s, x, due, row, rest, towards, value
-    )
-    expected = value - (float(row @ before) + rest)
-    scale = 1e-9 * (1 + np.max(np.abs(map_)) * np.max(np.abs(due)))
-    assert innovation == pytest.approx(expected, abs=scale)
-    np.testing.assert_allclose(found, before + towards * expected, atol=scale)
-    whole = (np.eye(size) - np.outer(towards, row)) @ map_ @ due
-    np.testing.assert_allclose(after, whole, atol=10 * scale)

@@ -24,7 +24,6 @@ from systems import (
     vectors,
 )
 
-from impact_observer.dynamics import Motion
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
@@ -183,48 +182,38 @@ class Mirror(ReplicaLaw):
         return -x
 
 
-class Later(Geometric):
-    """A law that redefines ``motion``."""
-
-    def motion(self, t: float, x: Array, closed: tuple[int, ...]) -> Motion:
-        """The motion with the forcing of one second later."""
-        return super().motion(t - 1.0, x, closed)
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_law_that_redefines_motion_does_not_inherit_phase(count: int) -> None:
-    """Each replica moves by the new ``motion``, alone or with others."""
-    model, replicas = sample("two_mass").system, np.arange(12.0).reshape(3, 4)[:count]
-    law, geometric = Later(model), Geometric(model)
-    found = law.predict(2.0, Belief(Ensemble.of(replicas)), ()).belief(0.3)
-    for x, moved in zip(replicas, found.replicas, strict=True):
-        np.testing.assert_allclose(moved, geometric.motion(1.0, x, ()).state(0.3), rtol=1e-12)
+@pytest.mark.parametrize(("method", "inherited"), [("impact", "impacts"), ("motion", "phase")])
+def test_law_that_inherits_half_of_another_law_is_refused(method: str, inherited: str) -> None:
+    """Else its replicas would move by two laws. The error names both methods and the remedy."""
+    message = (
+        f"Own overrides {method} and inherits {inherited} of another law: override it too, or"
+        f" write {inherited} = ReplicaLaw.{inherited}"
+    )
+    with pytest.raises(TypeError, match=message):
+        type("Own", (Geometric,), {method: getattr(Geometric, method)})
 
 
 class Halfway(Geometric):
-    """A law that redefines ``impact``."""
+    """A law that redefines ``impact``, and with it what must agree with an impact."""
+
+    impacts = ReplicaLaw.impacts
+    impact_ensemble = ReplicaLaw.impact_ensemble
+    energy_removed = ReplicaLaw.energy_removed
 
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
         """Half of the state."""
         return (x + super().impact(x, active, closed)) / 2
 
 
-def test_law_that_redefines_impact_does_not_inherit_the_bound() -> None:
-    """The certified bound of geometric holds for its own impact only."""
-    model, replicas = sample("two_mass").system, np.ones((1, 4))
-    bounds = [law(model).begin(replicas, np.eye(4), ()).bound for law in (Geometric, Halfway)]
-    assert bounds[0] is not None
-    assert bounds[1] is None
-
-
-def test_law_that_redefines_impact_does_not_inherit_how_many_replicas_jump() -> None:
-    """Estimate and other replicas jump alike."""
+def test_all_replicas_jump_by_the_impact_of_their_law() -> None:
+    """The estimate and the other replicas jump alike, and no bound is certified."""
     model = sample("two_mass").system
     replicas = np.array([[0.1, 0.6, 1.0, 0.5], [0.2, 0.3, -1.0, 0.8], [0.0, 0.4, 0.3, -0.2]])
     law, change = Halfway(model), ContactChange(0.0, (), (0,), ())
     found = law.correct(change, Belief(Ensemble.of(replicas)))
     wanted = [law.impact(x, (0,), ()) for x in replicas]
     np.testing.assert_allclose(found.replicas, wanted, rtol=0, atol=1e-15)
+    assert law.begin(replicas, np.eye(4), ()).bound is None
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **entries: str) -> None:

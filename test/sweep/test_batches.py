@@ -12,7 +12,7 @@ from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import Model, System
 from impact_observer.model.force_samples import Samples
-from impact_observer.observer import Options, make_observer
+from impact_observer.observer import Options, ReplicaLaw, make_observer
 from impact_observer.observer.laws import BUILT_IN, Geometric
 from impact_observer.states import Vector
 from impact_observer.sweep import case_runs, plan
@@ -207,6 +207,9 @@ class Picky(Geometric):
     """Has no solution for some states."""
 
     name = "picky"
+    impacts = ReplicaLaw.impacts
+    impact_ensemble = ReplicaLaw.impact_ensemble
+    energy_removed = ReplicaLaw.energy_removed
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """As ``Geometric``, where it has one."""

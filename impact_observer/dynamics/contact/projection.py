@@ -76,11 +76,6 @@ class PositionProjection:
         rigid = (Z @ (q.dot(W) + q_r)) @ self._system.M @ self._rigid
         return float(rigid.dot(rigid)) / 2
 
-    def stiffness(self, contact: int) -> float:
-        """Of the jump onto one contact, N/m: twice the ``strain`` of a gap of 1 m."""
-        elastic = self._jumps((contact,))[1][:, 0]
-        return float(elastic.dot(elastic))
-
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
         rigid = _WAY / np.sqrt(self._softest) if np.isfinite(self._softest) else 1.0

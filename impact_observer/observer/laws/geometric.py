@@ -1,25 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Switched geometric unilateral constraints: the contribution of the ENOC paper."""
 
-from functools import cache
 from typing import ClassVar
 
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
-from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
-from impact_observer.kernel import struck
+from impact_observer.kernel import one_impact
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector
-
-_MOST_TOGETHER = 256
-"""Replicas beyond which products of large matrices cost less than the kernel."""
 
 
 class Geometric(ReplicaLaw):
@@ -45,13 +39,12 @@ class Geometric(ReplicaLaw):
         super().__init__(system, uncertainty, moving)
         self._newton = ImpactLaw(system)
         self._projection = self._clutches.phases.projection
-        self._stiffness = cache(self._projection.stiffness)
         self._none = np.zeros((2 * system.n, 0))
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
         if self._is_single(active, closed):
-            return self._struck(active[0], x, self._none)[0]
+            return self._one_impact(active[0], x, self._none)[0]
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
         if closed and closed != active:  # where not all gaps can be zero, these are
@@ -73,32 +66,17 @@ class Geometric(ReplicaLaw):
         """At a single contact each difference by itself, however small it is."""
         if not self._is_single(active, closed):
             return super().impact_ensemble(before, x, active, closed)
-        return Ensemble(x, self._struck(active[0], before.x, before.differences)[1])
+        return Ensemble(x, self._one_impact(active[0], before.x, before.differences)[1])
 
     def _is_single(self, active: Contacts, closed: Contacts) -> bool:
         """Whether the kernel knows the jump: one contact impacts, none is closed after it."""
         return len(active) == 1 and not closed and active[0] not in self.system.curved
 
-    def _struck(self, contact: int, x: Vector, differences: Matrix) -> tuple[Vector, Matrix]:
+    def _one_impact(self, contact: int, x: Vector, differences: Matrix) -> tuple[Vector, Matrix]:
         """A replica and its differences, one a column, after the impact of one contact."""
         system, z = self.system, self._projection.jump((contact,))[:, 0]
         w, kick = system.W[:, contact], self._newton.kick(contact)
-        return struck(w, float(system.q_r[contact]), kick, z, x, differences)
-
-    def struck(
-        self, change: ContactChange, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, Vector] | None:
-        """By one call of the kernel, where one contact hits and none is closed."""
-        arena, before = self.moving.arena, posterior.ensemble
-        if arena is None or not change.is_plain(self.system) or before.others > _MOST_TOGETHER:
-            return None
-        contact = change.hit[0]
-        prior, x, others, gap = arena.rebounded(contact, since, s, before.x, before.differences)
-        bound = posterior.bound
-        if bound is not None:
-            bound -= self._stiffness(contact) * gap * gap / 2
-        after = Ensemble(x, others)
-        return self._checked(Belief(after, None, bound, posterior.inconsistent)), prior
+        return one_impact(w, float(system.q_r[contact]), kick, z, x, differences)
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""

@@ -39,14 +39,6 @@ class Law(ABC):
     learns: ClassVar[bool] = False
     uses_measurements: ClassVar[bool] = False
 
-    def __init_subclass__(cls) -> None:
-        """Reset the shortcut of a method that ``cls`` redefines, unless it redefines it."""
-        super().__init_subclass__()
-        belonging = ("correct", "struck"), ("predict", "struck"), ("measure", "followed")
-        for method, shortcut in belonging:
-            if method in vars(cls) and shortcut not in vars(cls):
-                setattr(cls, shortcut, getattr(Law, shortcut))
-
     def __init__(
         self,
         system: System,

@@ -46,17 +46,21 @@ class ReplicaLaw(Law):
     holds_gaps: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
-        """Reset the shortcuts of a method that ``cls`` redefines, unless it redefines them."""
+        """Check that ``cls`` inherits no method that must agree with one that it overrides.
+
+        Raises:
+            TypeError: a method of another law would be used beside a method of ``cls``.
+        """
         super().__init_subclass__()
-        belonging = {
-            "impact": ("impacts", "impact_ensemble", "energy_removed", "struck"),
-            "motion": ("phase", "struck"),
-            **dict.fromkeys(("phase", "impact_ensemble", "energy_removed"), ("struck",)),
-        }
-        for method, others in belonging.items():
-            for other in others if method in vars(cls) else ():
-                if other not in vars(cls):
-                    setattr(cls, other, getattr(ReplicaLaw, other))
+        own, impact = vars(cls), ("impacts", "impact_ensemble", "energy_removed")
+        for method, others in (("impact", impact), ("motion", ("phase",))):
+            for other in others if method in own else ():
+                if other in own or getattr(cls, other) is getattr(ReplicaLaw, other):
+                    continue
+                raise TypeError(
+                    f"{cls.__name__} overrides {method} and inherits {other} of another law:"
+                    f" override it too, or write {other} = ReplicaLaw.{other}"
+                )
 
     def __init__(
         self,
@@ -202,45 +206,6 @@ class ReplicaLaw(Law):
             bound = bound - alpha * (1 - alpha / 2) * energy if declared.is_exact else None
         belief = Belief(self.admitted(ensemble, closed), None, bound, prior.inconsistent)
         return self._checked(belief), SampleOutcome(innovation), reading.known
-
-    def followed(
-        self, reading: Reading, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
-        """By one call of the kernel, while all replicas move freely in one linear phase."""
-        if reading.closed or not self._is_free(s):
-            return None
-        sensor, ensemble = reading.sensor, posterior.ensemble
-        row = sensor.row(self.moving, Place(reading.t, reading.instant, posterior.x, ()))
-        jump, alpha = self._samples.jump(row.h, ()), sensor.measurement.gain
-        if jump is None:
-            return None
-        due = self._unit if ensemble.due is None else ensemble.due
-        x, due, innovation = self.moving.free.projected(
-            since, s, ensemble.x, due, row.h, row.rest, alpha * jump.z, reading.value
-        )
-        bound = posterior.bound
-        if bound is not None:
-            energy = jump.energy * innovation * innovation
-            exact = sensor.measurement.is_exact
-            bound = bound - alpha * (1 - alpha / 2) * energy if exact else None
-        belief = Belief(Ensemble(x, ensemble.columns, due), None, bound, posterior.inconsistent)
-        return self._checked(belief), SampleOutcome(innovation), reading.known
-
-    def _is_free(self, s: float) -> bool:
-        """Whether all replicas move in one phase that the kernel knows, ``s`` seconds long."""
-        if not self.uses_measurements or self._is_forced:
-            return False
-        return self.moving.is_short(s) and self.phase(()) is self._free
-
-    @cached_property
-    def _is_forced(self) -> bool:
-        """Whether samples of forces, or guides, are part of the motion."""
-        system = self.system
-        return bool(system.forcing.sampled is not None or system.live is not None or system.guides)
-
-    @cached_property
-    def _unit(self) -> Matrix:
-        return np.eye(2 * self.system.n)
 
     def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
         """The nearest states that the plant may have, after a sample while contacts are closed.

@@ -17,6 +17,7 @@ from impact_observer.kernel._kernel import falls_at
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Vector
 
 _STEPS, _MOST_STEPS = 8, 1024
@@ -56,6 +57,10 @@ class Unilateral(Geometric):
         if closed != active:  # where not all gaps can be zero, those of ``closed`` are
             x = self._projected(x, closed)
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
+
+    impacts = ReplicaLaw.impacts
+    impact_ensemble = ReplicaLaw.impact_ensemble
+    phase = ReplicaLaw.phase
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
