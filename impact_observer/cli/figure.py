@@ -6,7 +6,7 @@ kinematic grey, geometric black. With --laws all the picture has a curve for eac
 """
 
 import argparse
-import json as json_module
+import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -50,49 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return figure(
-        args.model,
-        args.output,
-        installed_laws(args.laws),
-        initial=args.initial,
-        duration=args.duration,
-        rate=args.rate,
-        paper=args.paper,
-        json=args.json,
-    )
-
-
-def figure(
-    model: str | Path,
-    output: Path,
-    laws: Sequence[str],
-    *,
-    initial: str = INITIAL,
-    duration: float = 30.0,
-    rate: float = 100.0,
-    paper: bool = False,
-    json: bool = False,
-) -> int:
-    """Simulate, observe, compare and draw.
-
-    Args:
-        model: a model file or a sample's name.
-        output: the picture; an existing file is replaced.
-        laws: names of the observers' laws, one curve each.
-        initial: initial state of all observers, as of the option --initial.
-        duration: s.
-        rate: of the samples, Hz.
-        paper: as wide as a printed column and without a title.
-        json: print JSON instead of a table.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        ImpactLawError, DynamicsError: plant or observers have no solution.
-    """
+    """Simulate, observe, compare and draw."""
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_picture
@@ -104,32 +62,34 @@ def figure(
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
-    check_output(output)
-    read = read_model(model)
-    # The ensemble is left out: no estimate depends on it.
+    check_output(args.output)
+    read = read_model(args.model)
+    # The ensemble is left out: no estimate depends on the ensemble.
     observers = [
-        make_observer(read.system, Options(law, initial, clock_error=0.0, ensemble=1, epoch=EPOCH))
-        for law in laws
+        make_observer(
+            read.system, Options(law, args.initial, clock_error=0.0, ensemble=1, epoch=EPOCH)
+        )
+        for law in installed_laws(args.laws)
     ]
     with Progress() as progress:
-        done = _simulated(read, duration, rate, progress)
+        done = _simulated(read, args.duration, args.rate, progress)
         comparisons = _observed(observers, done, progress)
-        progress.show(f"drawing {output}")
+        progress.show(f"drawing {args.output}")
         about = (
             f"{read.system.name}: distance of the estimates from the truth, observers started at"
-            f" {initial}\nour model and numbers, by impact_observer; after Figure 2 of Baumann"
-            " and Leine, ENOC 2014"
+            f" {args.initial}\nour model and numbers, by impact_observer; after Figure 2 of"
+            " Baumann and Leine, ENOC 2014"
         )
         impacts = impacts_in(done.events)
-        drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
-        save(drawn, output, about=about.replace("\n", "; "))
-    if json:
+        drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=args.paper)
+        save(drawn, args.output, about=about.replace("\n", "; "))
+    if args.json:
         metrics = {law: metrics_of(each) for law, each in comparisons.items()}
-        say(json_module.dumps(metrics, indent=2))
+        say(json.dumps(metrics, indent=2))
         return 0
     print_table(table_of_laws(DISTANCE, comparisons))
     print_facts(seminorm_remarks(comparisons))
-    say(f"picture: {output}")
+    say(f"picture: {args.output}")
     return 0
 
 

@@ -7,7 +7,6 @@ wide on either side.
 """
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
@@ -52,45 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return plot(
-        args.bag,
-        args.output,
-        select=args.select,
-        start=args.start,
-        duration=args.duration,
-        width=args.width,
-        observers=args.observers,
-        model=args.model,
-        namespace=args.namespace,
-        measurements=args.measurements,
-    )
-
-
-def plot(
-    bag: Path,
-    output: Path,
-    *,
-    select: Sequence[str] | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
-    width: float = 10.0,
-    observers: Sequence[str] | None = None,
-    model: str | None = None,
-    namespace: str = "",
-    measurements: str | None = None,
-) -> int:
-    """Draw a bag.
-
-    The arguments are the options. Gaps need a model, in the bag or named.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        BagError: the bag cannot be read, or has no states.
-    """
+    """Draw a bag; without a model, in the bag or named, there are no gaps."""
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
@@ -101,35 +62,35 @@ def plot(
     from impact_observer.io.recordings import system_of
     from impact_observer.model.measurements_file import read_measurements
 
-    check_output(output, (*PICTURES, *PAGES))
-    is_page = output.suffix.lower() in PAGES
+    check_output(args.output, (*PICTURES, *PAGES))
+    is_page = args.output.suffix.lower() in PAGES
     if is_page:
-        check_plotly(output)
+        check_plotly(args.output)
     low, high = WIDTHS
-    if not low <= width <= high:
-        raise UsageError(f"--width {width:g}: expected {low:g} to {high:g} inches")
-    with BagReader(bag, namespace) as reader, Progress() as progress:
-        known = model is not None or reader.model_text() is not None
+    if not low <= args.width <= high:
+        raise UsageError(f"--width {args.width:g}: expected {low:g} to {high:g} inches")
+    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        known = args.model is not None or reader.model_text() is not None
         recording = read_recording(
             reader,
-            system_of(reader, model) if known else None,
-            select=select,
-            observers=observers,
-            start=start,
-            duration=duration,
-            measurements=read_measurements(measurements),
-            progress=lambda done, total: progress.step(f"reading {bag}", done, total),
+            system_of(reader, args.model) if known else None,
+            select=args.select,
+            observers=args.observers,
+            start=args.start,
+            duration=args.duration,
+            measurements=read_measurements(args.measurements),
+            progress=lambda done, total: progress.step(f"reading {args.bag}", done, total),
         )
         if len(recording.quantities) > MOST_PANELS:
             raise UsageError(
                 f"{len(recording.quantities)} panels: too many to read; name at most"
                 f" {MOST_PANELS} quantities with --select"
             )
-        progress.show(f"drawing {output}")
+        progress.show(f"drawing {args.output}")
         if is_page:
-            write_page(recording, output)
+            write_page(recording, args.output)
         else:
-            about = f"{recording.name}: {bag.name}".removeprefix(": ")
-            save(recording_picture(recording, width=width), output, about=about)
-    say(f"picture: {output}, {recording.start:.3f} to {recording.end:.3f} s of {bag}")
+            about = f"{recording.name}: {args.bag.name}".removeprefix(": ")
+            save(recording_picture(recording, width=args.width), args.output, about=about)
+    say(f"picture: {args.output}, {recording.start:.3f} to {recording.end:.3f} s of {args.bag}")
     return 0
