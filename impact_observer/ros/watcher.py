@@ -50,8 +50,10 @@ from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Estimate, Vector
 
 _T = TypeVar("_T")
-_STATES = 200
-"""States that may wait, and that are kept, of each topic: older ones are dropped."""
+_STATES = 2000
+"""States kept of each topic, to find the truth at the stamp of an estimate."""
+_WAITING = 200
+"""States of a topic that may wait to be taken: older ones are dropped."""
 _EVENTS = 2000
 """Messages of topics of events that may wait."""
 _TAKING_PERIOD = 0.05
@@ -651,7 +653,7 @@ class Watcher:
             return
         self._changed = time.monotonic()
         offer = common_offer(topic, publishers)
-        depth = _EVENTS if offer.transient_local else _STATES
+        depth = _EVENTS if offer.transient_local else _WAITING
         self._subscriptions[topic] = self._node.create_subscription(
             message_class(type_name),
             topic,
