@@ -13,8 +13,8 @@ from rosbags.typesys.store import Typestore
 from benchmarks.fast_bags import RATE, SECONDS, observe, write_impacts, write_truth
 from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal
 from impact_observer.io import interfaces
-from impact_observer.io.columns import ObserverStates
 from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.io.state_arrays import ObserverStates
 from impact_observer.io.typestores import new_typestore
 from impact_observer.stamps import NS_PER_S
 

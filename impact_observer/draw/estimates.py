@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from impact_observer.errors import UsageError
-from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.reader import BagReader
+from impact_observer.io.state_arrays import JointStates, ObserverStates
 
 
 def chosen_observers(

@@ -7,7 +7,6 @@ from pathlib import Path
 from shlex import quote
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from ruamel.yaml import YAML
 
 from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
@@ -66,17 +65,6 @@ def storage_of(path: Path) -> str:
         is_signal = path.suffix.lower() in SIGNAL_FILES
         raise UnfitBagError(f"{path}: not a bag; expected {_FORMS}{remedy if is_signal else ''}")
     return _STORAGES[path.suffix]
-
-
-def mcap_files(path: Path) -> list[Path]:
-    """The files of an MCAP bag, in their order."""
-    if path.is_file():
-        return [path]
-    if len(found := [*path.glob("*.mcap")]) == 1:
-        return found
-    about = YAML(typ="safe").load(path / "metadata.yaml")
-    names = about["rosbag2_bagfile_information"]["relative_file_paths"]
-    return [path / Path(name).name for name in names]
 
 
 def topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:

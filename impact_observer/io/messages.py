@@ -186,7 +186,9 @@ class Messages:
         _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
         _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
         entries = 4 * n * n if estimate.covariance.size else 0
-        parameters = np.array([each[1:] for each in estimate.parameters]).reshape(-1, 2).T
+        parameters = [each for _, each, _ in estimate.parameters]
+        deviations = [each for _, _, each in estimate.parameters]
+        learned = len(parameters)
         return self._classes(interfaces.OBSERVER_STATE)(
             header=self._header("ObserverState", estimate.stamp),
             law=estimate.law,
@@ -201,10 +203,20 @@ class Messages:
             last_sequence=estimate.last_sequence,
             last_event=self.time(estimate.last_event),
             parameter_name=[name for name, _, _ in estimate.parameters],
-            parameter=self._array("ObserverState.parameter", parameters[0], parameters.shape[1]),
+            parameter=self._array("ObserverState.parameter", parameters, learned),
             parameter_deviation=self._array(
-                "ObserverState.parameter_deviation", parameters[1], parameters.shape[1]
+                "ObserverState.parameter_deviation", deviations, learned
             ),
+        )
+
+    def joint_state_of(self, estimate: AnyMessage) -> AnyMessage:
+        """Returns the state in an ``ObserverState`` as ``sensor_msgs/JointState``."""
+        return self._classes(interfaces.JOINT_STATE)(
+            header=estimate.header,
+            name=estimate.name,
+            position=estimate.position,
+            velocity=estimate.velocity,
+            effort=self._floats(np.empty(0)),
         )
 
     def joint_state(self, state: JointState) -> AnyMessage:
@@ -256,7 +268,7 @@ class Messages:
         _check_stamp(f"{kind}.header.stamp", stamp)
         return self._classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
 
-    def _array(self, field: str, values: Vector, count: int) -> object:
+    def _array(self, field: str, values: ArrayLike, count: int) -> object:
         """The value of a ``float64[]`` field of ``count`` finite numbers, row by row."""
         return self._floats(_numbers(field, values, count).reshape(-1))
 
@@ -483,7 +495,7 @@ def _numbers(field: str, values: ArrayLike, count: int) -> Vector:
     array = np.asarray(values, dtype=np.float64)
     if array.size != count:
         raise MessageError(f"{field} has {array.size} numbers; expected {count}, as named")
-    if not np.isfinite(array).all():
+    if array.size and not np.isfinite(array).all():
         i = int(np.flatnonzero(~np.isfinite(array))[0])
         raise MessageError(f"{field}[{i}] is {array.flat[i]}; expected finite numbers")
     return array

@@ -6,7 +6,6 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
@@ -269,12 +268,10 @@ class _ObserverMessages:
                 topic = interfaces.OBSERVER_MEASUREMENTS.topic
                 yield log_time, topic, serialize(topic, make.measurement_verdict(item))
                 continue
-            messages = messages_of(item, self._names, serialize)
-            yield from islice(messages, 2)  # of the first estimate
-            if item.first.bound != self._bound:
-                self._bound = item.first.bound
+            yield from messages_of(item, self._names, serialize)
+            if item.bound != self._bound:
+                self._bound = item.bound
                 topic = interfaces.OBSERVER_BOUND.topic
-                yield log_time, topic, serialize(topic, make.bound(item.first))
-            yield from messages
-            self.estimates += item.stamps.size
+                yield log_time, topic, serialize(topic, make.bound(item))
+            self.estimates += 1
             self._progress(self.estimates)

@@ -8,13 +8,10 @@ bag, what was found and what is expected.
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
-from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast, final
 
-from mcap.summary import Summary
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -24,15 +21,7 @@ from rosbags.typesys.store import Typestore
 from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import (
-    TopicInfo,
-    mcap_files,
-    recover_command,
-    storage_of,
-    topic_info,
-)
-from impact_observer.io.chunks import Message, index_of, messages
-from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
+from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import (
     AnyMessage,
@@ -41,12 +30,18 @@ from impact_observer.io.messages import (
     read_measurement_verdict,
     read_verdict,
 )
+from impact_observer.io.state_arrays import (
+    JointStates,
+    ObserverStates,
+    StateCollector,
+    joined,
+)
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 
 _Value = TypeVar("_Value")
 
-BLOCK, BLOCK_BYTES = 4096, 2**26
-"""Most states in a block, and about the most bytes: covariances of many coordinates are large."""
+BLOCK = 1024
+"""Most states in a block."""
 
 
 class RawMessage(NamedTuple):
@@ -178,11 +173,7 @@ class BagReader:
         wanted = self.topics if topics is None else topics
         for topic in wanted:
             self._topic(topic)
-        connections = [c for topic in wanted for c in self._connections[topic]]
-        return (
-            RawMessage(topic, log_time, data)
-            for log_time, _, topic, data in self._stream(connections, start)
-        )
+        return self._stream([c for topic in wanted for c in self._connections[topic]], start)
 
     def messages(self, topic: str) -> Iterator[tuple[int, AnyMessage]]:
         """Log times (ns) and messages of a topic whose type is defined here or in the bag.
@@ -192,7 +183,7 @@ class BagReader:
         """
         decode = self.decoder(topic)
         stream = self._stream(self._connections[topic])
-        return ((log_time, decode(data)) for log_time, *_, data in stream)
+        return ((log_time, decode(data)) for _, log_time, data in stream)
 
     def decoder(self, topic: str) -> Callable[[bytes], AnyMessage]:
         """A function that deserializes the messages of a topic.
@@ -262,19 +253,14 @@ class BagReader:
             BagError: a topic is missing or of another type; a name is missing, unexpected or
                 twice; a message has no finite position and velocity for each name; a law changes.
         """
-        columns = {topic: self._columns(topic, names, covariance) for topic in topics}
-        for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
-            for topic, own in columns.items():
-                data = [each for *_, name, each in batch if name == topic]
-                while data:
-                    most = max(min(BLOCK, BLOCK_BYTES // max(len(data[0]), 1)), 1)
-                    room = max(most - len(own), 0)
-                    own.add(data[:room])
-                    data = data[room:]
-                    if len(own) >= most:
-                        yield topic, own.take()
-        for topic, own in columns.items():
-            yield topic, own.take()
+        collectors = {topic: self._collector(topic, names, covariance) for topic in topics}
+        decoders = {topic: self.decoder(topic) for topic in topics}
+        for topic, _, data in self._stream([c for t in decoders for c in self._connections[t]]):
+            collectors[topic].append(decoders[topic](data))
+            if len(collectors[topic]) == BLOCK:
+                yield topic, collectors[topic].take()
+        for topic, collector in collectors.items():
+            yield topic, collector.take()
 
     def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
         """All states of a topic of joint states; arguments and errors as of :meth:`blocks`."""
@@ -286,12 +272,14 @@ class BagReader:
         self._check_type(topic, interfaces.OBSERVER_STATE)
         return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
 
-    def _columns(self, topic: str, names: Sequence[str] | None, covariance: bool) -> Columns:
-        """Collects the states of a topic."""
-        found, observer = self._topic(topic).type, interfaces.OBSERVER_STATE
-        self._check_type(topic, observer if found == observer else interfaces.JOINT_STATE)
-        source, decode = f"{self.path}: {topic}", self.decoder(topic)
-        return Columns(source, found, names, decode, covariance=covariance)
+    def _collector(
+        self, topic: str, names: Sequence[str] | None, covariance: bool
+    ) -> StateCollector:
+        """Returns the collector of the states of a topic."""
+        estimates = self._topic(topic).type == interfaces.OBSERVER_STATE
+        self._check_type(topic, interfaces.OBSERVER_STATE if estimates else interfaces.JOINT_STATE)
+        source = f"{self.path}: {topic}"
+        return StateCollector(source, names, estimates=estimates, covariance=covariance)
 
     def _check_type(self, topic: str, wanted: str) -> None:
         """Check the type of a topic."""
@@ -354,48 +342,21 @@ class BagReader:
             )
         return store
 
-    def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[Message]:
-        """Log times (ns), topics and messages of some connections; checks that none is missing."""
-        return chain.from_iterable(self._batches(connections, start))
-
-    def _batches(
-        self, connections: Collection[Connection], start: int = 0
-    ) -> Iterator[Sequence[Message]]:
-        """The same as ``_stream``, many at a time."""
+    def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[RawMessage]:
+        """Yields the messages of some connections in bag order; checks that none is missing."""
         if not connections:
             return
         count = 0
         with self._translated():
-            for batch in self._read(connections, start):
-                count += len(batch)
-                yield batch
+            for own, log_time, data in self._reader.messages(connections, start=start or None):
+                count += 1
+                yield RawMessage(own.topic, log_time, data)
         expected = sum(connection.msgcount for connection in connections)
         if count < expected and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {expected} promised by its index; "
                 "`impact-observer check --salvage` saves what is left"
             )
-
-    def _read(
-        self, connections: Collection[Connection], start: int
-    ) -> Iterator[Sequence[Message]]:
-        """The messages in bag order: in bulk if all files have an index, else by ``rosbags``."""
-        if not self._indexes:
-            read = self._reader.messages(connections, start=start or None)
-            return (((log_time, 0, own.topic, data),) for own, log_time, data in read)
-        wanted = {(each.topic, each.msgtype) for each in connections}
-        return chain.from_iterable(
-            messages(file, index, wanted, start) for file, index in self._indexes
-        )
-
-    @cached_property
-    def _indexes(self) -> list[tuple[Path, Summary]]:
-        """The bag's MCAP files and their indexes; empty unless all have one."""
-        if self.storage != "mcap" or self._reader.compression_mode:
-            return []
-        files = mcap_files(self.path)
-        found = [(file, index) for file in files if (index := index_of(file)) is not None]
-        return found if len(found) == len(files) else []
 
     @contextmanager
     def _translated(self) -> Iterator[None]:

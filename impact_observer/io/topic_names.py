@@ -4,8 +4,8 @@
 from collections.abc import Iterable
 
 from impact_observer.errors import UsageError
-from impact_observer.io.columns import JointStates
 from impact_observer.io.reader import BagReader
+from impact_observer.io.state_arrays import JointStates
 
 
 def named_topic(reader: BagReader, name: str) -> str:

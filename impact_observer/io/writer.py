@@ -211,9 +211,9 @@ class BagWriter:
             self._run(self._write_pending)
 
     def _topic(self, topic: str) -> Topic:
-        """A topic, which is declared if it is one of ours."""
-        self._check_open()
-        if topic not in self._topics:
+        """Returns a topic; a topic of this package that is not declared yet is declared."""
+        if not self._open or topic not in self._topics:
+            self._check_open()
             self.declare(topic)
         return self._topics[topic]
 

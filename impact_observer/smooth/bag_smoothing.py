@@ -154,6 +154,7 @@ def _estimates(
         end = runs[k + 1].start if k + 1 < len(runs) else MAX_STAMP + 1
         here = stamps[(stamps >= run.start) & (stamps < end)]
         for each in run.estimates(here):
-            yield from messages_of(each, names, writer.serialized, interfaces.SMOOTHER)
+            for estimate in each:
+                yield from messages_of(estimate, names, writer.serialized, interfaces.SMOOTHER)
             done += each.stamps.size
             progress("states", done, total)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of states: decoded together, the same as one by one."""
+"""The states of a topic as arrays."""
 
 from collections.abc import Iterator
 
@@ -8,9 +8,13 @@ import pytest
 
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
-from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.io.messages import JointState, bag_messages, read_estimate, read_joint_state
-from impact_observer.io.state_blocks import decode, layout_of
+from impact_observer.io.state_arrays import (
+    JointStates,
+    ObserverStates,
+    StateCollector,
+    joined,
+)
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.states import Estimate
 
@@ -54,21 +58,18 @@ def estimate(stamp: int, closed: tuple[str, ...] = (), *, sure: bool = False) ->
     )
 
 
-def columns(type_name: str, *names: str) -> Columns:
-    """Collects messages of a type."""
-    return Columns(
-        "bag: /topic",
-        type_name,
-        names or None,
-        lambda data: deserialize(typestore(), data, type_name),
+def collector(type_name: str, *names: str) -> StateCollector:
+    """Returns an empty collector of messages of a type."""
+    return StateCollector(
+        "bag: /topic", names or None, estimates=type_name == OBSERVER, covariance=True
     )
 
 
 def taken(type_name: str, block: list[bytes], *names: str) -> JointStates:
-    """The states of a block."""
-    own = columns(type_name, *names)
+    """Returns the states of a block."""
+    own = collector(type_name, *names)
     for data in block:
-        own.add([data])
+        own.append(deserialize(typestore(), data, type_name))
     return own.take()
 
 
@@ -113,29 +114,18 @@ def test_a_block_of_estimates_equals_its_messages() -> None:
         assert states.u[i].tobytes() == one.u.tobytes()
         assert states.last_sequence[i] == one.last_sequence
         assert states.last_event[i] == one.last_event
-    together, alone = decode(OBSERVER, block)
-    assert len(together) == 4, "one layout a shape"
-    assert not alone
+        wanted = one.covariance if one.covariance.size else np.full((4, 4), np.nan)
+        np.testing.assert_array_equal(states.covariance[i], wanted)
 
 
-def test_messages_of_many_shapes_are_all_read() -> None:
-    """Each message has its own."""
-    block = [estimate(stamp, ("c" * stamp,)) for stamp in range(1, 80)]
-    np.testing.assert_array_equal(taken(OBSERVER, block).stamps, np.arange(1, 80))
-
-
-def test_a_layout_stops_where_the_bytes_do() -> None:
-    """Cut at any place, a message has no layout or the same; it is never read beyond its end."""
-    data = estimate(7, ("stop",), sure=True)
-    whole = layout_of(OBSERVER, data)
-    assert whole is not None
-    for size in range(len(data)):
-        cut = layout_of(OBSERVER, data[:size])
-        assert cut is None or (cut.q, cut.u, cut.last_event) == (
-            whole.q,
-            whole.u,
-            whole.last_event,
-        )
+def test_covariances_follow_the_order_of_the_names() -> None:
+    """Rows and columns of coordinates and of velocities."""
+    data = estimate(7, sure=True)
+    _, one = read_estimate(deserialize(typestore(), data, OBSERVER))
+    states = taken(OBSERVER, [data], "x2", "x1")
+    assert isinstance(states, ObserverStates)
+    turned = one.covariance[[1, 0, 3, 2]][:, [1, 0, 3, 2]]
+    np.testing.assert_array_equal(states.covariance[0], turned)
 
 
 @pytest.mark.parametrize(
@@ -160,27 +150,21 @@ def test_one_bad_message_of_many_is_named(bad: dict[str, object], said: str) -> 
 
 def test_places_are_counted_through_all_blocks() -> None:
     """The error of a later block names the message of the topic."""
-    own = columns(JOINT)
-    for stamp in (1, 2, 3):
-        own.add([joint(stamp, "x1")])
-    own.take()
-    bad = deserialize(typestore(), joint(4, "x1"), JOINT)
+    own = collector(JOINT)
+    good, bad = (deserialize(typestore(), joint(4, "x1"), JOINT) for _ in range(2))
     bad.position = np.array([np.nan])
-    own.add([joint(4, "x1")])
-    own.add([serialized(bad, JOINT)])
+    for _ in range(3):
+        own.append(good)
+    own.take()
+    own.append(good)
     with pytest.raises(BagError, match=r"/topic, message 4: JointState.position\[0\] is nan"):
-        own.take()
+        own.append(bad)
 
 
 def test_joined_blocks_are_one() -> None:
     """In the same order; estimates stay estimates."""
-    own = columns(OBSERVER)
-    blocks = []
-    for stamps in (range(1, 4), range(4, 5), range(5, 9)):
-        for stamp in stamps:
-            own.add([estimate(stamp)])
-        blocks.append(own.take())
-    whole = joined(blocks)
+    parts = (range(1, 4), range(4, 5), range(5, 9))
+    whole = joined(taken(OBSERVER, [estimate(stamp) for stamp in part]) for part in parts)
     assert isinstance(whole, ObserverStates)
     np.testing.assert_array_equal(whole.stamps, np.arange(1, 9))
     assert whole.q.shape == (8, 2)
