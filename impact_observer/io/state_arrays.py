@@ -87,6 +87,7 @@ class StateCollector:
             BagError: the message has no finite position and velocity for every name, its names are
                 not the expected ones, or the law has changed.
         """
+        estimate: Estimate | None = None
         try:
             if self._has_estimates:
                 names, estimate = read_estimate(message)
@@ -103,7 +104,7 @@ class StateCollector:
             order = self._order(names)
             q, u = q[order], u[order]
         self._rows.append((stamp, q, u))
-        if self._has_estimates:
+        if estimate is not None:
             self._append_estimate(estimate, order)
 
     def _append_estimate(self, estimate: Estimate, order: Sequence[int]) -> None:
