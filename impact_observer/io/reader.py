@@ -40,7 +40,7 @@ from impact_observer.io.typestores import add_definition, deserialize, new_types
 
 _Value = TypeVar("_Value")
 
-BLOCK = 1024
+_BLOCK = 1024
 """Most states in a block."""
 
 
@@ -246,7 +246,7 @@ class BagReader:
             covariance: whether estimates are wanted with theirs.
 
         Yields:
-            A topic and its next states, at most ``BLOCK`` of them, an observer's as
+            A topic and its next states, at most 1024 of them, an observer's as
             ``ObserverStates``. The last block of each topic may be empty.
 
         Raises:
@@ -257,7 +257,7 @@ class BagReader:
         decoders = {topic: self.decoder(topic) for topic in topics}
         for topic, _, data in self._stream([c for t in decoders for c in self._connections[t]]):
             collectors[topic].append(decoders[topic](data))
-            if len(collectors[topic]) == BLOCK:
+            if len(collectors[topic]) == _BLOCK:
                 yield topic, collectors[topic].take()
         for topic, collector in collectors.items():
             yield topic, collector.take()
