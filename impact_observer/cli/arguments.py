@@ -60,7 +60,7 @@ def add_option(
     flag: str = "",
     default: str | None = None,
 ) -> None:
-    """Add one option as an argument; where it is not given the value is None.
+    """Add one option as an argument; the value of an option that is not given is None.
 
     Args:
         parser: of the subcommand, or a group of it.
@@ -87,7 +87,7 @@ def add_option(
 
 
 def metavar(option: Option) -> str:
-    """What stands for the value of an option in ``--help``: its unit in capitals, or P or N."""
+    """The word for the value of an option in ``--help``: the unit in capitals, or P or N."""
     if option.metavar:
         return option.metavar
     units = {"1/s": "HZ", "ns": "S", "": "N" if option.type == "int" else "P"}
@@ -103,18 +103,21 @@ def _limits(option: Option) -> str:
 
 
 def value_of(option: Option) -> Callable[[str], Value]:
-    """The argparse type of an option: reads a value and checks its range."""
+    """The argparse type of an option, which reads a value and checks its range."""
 
     def value(text: str) -> Value:
         is_stamp = option.unit == "ns"
         try:
-            found = parsed(option, text) if not is_stamp else stamp(text) if text != "0" else 0
-            option.check(found)
+            if is_stamp:
+                read: Value = 0 if text == "0" else stamp(text)
+            else:
+                read = parsed(option, text)
+            option.check(read)
         except ValueError:
             expected = option.metavar if option.type == "string[]" else option.expected
             expected = f"{_limits(option)} s" if is_stamp else expected
             raise argparse.ArgumentTypeError(f"{text} found; expected {expected}") from None
-        return found
+        return read
 
     return value
 
@@ -140,7 +143,7 @@ def parsed(option: Option, text: str) -> Value:
 
 
 def observer_options(args: argparse.Namespace, law: str) -> Options:
-    """The options of an observer with ``law``, as far as they were given."""
+    """The options of an observer with ``law`` that were given, and defaults."""
     rows = {each.name for each in OBSERVER_OPTIONS} - {"law"}
     given = {name: value for name, value in vars(args).items() if name in rows}
     return Options(law, **{name: value for name, value in given.items() if value is not None})
@@ -166,12 +169,12 @@ def add_model(
     parser: argparse.ArgumentParser,
     meaning: str = "a model file or a sample (default: the one in the bag)",
 ) -> None:
-    """Which model is meant."""
+    """Add ``--model``."""
     parser.add_argument("--model", metavar="MODEL", help=meaning)
 
 
 def add_measurements(parser: "argparse._ActionsContainer") -> None:
-    """What is measured beside the impacts."""
+    """Add ``--measurements``."""
     parser.add_argument(
         "--measurements",
         metavar="FILE",
@@ -180,7 +183,7 @@ def add_measurements(parser: "argparse._ActionsContainer") -> None:
 
 
 def add_estimates(parser: "argparse._ActionsContainer") -> None:
-    """Add how many estimates to make, and the most."""
+    """Add the rate of estimates and their largest number."""
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
     )
@@ -193,7 +196,7 @@ def add_estimates(parser: "argparse._ActionsContainer") -> None:
 
 
 def add_table(parser: "argparse._ActionsContainer") -> None:
-    """How a table of times is to be read; ``table_form`` reads it."""
+    """Add the form of a table of times, which ``table_form`` returns."""
     parser.add_argument(
         "--time-unit",
         choices=("s", "ms", "us", "ns"),
@@ -223,7 +226,7 @@ def _start(text: str) -> int:
 
 
 def add_bag_output(parser: argparse.ArgumentParser) -> None:
-    """The bag that a command makes: its folder, and how soon what it has is on the disk."""
+    """Add the folder of the bag that a command makes, and the period of writing to the disk."""
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
@@ -231,18 +234,18 @@ def add_bag_output(parser: argparse.ArgumentParser) -> None:
 
 
 def add_flush(parser: argparse.ArgumentParser) -> None:
-    """How soon what a command writes into a bag is on the disk."""
+    """Add the longest time until a message of a bag is on the disk."""
     parser.add_argument(
         "--flush",
         metavar="S",
         type=positive,
         default=0.5,
-        help="what is recorded is on the disk after S seconds, at most 1 (default 0.5)",
+        help="longest time until a message is on the disk, at most 1 s (default 0.5)",
     )
 
 
 def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Which rig is meant in a bag of several."""
+    """Add ``--namespace``, the rig in a bag of several."""
     parser.add_argument(
         "--namespace",
         metavar="NS",
@@ -252,7 +255,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 
 def add_observers(parser: argparse.ArgumentParser, meaning: str) -> None:
-    """Which observers are meant, of those in a bag or a running system."""
+    """Add ``--observers``, some of those in a bag or a running system."""
     parser.add_argument("--observers", metavar="NAME,...", type=names, help=meaning)
 
 
@@ -306,11 +309,11 @@ def _whole(text: str, least: int) -> int:
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Names with commas between them, one at least."""
-    found = tuple(name.strip() for name in text.split(","))
-    if not all(found):
+    """One or more names with commas between them."""
+    listed = tuple(name.strip() for name in text.split(","))
+    if not all(listed):
         raise argparse.ArgumentTypeError(f"{text!r} found; expected NAME,NAME,...")
-    return found
+    return listed
 
 
 def number(text: str) -> float:

@@ -75,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
     with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
         for source, counts in zip(result.sources, result.counts, strict=True):
-            found = _found(counts)
-            progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
+            detected = _in_words(counts)
+            progress.line(f"{source.contact}: {detected} ({source.topic}, {source.kind})")
         progress.line(f"{args.output}: {result.events} events")
         for line in result.doubts:
             progress.line(f"warning: {line}")
@@ -184,7 +184,7 @@ def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
     return columns.get(args.topic, args.topic)
 
 
-def _found(counts: "SensorCounts") -> str:
-    """How many impacts were detected, in words."""
+def _in_words(counts: "SensorCounts") -> str:
+    """The number of detected impacts in words."""
     impacts = f"{counts.impacts} impact{'' if counts.impacts == 1 else 's'}"
     return f"{impacts}, {counts.closings} of them persistent" if counts.closings else impacts

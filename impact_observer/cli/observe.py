@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def unused_lines(observer: "Observer") -> "Iterator[str]":
-    """A line where the law uses no measurements."""
+    """A line if measurements are given that the law does not use."""
     law = observer.law
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
@@ -115,7 +115,7 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
 
 
 def far_start(system: "System", options: "Options") -> "Iterator[str]":
-    """A line where the initial state is drawn far outside the rig."""
+    """A line if the initial state is drawn far outside the rig."""
     from impact_observer.estimation.uncertainty import suggested_deviation
 
     suggested = suggested_deviation(system)
@@ -129,12 +129,12 @@ def far_start(system: "System", options: "Options") -> "Iterator[str]":
 
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":
-    """What became of the samples of each sensor, and the deviations that were learned."""
+    """Counts of accepted and other samples of each sensor, and learned deviations."""
     learned = observer.learned_deviations
     for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
         kinds = ("accepted", "rejected", "unused", "invalid", "dropped")
-        found = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
-        line = f"{sensor.name}: {counts['samples']} samples: {found or 'none used yet'}"
+        used = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
+        line = f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
         if sensor.name in learned:
             declared, unit = sensor.measurement.deviation, sensor.measurement.unit
             line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
@@ -144,7 +144,7 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
 
 
 def parameter_lines(observer: "Observer") -> "Iterator[str]":
-    """What an observer has estimated besides the state, after its last event."""
+    """Parameters that an observer has estimated with the state, after the last event."""
     from impact_observer.draw.reports import figure
     from impact_observer.model.free_parameters import with_unit
 

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         read = model_of(reader, args.model)
         for line in doubts(args.bag, first_times(reader), read.system, has_covariance=True):
             progress.line(f"warning: {line}")
-        found = smooth_bag(
+        smoothed = smooth_bag(
             reader,
             read,
             chosen,
@@ -63,12 +63,13 @@ def run(args: argparse.Namespace) -> int:
             progress=progress.step,
         )
         verdicts = ", ".join(
-            f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in found.rulings.items()
+            f"{n} {ruling.name.lower().replace('_', ' ')}"
+            for ruling, n in smoothed.rulings.items()
         )
-        progress.line(f"{args.output}: {found.estimates} estimates, verdicts: {verdicts}")
-        for line in found.problems:
+        progress.line(f"{args.output}: {smoothed.estimates} estimates, verdicts: {verdicts}")
+        for line in smoothed.problems:
             progress.line(f"warning: {line}")
-        for each in found.runs:
+        for each in smoothed.runs:
             for name, value, deviation in each.parameters:
                 progress.line(f"learned: {with_unit(name)} {figure(value, deviation=deviation)}")
             if not each.smoothed.is_settled:
