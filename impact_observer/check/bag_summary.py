@@ -10,11 +10,11 @@ from typing import Any
 
 from rich.filesize import decimal
 
+from impact_observer.check.mcap_records import summary_of
 from impact_observer.draw.reports import TextTable, counted, print_facts, print_table
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
-from impact_observer.io.mcap_layout import summary_of
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of

@@ -1,26 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """The messages of an MCAP file that may be damaged, from its beginning, without index or footer.
 
-The package ``mcap`` parses the records; this module goes on after broken ones.
+The package ``mcap`` parses records and chunks; this module continues after broken ones.
 """
 
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, TypeAlias
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Schema
-
-from impact_observer.io.mcap_layout import CHUNK, FRAME, MAGIC, summary_of, uncompressed
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import CRCValidationError, breakup_chunk, read_magic
+from mcap.summary import Summary
 
 _OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
-_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+_FRAME = 9
+"""Bytes of the opcode and the length before each record."""
 
 McapMessage: TypeAlias = tuple[Schema, Channel, Message]
 """A message with its type and its topic."""
+
+
+def summary_of(file: BinaryIO) -> Summary | None:
+    """Returns the index at the end of an MCAP file; None if the index is missing or damaged."""
+    file.seek(0)
+    try:
+        return make_reader(file).get_summary()
+    except Exception:  # noqa: BLE001 (the library raises anything for a damaged file)
+        return None
 
 
 class McapFile:
@@ -28,7 +40,7 @@ class McapFile:
 
     Attributes:
         at: bytes read so far.
-        losses: what could not be read, a line each.
+        losses: one line for each part that could not be read.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -42,42 +54,47 @@ class McapFile:
         self.losses: list[str] = []
 
     def messages(self) -> Iterator[McapMessage]:
-        """The messages, chunk after chunk, those of a chunk in the order of their log times."""
-        self._file.seek(0)
-        if self._file.read(len(MAGIC)) != MAGIC:
-            self.losses.append("does not begin as an MCAP file")
-            return
+        """Yields the messages chunk after chunk, within a chunk in the order of log times."""
         if (summary := summary_of(self._file)) is not None:
             self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
             self._schemas.update(summary.schemas)
             self._channels.update(summary.channels)
-        self.at = len(MAGIC)
-        self._file.seek(self.at)
+        self._file.seek(0)
+        try:
+            read_magic(ReadDataStream(self._file))
+        except Exception:  # noqa: BLE001 (the library raises anything)
+            self.losses.append("does not begin as an MCAP file")
+            return
+        self.at = self._file.tell()
         while (frame := self._frame()) is not None:
             opcode, length = frame
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            begin = self.at + FRAME.size
-            body = self._file.read(min(length, self._size)) if opcode in _READ else b""
-            if opcode == Opcode.CHUNK:
-                yield from self._chunk(body, length)
-            else:
-                yield from self._records(FRAME.pack(opcode, len(body)) + body)
-            self.at = begin + length
+            record = self._record(opcode, length)
+            if isinstance(record, Chunk):
+                yield from self._chunk(record, is_whole=self._end(length) <= self._size)
+            elif record is not None:
+                yield from self._noted([record])
+            self.at = self._end(length)
             self._file.seek(self.at)
             if self.at > self._size:
                 self.losses.append(f"was cut short at byte {self._size}")
                 return
 
+    def _end(self, length: int) -> int:
+        """Returns the place behind the record at ``at``."""
+        return self.at + _FRAME + length
+
     def _frame(self) -> tuple[int, int] | None:
-        """Type and length of the next record; None at the end of what can be read."""
+        """Returns type and length of the next record; None at the end of the readable part."""
         while True:
-            head = self._file.read(FRAME.size)
-            if len(head) < FRAME.size:
+            stream = ReadDataStream(self._file)
+            try:
+                opcode, length = stream.read1(), stream.read8()
+            except Exception:  # noqa: BLE001 (the library raises anything)
                 self.losses.append(f"was cut short at byte {self._size}")
                 return None
-            opcode, length = FRAME.unpack(head)
-            if opcode in _OPCODES and self.at + FRAME.size + length <= self._size:
+            if opcode in _OPCODES and self._end(length) <= self._size:
                 return opcode, length
             later = min((each for each in self._chunks if each > self.at), default=None)
             if later is None and opcode == Opcode.CHUNK:
@@ -89,45 +106,75 @@ class McapFile:
             self.at = later
             self._file.seek(later)
 
-    def _chunk(self, body: bytes, length: int) -> Iterator[McapMessage]:
-        """The messages of a chunk, of one that was cut short as many as are whole."""
+    def _record(self, opcode: int, length: int) -> McapRecord | None:
+        """Returns a schema, channel, message or chunk; None for any other record."""
+        stream = ReadDataStream(BytesIO(self._file.read(min(length, self._size))))
+        record: McapRecord | None = None
         try:
-            *_, size, checksum = CHUNK.unpack_from(body)
-            stream = ReadDataStream(BytesIO(body[CHUNK.size :]))
-            compression, stored = stream.read_prefixed_string(), stream.read8()
-            data = uncompressed(body[CHUNK.size + stream.count :][:stored], compression)
+            if opcode == Opcode.MESSAGE:
+                record = Message.read(stream, length)
+            elif opcode == Opcode.SCHEMA:
+                record = Schema.read(stream)
+            elif opcode == Opcode.CHANNEL:
+                record = Channel.read(stream)
+            elif opcode == Opcode.CHUNK:
+                record = Chunk.read(stream)
+        except Exception as error:  # noqa: BLE001 (the library raises anything)
+            self.losses.append(f"the record at byte {self.at} is damaged ({error})")
+        return record
+
+    def _chunk(self, chunk: Chunk, *, is_whole: bool) -> Iterator[McapMessage]:
+        """Yields the messages of a chunk; of a chunk that was cut short, the whole messages."""
+        if not is_whole:
+            records = self._records_of_part(chunk)
+        else:
+            try:
+                records = breakup_chunk(chunk, validate_crc=True)
+            except CRCValidationError:
+                self.losses.append(f"the chunk at byte {self.at} does not match its checksum")
+                return
+            except Exception as error:  # noqa: BLE001 (decompressors raise anything)
+                self.losses.append(f"the chunk at byte {self.at} is damaged ({error})")
+                records = self._records_of_part(chunk)
+        yield from sorted(self._noted(records), key=lambda each: each[2].log_time)
+
+    def _records_of_part(self, chunk: Chunk) -> list[McapRecord]:
+        """Returns the whole records of a chunk that was cut short or is damaged."""
+        data, records = chunk.data, list[McapRecord]()
+        try:
+            if chunk.compression == "zstd":
+                data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+            elif chunk.compression == "lz4":
+                data = lz4.frame.LZ4FrameDecompressor().decompress(data)
         except Exception as error:  # noqa: BLE001 (decompressors raise anything)
             self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
-            return
-        is_whole = len(body) == length
-        if is_whole and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
-            self.losses.append(f"the chunk at byte {self.at} does not match its checksum")
-            return
-        yield from sorted(self._records(data), key=lambda each: each[2].log_time)
-
-    def _records(self, data: bytes) -> Iterator[McapMessage]:
-        """The messages among records, which may end early."""
+            return records
         place = 0
-        while place + FRAME.size <= len(data):
-            opcode, length = FRAME.unpack_from(data, place)
-            body = data[place + FRAME.size : place + FRAME.size + length]
-            stream = ReadDataStream(BytesIO(body))
+        while place + _FRAME <= len(data):
+            length = int.from_bytes(data[place + 1 : place + _FRAME], "little")
+            end = place + _FRAME + length
+            if end > len(data):
+                break
+            part = Chunk("", data[place:end], 0, 0, 0, end - place)
             try:
-                if opcode not in _OPCODES:
-                    raise ValueError
-                if len(body) < length:
-                    return
-                if opcode == Opcode.MESSAGE:
-                    message = Message.read(stream, length)
-                    channel = self._channels[message.channel_id]
-                    yield self._schemas[channel.schema_id], channel, message
-                elif opcode == Opcode.SCHEMA:
-                    schema = Schema.read(stream)
-                    self._schemas[schema.id] = schema
-                elif opcode == Opcode.CHANNEL:
-                    channel = Channel.read(stream)
-                    self._channels[channel.id] = channel
-            except Exception:  # noqa: BLE001 (mcap raises anything)
+                records += breakup_chunk(part)
+            except Exception:  # noqa: BLE001 (the library raises anything)
                 self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
-                return
-            place += FRAME.size + length
+                break
+            place = end
+        return records
+
+    def _noted(self, records: list[McapRecord]) -> Iterator[McapMessage]:
+        """Yields the messages among ``records``; notes the types and topics."""
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = self._channels.get(record.channel_id)
+                schema = None if channel is None else self._schemas.get(channel.schema_id)
+                if channel is not None and schema is not None:
+                    yield schema, channel, record
+                else:
+                    self.losses.append(f"a message at byte {self.at} has no topic")

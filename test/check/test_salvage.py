@@ -145,6 +145,20 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
     assert 300 < found(bag, whole) < len(messages(whole))
 
 
+def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
+    """By the reader and by the check: chunks that this package writes have checksums."""
+    shutil.copytree(whole, "bag")
+    file = Path("bag") / "own_0.mcap"
+    (begin,) = chunks(file)
+    flip(file, begin + 3000, mask=1)
+    with pytest.raises(BagError, match=r"bag: cannot be read as a bag: Chunk checksum mismatch"):
+        messages(Path("bag"))
+    report = check_bag(Path("bag"))
+    assert not report.readable
+    expected = f"own_0.mcap: the chunk at byte {begin} does not match its checksum"
+    assert expected in report.findings[0].remedy
+
+
 @pytest.mark.slow
 def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> None:
     """The index of the file has its place."""
