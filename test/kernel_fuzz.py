@@ -104,8 +104,7 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     from systems import PRESSED
 
     from impact_observer.dynamics import Phases, Watched
-    from impact_observer.kernel import RootSearch
-    from impact_observer.kernel._kernel import falls_at
+    from impact_observer.kernel import RootSearch, falls_at
     from impact_observer.model import Forcing
     from impact_observer.model.force_samples import Samples
 

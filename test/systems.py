@@ -5,10 +5,12 @@ The strategies draw every number by itself, from a grid of multiples of 1/64, so
 example shrinks to one with small whole numbers and zeros.
 """
 
+import gc
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from types import FunctionType, ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -431,3 +433,15 @@ def switching(
     """An event with ``switches`` of any kind at ``seconds`` since ``EPOCH``."""
     stamp = EPOCH + round(seconds * NS_PER_S)
     return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, epoch)
+
+
+def reachable(thing: object) -> int:
+    """How many objects an object holds, itself included, without code, classes and modules."""
+    seen: dict[int, object] = {}
+    waiting = [thing]
+    while waiting:
+        each = waiting.pop()
+        if id(each) not in seen and not isinstance(each, (type, ModuleType, FunctionType)):
+            seen[id(each)] = each
+            waiting += gc.get_referents(each)
+    return len(seen)

@@ -130,7 +130,7 @@ def demo_nodes(duration: float) -> list[Started]:
     demonstration = importlib.import_module("impact_observer.ros.demonstration")
     setup = DemoSetup("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
     nodes = (*observers(setup), *monitors(setup), plant(setup, recorders=1))
-    commands = [demonstration._arguments(node) for node in nodes]
+    commands = [demonstration.node_arguments(node) for node in nodes]
     return [started(name, rest) for _, name, *rest in commands]
 
 

@@ -226,7 +226,7 @@ class FilterBank:
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
         may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
-        if may_be_clear and (clear := self._clear(change, hypotheses[0], root_energy)):
+        if may_be_clear and (clear := self.clear_event(change, hypotheses[0], root_energy)):
             return clear
         branches = self._branches(change, hypotheses, root_energy, extent.largest)
         branches.sort(key=_weight)
@@ -286,7 +286,7 @@ class FilterBank:
         if prior is None:
             return None
         h = h._replace(state=prior, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
-        found = self._clear(change, h, self._root_energy(u))
+        found = self.clear_event(change, h, self._root_energy(u))
         return (found, prior.x) if found else None
 
     def _root_energy(self, u: Vector) -> float:
@@ -298,7 +298,7 @@ class FilterBank:
         in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
         return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
 
-    def _clear(
+    def clear_event(
         self, change: ContactChange, h: Hypothesis, root_energy: float
     ) -> tuple[Hypothesis, ...]:
         """The one hypothesis after an event that it explains well, if no other one is likely."""

@@ -217,7 +217,7 @@ class Forecast:
         x = self.prediction.state(s)
         return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
 
-    def _deviation(self, j: int, s: float) -> float:
+    def deviation(self, j: int, s: float) -> float:
         """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
         return math.hypot(self._spread(j, s), self._rounding(j, s))
 
@@ -244,7 +244,7 @@ class Forecast:
         """From when on a dip is deeper than ``depth`` standard deviations, s."""
 
         def beyond(at: float) -> float:
-            return self._value(dip.which, at) + depth * self._deviation(dip.which, at)
+            return self._value(dip.which, at) + depth * self.deviation(dip.which, at)
 
         if gaps := self._filter.gaps(self._state.closed, dip.deepest):
             found = dip.which, dip.above, dip.deepest, depth

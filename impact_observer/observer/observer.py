@@ -33,7 +33,7 @@ from impact_observer.observer.run_history import RunHistory, misplaced
 from impact_observer.observer.samples import SampleStream, SensorSample
 from impact_observer.observer.sender_runs import SenderRun, SenderRuns
 from impact_observer.observer.synchronization import SynchronizationTest
-from impact_observer.observer.timeline import Entry, Insertion, initial_entry
+from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
 from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
 from impact_observer.stamps import from_seconds, text, whole_stamp, whole_stamps
@@ -540,6 +540,11 @@ class Observer:
     @agreed.setter
     def agreed(self, value: float) -> None:
         self._test.threshold = value
+
+    @property
+    def timeline(self) -> Timeline | None:
+        """The events that are kept, each with the belief after it; None before the first stamp."""
+        return self._run.timeline
 
     @property
     def last_event(self) -> int:

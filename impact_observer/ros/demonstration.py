@@ -238,7 +238,7 @@ def _processes(setup: DemoSetup, logs: Path) -> Iterator[dict[str, "subprocess.P
 def _process(node: NodeSetup, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """Run a node as a process in a session of its own, so that Ctrl-C does not reach the node."""
     with (logs / f"{node.name}.log").open("wb") as log:
-        process = _spawn(_arguments(node), log)
+        process = _spawn(node_arguments(node), log)
         try:
             yield process
         finally:
@@ -278,7 +278,7 @@ def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
     raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
 
 
-def _arguments(node: NodeSetup) -> list[str]:
+def node_arguments(node: NodeSetup) -> list[str]:
     """Arguments for ``python -m``; strings are quoted, so that YAML reads them as strings."""
     arguments = ["impact_observer.ros.entry", node.executable, "--ros-args"]
     arguments += ["-r", f"__node:={node.name}"]

@@ -54,8 +54,8 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
 
 def beliefs(watcher: Observer) -> list[Belief]:
     """After every event."""
-    assert watcher._run.timeline is not None
-    return [entry.belief for entry in watcher._run.timeline.entries]
+    assert watcher.timeline is not None
+    return [entry.belief for entry in watcher.timeline.entries]
 
 
 def mixture(belief: Belief) -> Array:
@@ -132,7 +132,7 @@ def test_clear_event_is_corrected_as_if_all_alternatives_were_weighed(
     """The oracle weighs them; a spurious impact is not clear."""
     model, start, whole = truth("two_mass", 20.0)
     events = [*whole.events[:9], event(12.9, "stop", sequence=90), *whole.events[9:]]
-    clear, found = FilterBank._clear, []
+    clear, found = FilterBank.clear_event, []
 
     def counted(*given: Any) -> tuple[Hypothesis, ...]:  # noqa: ANN401
         found.append(bool(after := clear(*given)))
@@ -140,7 +140,7 @@ def test_clear_event_is_corrected_as_if_all_alternatives_were_weighed(
 
     both = []
     for method in (counted, lambda *_: ()):
-        monkeypatch.setattr(FilterBank, "_clear", method)
+        monkeypatch.setattr(FilterBank, "clear_event", method)
         watcher = observer(
             model, "minimum-variance", start, uncertainty=Uncertainty(), epoch=EPOCH
         )
@@ -309,8 +309,8 @@ def checked(watcher: Observer, stamp: int) -> None:
     for now in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
         assert np.all(np.isfinite(np.concatenate([now.q, now.u, now.covariance.ravel()])))
         assert np.all(np.isfinite([each[1:] for each in now.parameters]))
-    assert watcher._run.timeline is not None
-    for entry in watcher._run.timeline.entries:
+    assert watcher.timeline is not None
+    for entry in watcher.timeline.entries:
         hypotheses = entry.belief.hypotheses
         if watcher.law.uncertainty.trusts_events:
             assert not hypotheses  # nothing is weighed

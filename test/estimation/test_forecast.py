@@ -27,7 +27,7 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
-from impact_observer.kernel._kernel import falls_at
+from impact_observer.kernel import falls_at
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ def check(dips: list[Dip], found: Forecast, s: Array, each: GuardValues) -> None
         assert len(near) == 1
         (dip,) = near
         assert dip.above < dip.below <= dip.deepest
-        deviation = found._deviation(dip.which, dip.deepest)
+        deviation = found.deviation(dip.which, dip.deepest)
         assert depth - COARSE * size <= dip.depth * deviation <= 1.001 * depth + 1e-6 * size
         if last < SAMPLES - 2:
             assert dip.over

@@ -17,7 +17,7 @@ from impact_observer.estimation.readings import DeclaredSensor, Place, Reading, 
 from impact_observer.estimation.sample_update import SampleUpdate
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
-from impact_observer.kernel._kernel import measured
+from impact_observer.kernel import measured
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.plant import Run, simulate

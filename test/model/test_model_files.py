@@ -42,7 +42,7 @@ def mistaken(text: str, old: str, new: str) -> str:
 
 
 def assert_one_line(error: ImpactObserverError, *fragments: str) -> None:
-    """The message is one line, begins with the file and holds all ``fragments``."""
+    """The message is one line, begins with the first fragment and holds all ``fragments``."""
     line = str(error)
     assert len(line.splitlines()) == 1, line
     assert line.startswith(fragments[0]), line
@@ -50,266 +50,106 @@ def assert_one_line(error: ImpactObserverError, *fragments: str) -> None:
         assert fragment in line
 
 
-IN_MATRIX_FORM = {
-    "mass not symmetric": (
+IN_MATRIX_FORM = (
+    (
         "[[1, 0], [0, 1]]",
         "[[1, 2], [0, 1]]",
         "mass: is not symmetric: [0][1] is 2 but [1][0] is 0",
     ),
-    "mass not definite": (
-        "[[1, 0], [0, 1]]",
-        "[[1, 0], [0, -1]]",
-        "mass: is not positive definite: smallest eigenvalue -1",
-    ),
-    "mass singular but for rounding": (
-        "[[1, 0], [0, 1]]",
-        "[[0.49, 0.21], [0.21, 0.09]]",
-        "mass: is not positive definite",
-    ),
-    "mass wrong rows": ("[[1, 0], [0, 1]]", "[[1, 0]]", "mass: 1 rows found; expected 2 rows"),
-    "mass wrong columns": (
-        "[[1, 0], [0, 1]]",
-        "[[1, 0], [0]]",
-        "mass[1]: 1 values found; expected a list of 2 numbers",
-    ),
-    "mass no number": ("[[1, 0], [0, 1]]", "[[1, 0], [0, one]]", "mass[1][1]: 'one' found"),
-    "mass NaN": ("[[1, 0], [0, 1]]", "[[.nan, 0], [0, 1]]", "mass[0][0]: is not finite"),
-    "mass flat": ("[[1, 0], [0, 1]]", "3", "mass: 3 found; expected 2 rows of 2 numbers"),
-    "mass empty": ("[[1, 0], [0, 1]]", "", "mass: nothing found"),
-    "mass missing": ("mass:      [[1, 0], [0, 1]]\n", "", "mass: is missing"),
-    "name missing": ("name: two_mass\n", "", "name: is missing"),
-    "name a number": ("name: two_mass", "name: 2", "name: 2 found; expected a name"),
-    "name a date that is none": ("name: two_mass", "name: 2020-13-45", "is not YAML"),
-    "contacts missing": (
-        "contacts: [{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]\n",
-        "",
-        "contacts: is missing",
-    ),
-    "coordinates missing": ("coordinates: [x1, x2]\n", "", "coordinates: is missing or empty"),
-    "coordinates empty": ("coordinates: [x1, x2]", "coordinates: []", "coordinates: is missing"),
-    "coordinates doubled": ("[x1, x2]", "[x1, x1]", "coordinates[1]: 'x1' is taken already"),
-    "coordinate a number": ("[x1, x2]", "[x1, 2]", "coordinates[1]: 2 is not a name"),
-    "coordinate empty": ("[x1, x2]", "[x1, '']", "coordinates[1]: '' is not a name"),
-    "stiffness not symmetric": (
-        "[[20, -10], [-10, 10]]",
-        "[[20, -10], [-9, 10]]",
-        "stiffness: is not symmetric: [0][1] is -10 but [1][0] is -9; make them equal",
-    ),
-    "stiffness indefinite": (
-        "[[20, -10], [-10, 10]]",
-        "[[20, -20], [-20, 10]]",
-        "stiffness: it is not positive semidefinite: smallest eigenvalue -5.6",
-    ),
-    "damping negative": (
-        "[[0.2, -0.1], [-0.1, 0.1]]",
-        "[[0.2, 0], [0, -0.1]]",
-        "damping: the symmetric part of it is not positive semidefinite: smallest eigenvalue -0.1",
-    ),
-    "restitution negative": (
-        "restitution: 0.7",
-        "restitution: -0.7",
-        "contacts[0].restitution: is -0.7; expected a number in [0, 1]",
-    ),
-    "restitution above one": (
-        "restitution: 0.7",
-        "restitution: 1.1",
-        "contacts[0].restitution: is 1.1;",
-    ),
-    "restitution NaN": (
-        "restitution: 0.7",
-        "restitution: .nan",
-        "contacts[0].restitution: is not fi",
-    ),
-    "restitution missing": (", restitution: 0.7", "", "contacts[0].restitution: is missing"),
-    "gap infinite": ("gap: 0.5", "gap: -.inf", "contacts[0].gap: is not finite"),
-    "gap a boolean": ("gap: 0.5", "gap: true", "contacts[0].gap: True found; expected a number"),
-    "gap too large an integer": (
-        "gap: 0.5",
-        "gap: 1" + "0" * 400,
-        "contacts[0].gap: is too large",
-    ),
-    "gap a date": ("gap: 0.5", "gap: 2020-01-01", "contacts[0].gap: datetime.date"),
-    "gap misspelt": (
-        "gap: 0.5",
-        "gpa: 0.5",
-        "contacts[0].gpa: is not known here; expected one of",
-    ),
-    "direction zero": ("[0, -1]", "[0, 0]", "contacts[0].direction: is zero"),
-    "direction too long": ("[0, -1]", "[0, 0, 1]", "contacts[0].direction: 3 values found"),
-    "contact a list": (
-        "[{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]",
-        "[[stop, 1]]",
-        "contacts[0]: ['stop', 1] found; expected keys: name, direction, gap, restitution",
-    ),
-    "contacts a mapping": (
-        "[{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]",
-        "{name: stop}",
-        "contacts: {'name': 'stop'} found; expected a list",
-    ),
-    "contact doubled": (
-        "contacts: [",
-        "contacts: [{name: stop, direction: [1, 0], gap: 1, restitution: 0}, ",
-        "contacts[1]: 'stop' is taken already",
-    ),
-    "frequency zero": ("frequency: 2.5", "frequency: 0", "forcing.harmonics[0].frequency: is 0"),
-    "frequency negative": (
-        "frequency: 2.5",
-        "frequency: -1",
-        "forcing.harmonics[0].frequency: is -1",
-    ),
-    "frequency missing": ("frequency: 2.5, ", "", "forcing.harmonics[0].frequency: is missing"),
-    "cosine too short": ("[0, 4]", "[4]", "forcing.harmonics[0].cosine: 1 values found"),
-    "forcing unknown key": ("  constant", "  constants", "forcing.constants: is not known here"),
-    "forcing empty": (
-        (
-            "forcing:\n  constant: [0, 0]\n"
-            "  harmonics: [{frequency: 2.5, cosine: [0, 4], sine: [0, 0]}]"
-        ),
-        "forcing:",
-        "forcing: nothing found; expected keys",
-    ),
-    "initial state inside a stop": (
-        "[0.1, -0.2]",
-        "[0.1, 0.6]",
-        "initial_state.position: is inside the stop 'stop' (gap -0.1); expected gap >= 0",
-    ),
-    "initial state too short": ("[0.1, -0.2]", "[0.1]", "initial_state.position: 1 values found"),
-    "initial state infinite": ("[0.5, 0]", "[.inf, 0]", "initial_state.velocity[0]: is not fin"),
-    "initial velocity missing": (", velocity: [0.5, 0]", "", "initial_state.velocity: is missing"),
-    "unknown key": (
-        "name: two_mass",
-        "name: two_mass\nmas: 3",
-        "mas: is not known here; expected",
-    ),
-    "unknown key with a line end": (
-        "name: two_mass",
-        'name: two_mass\n"a\\nb": 3',
-        "a b: is not known here",
-    ),
-    "number as key": ("name: two_mass", "name: two_mass\n3: 4", "3: is not known here"),
-    "both forms": (
-        "name: two_mass",
-        "name: two_mass\nsprings: []",
-        "springs: does not go with coordinates; write matrices or elements, not both",
-    ),
-    "provenance a number": (
-        "name: two_mass",
-        "name: two_mass\nprovenance: 3",
-        "provenance: 3 fou",
-    ),
-    "doubled key": (
-        "name: two_mass",
-        "name: two_mass\nname: three_mass",
-        'is not YAML at line 2, column 1: found duplicate key "name"',
-    ),
-    "matrix file without a folder": (
+    ("[[1, 0], [0, 1]]", "[[0.49, 0.21], [0.21, 0.09]]", "mass: is not positive definite"),
+    ("[[1, 0], [0, 1]]", "[[1, 0]]", "mass: 1 rows found; expected 2 rows"),
+    ("[[1, 0], [0, 1]]", "[[1, 0], [0, one]]", "mass[1][1]: 'one' found"),
+    (
         "[[1, 0], [0, 1]]",
         "m.npy",
         "mass: names the file m.npy; only a model file on disk may do so",
     ),
-}
-IN_ELEMENT_FORM = {
-    "both forms": (
-        "name: pair",
-        "name: pair\nmass: [[1]]",
-        "mass: does not go with bodies; write matrices or elements, not both",
+    ("mass:      [[1, 0], [0, 1]]\n", "", "mass: is missing"),
+    ("name: two_mass", "name: 2", "name: 2 found; expected a name"),
+    ("name: two_mass", "name: two_mass\nmas: 3", "mas: is not known here; expected"),
+    ("name: two_mass", 'name: two_mass\n"a\\nb": 3', "a b: is not known here"),
+    (
+        "name: two_mass",
+        "name: two_mass\nname: b",
+        "is not YAML at line 2, column 1: found duplicate",
     ),
-    "no bodies": (
-        "[{name: a, mass: 1}, {name: b, mass: 1}]",
-        "[]",
-        "bodies: is missing or empty; a system needs at least one body",
+    (
+        "name: two_mass",
+        "name: two_mass\nsprings: []",
+        "springs: does not go with coordinates; write",
     ),
-    "mass zero": (
-        "{name: b, mass: 1}",
-        "{name: b, mass: 0}",
-        "bodies[1].mass: is 0; expected a p",
+    ("[x1, x2]", "[x1, x1]", "coordinates[1]: 'x1' is taken already"),
+    (
+        "[[20, -10], [-10, 10]]",
+        "[[20, -20], [-20, 10]]",
+        "stiffness: it is not positive semidefinite",
     ),
-    "mass NaN": ("{name: b, mass: 1}", "{name: b, mass: .nan}", "bodies[1].mass: is not finite"),
-    "body doubled": ("{name: b,", "{name: a,", "bodies[1].name: 'a' is taken already"),
-    "body named ground": ("{name: b,", "{name: ground,", "bodies[1].name: 'ground' is reserved"),
-    "unknown body": (
+    (
+        "[[0.2, -0.1], [-0.1, 0.1]]",
+        "[[0.2, 0], [0, -0.1]]",
+        "damping: the symmetric part of it is",
+    ),
+    (
+        "restitution: 0.7",
+        "restitution: 1.1",
+        "contacts[0].restitution: is 1.1; expected a number in",
+    ),
+    ("gap: 0.5", "gap: -.inf", "contacts[0].gap: is not finite"),
+    ("gap: 0.5", "gap: true", "contacts[0].gap: True found; expected a number"),
+    ("gap: 0.5", "gap: 1" + "0" * 400, "contacts[0].gap: is too large"),
+    ("gap: 0.5", "gpa: 0.5", "contacts[0].gpa: is not known here; expected one of"),
+    ("[0, -1]", "[0, 0]", "contacts[0].direction: is zero"),
+    ("frequency: 2.5", "frequency: 0", "forcing.harmonics[0].frequency: is 0"),
+    ("[0, 4]", "[4]", "forcing.harmonics[0].cosine: 1 values found"),
+    ("[0.1, -0.2]", "[0.1, 0.6]", "initial_state.position: is inside the stop 'stop' (gap -0.1)"),
+)
+IN_ELEMENT_FORM = (
+    ("name: pair", "name: pair\nmass: [[1]]", "mass: does not go with bodies; write matrices or"),
+    ("name: pair", "name: pair\nunit: cm", "unit: 'cm' found; expected m or rad"),
+    ("{name: b, mass: 1}", "{name: b, mass: 0}", "bodies[1].mass: is 0; expected a p"),
+    ("{name: b,", "{name: ground,", "bodies[1].name: 'ground' is reserved"),
+    (
         "[ground, a]",
         "[ground, c]",
-        "springs[0].between[1]: 'c' is not a body; expected one of a, b, ground",
+        "springs[0].between[1]: 'c' is not a body; expected one of a, b",
     ),
-    "spring to itself": (
-        "[ground, a]",
-        "[a, a]",
-        "springs[0].between: ['a', 'a'] found; expected",
-    ),
-    "spring of three": (
-        "[ground, a]",
-        "[ground, a, b]",
-        "springs[0].between: ['ground', 'a', 'b']",
-    ),
-    "stiffness negative": ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: is -1"),
-    "damping infinite": ("damping: 0.1", "damping: .inf", "springs[0].damping: is not finite"),
-    "unit unknown": ("name: pair", "name: pair\nunit: cm", "unit: 'cm' found; expected m or rad"),
-    "force on ground": ("{body: b, amp", "{body: ground, amp", "forces[0].body: is the ground"),
-    "force without amplitude": ("amplitude: 4, ", "", "forces[0].amplitude: is missing"),
-    "force both": (
+    ("[ground, a]", "[a, a]", "springs[0].between: ['a', 'a'] found; expected"),
+    ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: is -1"),
+    ("{body: b, amp", "{body: ground, amp", "forces[0].body: is the ground"),
+    (
         "{body: a, constant: 1}",
         "{body: a, constant: 1, phase: 2}",
-        "forces[1].phase: stands beside constant; write two forces instead",
+        "forces[1].phase: stands beside",
     ),
-    "force infinite": ("constant: 1", "constant: .inf", "forces[1].constant: is not finite"),
-    "frequency negative": ("frequency: 2.5", "frequency: -2", "forces[0].frequency: is -2"),
-    "amplitude NaN": ("amplitude: 4", "amplitude: .nan", "forces[0].amplitude: is not finite"),
-    "side unknown": (
-        "side: above",
-        "side: left",
-        "stops[0].side: 'left' found; expected above or",
-    ),
-    "limit NaN": ("limit: 0.5", "limit: .nan", "stops[0].limit: is not finite"),
-    "limit beside between": (
+    ("side: above", "side: left", "stops[0].side: 'left' found; expected above or"),
+    (
         "body: b, limit: 0.5, side: above",
         "between: [a, b], limit: 0.5",
-        "stops[0].limit: does not go with between; expected gap",
+        "stops[0].limit: does not go",
     ),
-    "gap beside body": ("limit: 0.5", "gap: 0.5", "stops[0].gap: does not go with body"),
-    "restitution": ("restitution: 0.7", "restitution: 7", "stops[0].restitution: is 7; expected"),
-    "stop doubled": (
-        "stops:   [",
-        "stops: [{name: stop, body: a, limit: 1, side: above, restitution: 0}, ",
-        "stops[1]: 'stop' is taken already",
-    ),
-}
-NOT_A_MODEL = {
-    "empty": ("", "is not a model: expected a YAML mapping"),
-    "a list": ("- 1", "is not a model: expected a YAML mapping"),
-    "a tab": ("name:\n\t- x", "is not YAML at line 2, column 1: found character '\\t'"),
-    "an open bracket": ("name: [", "is not YAML at line 1"),
-    "two documents": (MATRICES + "---\n" + MATRICES, "is not YAML at line 11, column 1"),
-    "an unknown tag": ("name: !!python/object:os.system x", "is not YAML at line 1, column 7"),
-    "a number that is none": ("name: !!int x", "is not YAML: invalid literal"),
-    "too deep": ("a: " + "[" * 500 + "]" * 500, "is not YAML: maximum recursion depth"),
-}
-
-
-@pytest.mark.parametrize(("old", "new", "line"), IN_MATRIX_FORM.values(), ids=list(IN_MATRIX_FORM))
-def test_mistake_in_matrix_form_is_one_line(old: str, new: str, line: str) -> None:
-    """The line names the file, the key and what is expected."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(mistaken(MATRICES, old, new), "my.yaml")
-    assert_one_line(caught.value, f"my.yaml: {line}")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "line"), IN_ELEMENT_FORM.values(), ids=list(IN_ELEMENT_FORM)
+    ("restitution: 0.7", "restitution: 7", "stops[0].restitution: is 7; expected"),
 )
-def test_mistake_in_element_form_is_one_line(old: str, new: str, line: str) -> None:
-    """The key is that of the file, not that of the matrices it assembles to."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(mistaken(ELEMENTS, old, new), "my.yaml")
-    assert_one_line(caught.value, f"my.yaml: {line}")
+NOT_A_MODEL = (
+    ("- 1", "is not a model: expected a YAML mapping"),
+    ("name:\n\t- x", "is not YAML at line 2, column 1: found character '\\t'"),
+    (MATRICES + "---\n" + MATRICES, "is not YAML at line 11, column 1"),
+    ("name: !!python/object:os.system x", "is not YAML at line 1, column 7"),
+    ("a: " + "[" * 500 + "]" * 500, "is not YAML: maximum recursion depth"),
+)
+MISTAKES = [
+    *((mistaken(MATRICES, old, new), line) for old, new, line in IN_MATRIX_FORM),
+    *((mistaken(ELEMENTS, old, new), line) for old, new, line in IN_ELEMENT_FORM),
+    *NOT_A_MODEL,
+]
+"""Texts with one mistake of each kind, and how the error line begins after the file's name."""
 
 
-@pytest.mark.parametrize(("text", "line"), NOT_A_MODEL.values(), ids=list(NOT_A_MODEL))
-def test_text_that_is_no_model_is_one_line(text: str, line: str) -> None:
-    """Whatever YAML raises, the error is one line."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(text, "my.yaml")
-    assert_one_line(caught.value, f"my.yaml: {line}")
+def test_each_kind_of_mistake_is_one_line_with_file_key_and_remedy() -> None:
+    """A mistake in a model file ends in one line that names the file, its key and the remedy."""
+    for text, line in MISTAKES:
+        with pytest.raises(ModelError) as caught:
+            parse_model(text, "my.yaml")
+        assert_one_line(caught.value, f"my.yaml: {line}")
 
 
 @pytest.mark.parametrize(

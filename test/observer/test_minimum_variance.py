@@ -31,7 +31,7 @@ from impact_observer.model.system import Guide
 from impact_observer.observer import Belief, Observer, law_named
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, Switching, simulate
-from impact_observer.stamps import NS_PER_S, seconds_between
+from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
 Array = NDArray[np.float64]
 BOTH = pytest.mark.parametrize("name", ["two_mass", "three_mass"])
@@ -102,10 +102,12 @@ def errors(name: str, watcher: Observer, *stamps: int) -> Array:
 
 def root(watcher: Observer, stamp: int) -> Array:
     """A root of the covariance at ``stamp``: P itself would be rounding."""
-    timeline = watcher._run.timeline
+    timeline = watcher.timeline
     assert timeline is not None
     entry = timeline.at(stamp)
-    found = watcher._run.update.prediction(entry).root(seconds_between(entry.key.stamp, stamp))
+    since = Elapsed(entry.since - watcher.epoch)
+    prediction = watcher.law.predict(since, entry.belief, entry.closed)
+    found = prediction.root(seconds_between(entry.key.stamp, stamp))
     assert found is not None
     return found
 

@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ideal runs as accurate as arithmetic allows: the covariance says so, and no more."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, observer, run, sample, started, without_faults
+from systems import EPOCH, PRESSED, observer, run, sample, without_faults
 
-from impact_observer.dynamics import Grip
-from impact_observer.model import System
-from impact_observer.plant import simulate
-from impact_observer.stamps import NS_PER_S, Instant, grid
+from impact_observer.model import Forcing, System
+from impact_observer.model.angles import Angles
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import NS_PER_S, Elapsed, grid
 
 Array = NDArray[np.float64]
 EPS = float(np.finfo(np.float64).eps)
+
+
+def advanced(forcing: Forcing, seconds: int) -> Forcing:
+    """The same harmonics ``seconds`` later; their angles are exact but for whole turns."""
+    angles = np.array(Angles(forcing.frequency).at(Elapsed(seconds * NS_PER_S)))[:, None]
+    c, s, cosine, sine = np.cos(angles), np.sin(angles), forcing.cosine, forcing.sine
+    return replace(forcing, cosine=c * cosine + s * sine, sine=c * sine - s * cosine)
 
 
 def normalised_errors(model: System, x: Array, seconds: float, late: int) -> Array:
@@ -23,15 +32,14 @@ def normalised_errors(model: System, x: Array, seconds: float, late: int) -> Arr
     """
     start = EPOCH + late * NS_PER_S
     q, u = np.split(x, 2)
-    plant = started(model, q, u)
-    plant._begin(Instant(start), x, Grip((), ()))
+    plant = Plant(replace(model, forcing=advanced(model.forcing, late)), q, u, epoch=start)
     stamps = grid(start + NS_PER_S, start + round(seconds * NS_PER_S), 7.3)
     whole = simulate(plant, stamps)
     declared = without_faults(model_error=0.0)
     watcher = observer(model, "minimum-variance", x, uncertainty=declared, epoch=EPOCH)
     watcher.set_state(start, q, u, np.zeros((x.size, x.size)))
     switched = np.array([each.instant.stamp for each in whole.switchings])
-    events, found = list(whole.events), list[Array]()
+    events, found = [replace(each, epoch=EPOCH) for each in whole.events], list[Array]()
     for stamp, state in zip(stamps.tolist(), whole.states, strict=True):
         while events and events[0].stamp <= stamp:
             watcher.receive(events.pop(0))

@@ -123,7 +123,7 @@ def test_replicas_of_an_ensemble_move_as_each_does_alone(law: str) -> None:
         switching(("c1", Kind.IMPACT), seconds=2.2),
     ]
     together = observer(PRESSED, law, [0.2, -0.1, 0.5, -0.4], epoch=EPOCH, ensemble=6)
-    timeline = together._run.timeline
+    timeline = together.timeline
     assert timeline is not None
     starts = timeline.entries[0].belief.replicas
     for each in events:
@@ -146,7 +146,7 @@ def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
         )
         for each in TRUTH.events[:3]:
             watcher.receive(each)
-        timeline = watcher._run.timeline
+        timeline = watcher.timeline
         assert timeline is not None
         replicas = timeline.entries[-1].belief.replicas
         pairs = replicas[:, None] - replicas

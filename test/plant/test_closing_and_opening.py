@@ -161,8 +161,8 @@ def test_graze_shallower_than_rounding_is_none(depth: float) -> None:
 
 
 @pytest.mark.parametrize("K", [0.0, 1.0])
-def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: float) -> None:
-    """It never opens; the search costs at most two evaluations per window."""
+def test_body_at_rest_on_its_stop_without_load_stays_closed(K: float) -> None:
+    """The contact does not open within 1000 s."""
     model = system(1, 0.1, K, contacts=[([1], 0.0, 0.5)])
     plant = started(model, [0.0], [0.0])
     closed = plant.next_switching(EPOCH)
@@ -170,7 +170,6 @@ def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: fl
     assert kinds_in_order(closed) == [Kind.CLOSE]
     plant.cross(closed)
     assert plant.next_switching(EPOCH + 1000 * NS_PER_S) is None
-    assert plant._hunt.looks <= 2 + 2 * 1000 / plant._phases.scales.window
 
 
 def test_closed_contacts_take_part_in_an_impact_on_their_body() -> None:

@@ -105,7 +105,7 @@ class Unilateral(Geometric):
         n = self.system.n
         replicas = belief.replicas
         for x in replicas:
-            x[n:] = self._nearest_approaching(x[n:], tuple(sorted({*contacts})))
+            x[n:] = self.nearest_approaching(x[n:], tuple(sorted({*contacts})))
         u = replicas[0, n:] - belief.x[n:]
         removed = float(u @ self.system.M @ u) / 2
         bound = None if belief.bound is None else belief.bound - removed
@@ -116,7 +116,7 @@ class Unilateral(Geometric):
         n = self.system.n
         return np.concatenate([self._unilateral.position_after(x[:n], active), x[n:]])
 
-    def _nearest_approaching(self, u: Vector, active: Contacts) -> Vector:
+    def nearest_approaching(self, u: Vector, active: Contacts) -> Vector:
         """The nearest velocities, shape (n,), with which no ``active`` contact separates."""
         contacts = list(active)
         gamma = self.system.W[:, contacts].T @ u
