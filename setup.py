@@ -2,14 +2,20 @@
 
 import runpy
 import subprocess
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from setuptools import Extension, find_packages, setup
+from setuptools import find_packages, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import PlatformError
+
+try:
+    from pybind11.setup_helpers import ParallelCompile
+    from pybind11.setup_helpers import Pybind11Extension as Extension
+
+    ParallelCompile().install()
+except ModuleNotFoundError:  # pybind11-dev of Ubuntu has the headers alone, where g++ finds them
+    from setuptools import Extension  # type: ignore[no-redef]
 
 NAME = "impact_observer"
 SHARE = Path("share", NAME)
@@ -44,29 +50,22 @@ class BuildKernel(build_ext):  # type: ignore[misc]
     """Builds the kernel; colcon also runs this file where nothing is built."""
 
     def build_extensions(self) -> None:
-        """Compile all files at once, or end with one line that names what is missing."""
-        for each in self.extensions:
-            each.extra_compile_args += ["-O0"] if self.debug else []
-            each.extra_link_args += [] if self.debug else ["-Wl,--strip-all"]
-        with suppress(ImportError):  # pybind11-dev of Ubuntu is where compilers look by themselves
-            from pybind11 import get_include  # noqa: PLC0415
+        """Strip the kernel, except with --debug.
 
-            self.compiler.add_include_dir(get_include())
+        Raises:
+            PlatformError: the compiler, the headers of Python or those of pybind11 are missing.
+        """
+        for extension in self.extensions:
+            extension.extra_compile_args += ["-O0"] if self.debug else []
+            extension.extra_link_args += [] if self.debug else ["-Wl,--strip-all"]
         self._check_compiler()
-        one = self.compiler.compile
-
-        def compile_all(sources: list[str], **options: object) -> list[str]:
-            with ThreadPoolExecutor() as pool:
-                objects = pool.map(lambda source: one([source], **options), sources)
-                return [name for names in objects for name in names]
-
-        self.compiler.compile = compile_all
         super().build_extensions()
 
     def _check_compiler(self) -> None:
-        """Let it find the headers of pybind11, which include those of Python."""
+        """Let the compiler find the headers of pybind11, which include those of Python."""
         command = [*self.compiler.compiler_cxx, "-E", "-x", "c++", "-"]
-        command += [f"-I{folder}" for folder in self.compiler.include_dirs]
+        folders = [*self.compiler.include_dirs, *self.extensions[0].include_dirs]
+        command += [f"-I{folder}" for folder in folders]
         header = "#include <pybind11/pybind11.h>"
         try:
             done = subprocess.run(

@@ -64,14 +64,37 @@ def test_import_names_the_remedy_for_a_missing_or_stale_kernel(
     assert printed == (f"impact_observer.kernel {problem}: {REMEDY}\n" if problem else "")
 
 
+def last_error(tmp_path: Path, **environment: str) -> str:
+    """The last line of the standard error of a build in ``tmp_path`` with this environment."""
+    command = [sys.executable, "setup.py", "-q", "build_ext", f"-b{tmp_path}", f"-t{tmp_path}"]
+    done = subprocess.run(
+        command,
+        cwd=PACKAGE.parent,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stderr.splitlines()[-1]
+
+
 @pytest.mark.slow
 def test_building_without_a_compiler_is_one_line(tmp_path: Path) -> None:
     """The line names the packages that are missing."""
     compiler = str(tmp_path / "g++")
-    command = [sys.executable, "setup.py", "-q", "build_ext", f"-b{tmp_path}", f"-t{tmp_path}"]
-    environment = os.environ | {"CXX": compiler}
-    done = subprocess.run(
-        command, cwd=PACKAGE.parent, env=environment, capture_output=True, text=True, check=False
-    )
-    last = done.stderr.splitlines()[-1]
+    last = last_error(tmp_path, CXX=compiler)
     assert last == f"error: no C++ compiler {compiler}: sudo apt install build-essential"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    Path("/usr/include/pybind11").exists(), reason="the compiler finds the headers of Ubuntu"
+)
+def test_building_without_pybind11_is_one_line(tmp_path: Path) -> None:
+    """The line names the packages of pip and of Ubuntu."""
+    (tmp_path / "pybind11.py").write_text("raise ModuleNotFoundError\n")
+    last = last_error(tmp_path, PYTHONPATH=str(tmp_path), CXX="g++")
+    assert (
+        last
+        == "error: g++ finds no pybind11: pip install pybind11, or sudo apt install pybind11-dev"
+    )
