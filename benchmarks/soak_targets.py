@@ -302,7 +302,7 @@ def _samples(_: Path) -> Attack:
             else draw.gauss(0.0, 1.0)
             for _ in range(2)
         )
-        live.add(name, stamp, value)
+        live.add_force(name, stamp, value)
         live.add_motion(name, stamp, value, rate)
         if draw.random() < 0.2:
             live.add_pulse(stamp)

@@ -66,7 +66,7 @@ def give(live: LiveSignals | None, sample: Sample) -> str:
     moves, stamp, value, rate = sample
     if moves:
         return live.add_motion("base", stamp, value, rate)
-    return live.add("motor", stamp, value)
+    return live.add_force("motor", stamp, value)
 
 
 @cache

@@ -127,7 +127,7 @@ class Member:
             curve = self._numbers.curve(self.system, i)
             assert curve is not None, "it depends on the speed"
             aside = speed + np.array([0.0, 1.0, -1.0]) * math.sqrt(seen.dot(seen))
-            rebounds = curve.at(np.abs(aside)) * aside
+            rebounds = curve.restitution_at(np.abs(aside)) * aside
             line = rebounds[0] + curve.slope(speed) * (aside[1:] - aside[0])
             bend = math.sqrt(3.0) * float(np.max(np.abs(rebounds[1:] - line)))
             found[n:, k] = bend * stops[:, pressed.index(i)]
@@ -164,7 +164,7 @@ def _mirror_about(
     gamma = system.W[:, P].T @ x[system.n :]
     for i, speed in zip(P, np.abs(gamma).tolist(), strict=True):
         if curve := numbers.curve(system, i):
-            eps[i], slopes[i] = float(curve.at(np.array(speed))), curve.slope(speed)
+            eps[i], slopes[i] = float(curve.restitution_at(np.array(speed))), curve.slope(speed)
     mirror = Mirror.of(system, newton.jump(pressed, eps), pressed, numbers)
     J, offset = mirror.J.copy(), mirror.offset.copy()
     n = system.n
@@ -300,7 +300,7 @@ class Members:
         theta, weighed = np.array(values), self._nominal
         if any(self._weighs):
             weighed = np.where(self._weighs, theta, weighed)
-        return self.motion(weighed), self._beyond(self.family.at(theta))
+        return self.motion(weighed), self._beyond(self.family.coefficients_at(theta))
 
     def _beyond(self, numbers: Coefficients) -> Coefficients:
         """``numbers`` with the contact times less those of the model.

@@ -96,7 +96,7 @@ def _turning_point(found: Identification) -> tuple[float, float] | None:
         return None
 
     def height(x: Vector) -> float:
-        a = system.forcing.constant.item() / family.at(x[2:]).M.item()
+        a = system.forcing.constant.item() / family.coefficients_at(x[2:]).M.item()
         return float(x[0] - x[1] ** 2 / (2.0 * a))
 
     at = np.concatenate([_initial_state(found), found.values])

@@ -207,7 +207,7 @@ class EquationsOfMotion:
                 found.append((eps, eps, 1.0, 0.0))
                 continue
             by = curve.sensitivity(speed) if isinstance(curve, PowerLaw) else (0.0, 0.0)
-            found.append((float(curve.at(np.array(speed))), curve.slope(speed), *by))
+            found.append((float(curve.restitution_at(np.array(speed))), curve.slope(speed), *by))
         return tuple(np.array(found).T)
 
     def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, Matrix, Matrix]:

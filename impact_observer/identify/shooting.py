@@ -37,7 +37,7 @@ class Shot(NamedTuple):
 
 def equations_of(family: ParametricFamily, values: Vector) -> EquationsOfMotion:
     """The equations of motion for parameter ``values``, shape (p,)."""
-    numbers = family.at(values)
+    numbers = family.coefficients_at(values)
     if is_general(family.system):
         return GeneralMotion(family, numbers, values)
     return EquationsOfMotion(family, numbers)

@@ -72,7 +72,7 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
             problems = [live.add_pulse(read_pulse(message))]
         else:
             problems = [
-                live.add_motion(*each) if moves else live.add(*each[:3])
+                live.add_motion(*each) if moves else live.add_force(*each[:3])
                 for each in read_samples(message, moves=moves)
             ]
     except MessageError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of a model, read from its file and checked; errors name the key."""
+"""Checked values of a model file; every error names the key of the value."""
 
 import math
 import zlib
@@ -15,19 +15,19 @@ from impact_observer.errors import ModelError
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST = 1e15
-"""Largest magnitude of any number of a model, SI units; beyond it products overflow."""
+"""Largest magnitude of any number of a model, SI units; products of larger numbers overflow."""
 Value: TypeAlias = object
 """Any value in a YAML file."""
 
 
 class Section:
-    """A mapping in a model file, with its own key and the keys that it may hold."""
+    """A mapping in a model file, with the key of the mapping and the allowed member keys."""
 
     def __init__(self, key: str, value: Value, allowed: Sequence[str]) -> None:
-        """Take ``value`` found under ``key``.
+        """Take the ``value`` of ``key``.
 
         Raises:
-            ModelError: it is not a mapping, or holds a key that is not ``allowed``.
+            ModelError: ``value`` is not a mapping, or has a key that is not ``allowed``.
         """
         if not isinstance(value, Mapping):
             raise ModelError(key, f"{_shown(value)} found; expected keys: {', '.join(allowed)}")
@@ -45,7 +45,7 @@ class Section:
 
     @property
     def place(self) -> str:
-        """Its own key, such as ``contacts[0]``."""
+        """The key of the mapping, such as ``contacts[0]``."""
         return self._key
 
     def key(self, name: str) -> str:
@@ -56,14 +56,14 @@ class Section:
         """The value of the key ``name``.
 
         Raises:
-            ModelError: there is none.
+            ModelError: the mapping has no such key.
         """
         if name not in self._values:
             raise ModelError(self.key(name), "is missing")
         return self._values[name]
 
     def text(self, name: str) -> str:
-        """A non-empty string."""
+        """The non-empty string at the key ``name``."""
         value = self.value(name)
         if not isinstance(value, str) or not value:
             raise ModelError(self.key(name), f"{_shown(value)} found; expected a name")
@@ -72,21 +72,21 @@ class Section:
         return value
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A number; ``default`` when the key is absent and has one."""
+        """The number at the key ``name``; ``default``, if given, where the key is absent."""
         if default is not None and name not in self:
             return default
         return number(self.key(name), self.value(name))
 
     def positive(self, name: str, *, or_zero: bool = False) -> float:
-        """A finite positive number."""
-        found = self.number(name)
-        if not (found > 0 or (or_zero and found == 0)):
+        """The positive number at the key ``name``; zero is allowed with ``or_zero``."""
+        value = self.number(name)
+        if not (value > 0 or (or_zero and value == 0)):
             wanted = "a number not below zero" if or_zero else "a positive number"
-            raise ModelError(self.key(name), f"is {found:g}; expected {wanted}")
-        return found
+            raise ModelError(self.key(name), f"is {value:g}; expected {wanted}")
+        return value
 
     def items(self, name: str) -> list[tuple[str, Value]]:
-        """The members of a list with their keys; none when the key is absent."""
+        """The members of a list with their keys; an empty list where the key is absent."""
         if name not in self:
             return []
         value = self.value(name)
@@ -95,7 +95,7 @@ class Section:
         return [(f"{self.key(name)}[{i}]", item) for i, item in enumerate(value)]
 
     def vector(self, name: str, n: int, *, optional: bool = False) -> Vector:
-        """``n`` numbers; zeros when the key is absent and ``optional``."""
+        """``n`` numbers, shape (n,); zeros where the key is absent and ``optional``."""
         if optional and name not in self:
             return np.zeros(n)
         return numbers(self.key(name), self.value(name), n)
@@ -106,8 +106,8 @@ class Section:
         if isinstance(value, str):
             return load_matrix(self.key(name), value, folder)
         if not isinstance(value, list) or len(value) != n:
-            found = f"{len(value)} rows" if isinstance(value, list) else _shown(value)
-            raise ModelError(self.key(name), f"{found} found; expected {n} rows of {n} numbers")
+            given = f"{len(value)} rows" if isinstance(value, list) else _shown(value)
+            raise ModelError(self.key(name), f"{given} found; expected {n} rows of {n} numbers")
         return np.array([numbers(f"{self.key(name)}[{i}]", row, n) for i, row in enumerate(value)])
 
 
@@ -115,7 +115,7 @@ def number(key: str, value: Value) -> float:
     """``value`` as a finite float.
 
     Raises:
-        ModelError: it is not a number (a boolean is not one), or too large for one.
+        ModelError: ``value`` is not a number (a boolean is not), not finite or too large.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ModelError(key, f"{_shown(value)} found; expected a number")
@@ -130,27 +130,28 @@ def numbers(key: str, value: Value, n: int) -> Vector:
     """``value`` as a vector of ``n`` numbers.
 
     Raises:
-        ModelError: it is no list, has another length or a member that is not a number.
+        ModelError: ``value`` is no list, has another length or a member that is not a number.
     """
     if not isinstance(value, list) or len(value) != n:
-        found = f"{len(value)} values" if isinstance(value, list) else _shown(value)
-        raise ModelError(key, f"{found} found; expected a list of {n} numbers")
+        given = f"{len(value)} values" if isinstance(value, list) else _shown(value)
+        raise ModelError(key, f"{given} found; expected a list of {n} numbers")
     return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
 
 
 def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
-    """``values`` as a frozen array of ``shape``; ``what`` says it in words.
+    """``values`` as a frozen array of ``shape``; ``what`` names the expected value in errors.
 
     Raises:
-        ModelError: another shape, or a value that is no number, not finite or too large.
+        ModelError: ``values`` have another shape, or a value that is no finite number or too
+            large.
     """
     try:
         array = frozen(values)
     except (TypeError, ValueError):
         raise ModelError(key, f"is not made of numbers only; expected {what}") from None
     if array.shape != shape:
-        found = " x ".join(map(str, array.shape)) or "a single number"
-        raise ModelError(key, f"has shape {found}; expected {what}")
+        given = " x ".join(map(str, array.shape)) or "a single number"
+        raise ModelError(key, f"has shape {given}; expected {what}")
     sizes = np.abs(array)
     if (sizes <= LARGEST).all():
         return array
@@ -158,22 +159,22 @@ def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Ve
     why = f"is too large; expected at most {LARGEST:g}"
     if not np.all(np.isfinite(array)):
         unfit, why = ~np.isfinite(array), "is not finite; expected a number"
-    at = "".join(f"[{i}]" for i in np.argwhere(unfit)[0])
-    raise ModelError(f"{key}{at}", why)
+    index = "".join(f"[{i}]" for i in np.argwhere(unfit)[0])
+    raise ModelError(f"{key}{index}", why)
 
 
 def file_beside(key: str, relative: str, folder: Path | None) -> Path:
     """The file that a model file in ``folder`` names.
 
     Raises:
-        ModelError: it does not exist, or the model is not a file itself.
+        ModelError: the file does not exist, or the model was not read from a file.
     """
     if folder is None:
         raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
     path = folder / relative
     if not path.is_file():
-        found = "is not a file" if path.exists() else "does not exist"
-        raise ModelError(key, f"names the file {path}, which {found}")
+        state = "is not a file" if path.exists() else "does not exist"
+        raise ModelError(key, f"names the file {path}, which {state}")
     return path
 
 
@@ -181,7 +182,7 @@ def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
     """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
 
     Raises:
-        ModelError: the file is missing, of another kind or not readable.
+        ModelError: the file is missing, has another format or is not readable.
     """
     path = file_beside(key, relative, folder)
     try:
@@ -196,7 +197,11 @@ def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
 
 
 def _real(matrix: NDArray[np.generic]) -> Matrix:
-    """``matrix`` as floats; numpy would drop an imaginary part with a warning only."""
+    """``matrix`` as floats.
+
+    Raises:
+        ValueError: ``matrix`` is not real; numpy would drop the imaginary part with a warning.
+    """
     if matrix.dtype.kind not in "fiu":
         raise ValueError(f"holds {matrix.dtype} values, expected real numbers")
     return np.asarray(matrix, dtype=np.float64)

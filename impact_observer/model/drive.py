@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive that turns, known by its index pulses: one a revolution, where its phase is zero.
+"""The phase of a rotating drive, from one index pulse a revolution.
 
-The phase grows evenly between two pulses, after the last one with the last period, and with the
-nominal frequency before there are two. A pulse that comes too soon after the one before is left
-out. A period that is too long is not used: the last good one goes on until its end, where the
-phase starts again at zero.
+The phase is zero at each pulse and grows evenly between two pulses. After the last pulse the phase
+grows at the rate of the last period, and before the second pulse at the nominal frequency. A pulse
+that comes too soon after the pulse before is not used. A period that is too long is not used
+either: the rate of the last good period holds until the next pulse, where the phase is zero again.
 """
 
 from bisect import bisect_left, bisect_right
@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from impact_observer.states import Matrix
 
 OFF = 0.3
-"""By how much a period may differ from the nominal one, relative to that."""
+"""Largest difference of a period from the nominal period, relative to the nominal period."""
 _NS = 1e-9
 _TURN = 2 * np.pi
 
 
 class Drive:
-    """The phase of a drive, a function of its pulses whatever the order of their arrival.
+    """The phase of a drive, a function of the pulses alone and not of their order of arrival.
 
     Attributes:
         nominal: angular frequency, rad/s.
-        pulses: stamps of all that have come, ns, ascending.
-        odd: how many periods were found that are not used.
+        pulses: stamps of all received pulses, ns, ascending.
+        odd: number of periods that were too short or too long.
     """
 
     def __init__(self, nominal: float) -> None:
-        """Begin without any pulse."""
+        """Begin without any pulse; ``nominal`` is in rad/s."""
         self.nominal = nominal
         self.odd = 0
         self.clear()
@@ -44,20 +44,24 @@ class Drive:
 
     @property
     def newest(self) -> int:
-        """The latest pulse that is used, ns: what was before it is final; 0 before the first."""
+        """Stamp of the latest used pulse, ns; 0 before the first pulse.
+
+        The phase before this stamp no longer changes if pulses arrive in order.
+        """
         return self._used[-1] if self._used else 0
 
-    def add(self, stamp: int) -> tuple[int | None, str]:
-        """Take a pulse at ``stamp`` (ns).
+    def add_pulse(self, stamp: int) -> tuple[int | None, str]:
+        """Take the pulse at ``stamp``, ns.
 
         Returns:
-            From which stamp on the phase has changed, ns, 0 for all of it and None for nothing;
-            and in words what was wrong with the periods from the pulse before on.
+            The stamp from which on the phase has changed, ns: 0 if the whole phase has changed,
+            None if the pulse was known. Then a sentence on a period that is not used because of
+            this pulse; empty if all periods are used.
         """
-        at = bisect_left(self.pulses, stamp)
-        if at < len(self.pulses) and self.pulses[at] == stamp:
+        index = bisect_left(self.pulses, stamp)
+        if index < len(self.pulses) and self.pulses[index] == stamp:
             return None, ""
-        self.pulses.insert(at, stamp)
+        self.pulses.insert(index, stamp)
         k = bisect_left(self._used, stamp) - 1
         begin, changed = (self._used[k], self._used[k]) if k >= 0 else (stamp, 0)
         rate = self._rates[k - 1] if k > 0 else self._before
@@ -80,17 +84,20 @@ class Drive:
         self.odd += bool(problem)
         return changed, problem
 
-    def jets(self, at: NDArray[np.int64], epoch: int) -> Matrix:
-        """Phase (rad) and rate (rad/s) at stamps (ns, ascending), from there on: (2, samples).
+    def jets(self, stamps: NDArray[np.int64], epoch: int) -> Matrix:
+        """Phase (rad) and rate (rad/s) at stamps, shape (2, samples).
 
-        Without any pulse the phase is zero at the ``epoch``, ns.
+        Args:
+            stamps: ns, ascending, shape (samples,). At a jump the values after the jump count.
+            epoch: ns; without any pulse the phase is zero at the epoch.
         """
         if not self._used:
-            return np.stack([self.nominal * ((at - epoch) * _NS), np.full(at.size, self.nominal)])
+            phase = self.nominal * ((stamps - epoch) * _NS)
+            return np.stack([phase, np.full(stamps.size, self.nominal)])
         used, rates = np.array(self._used), np.array(self._rates)
-        k = np.searchsorted(used, at, side="right") - 1
+        k = np.searchsorted(used, stamps, side="right") - 1
         rate = np.where(k < 0, self.nominal, rates[np.maximum(k, 0)])
-        return np.stack([rate * ((at - used[np.maximum(k, 0)]) * _NS), rate])
+        return np.stack([rate * ((stamps - used[np.maximum(k, 0)]) * _NS), rate])
 
     def forget_before(self, stamp: int) -> None:
         """Forget the pulses that are not needed from ``stamp`` (ns) on."""
@@ -102,7 +109,7 @@ class Drive:
 
 
 def _problem(period: float, whole: float) -> str:
-    """What is wrong with a ``period`` where one of ``whole`` is nominal, s."""
+    """The sentence on a ``period`` that differs too much from the nominal ``whole``, both in s."""
     return (
         f"a period of {period:.4g} s found; expected {whole:.4g} s within {OFF:.0%}: it is not"
         " used"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The element form of a model: bodies, springs, forces and stops along one line.
 
-It assembles to the same matrices as the matrix form.
+The elements are assembled to the matrices of the matrix form.
 """
 
 from collections.abc import Iterable, Iterator
@@ -41,7 +41,7 @@ class Element:
         label: the body, or the two ends of a spring, such as ``ground-x1``; a second spring
             between the same ends is ``ground-x1#2``.
         value: kg, N/m or Ns/m.
-        matrix: what it adds to the system's matrix is ``value`` times this, shape (n, n).
+        matrix: shape (n, n); ``value`` times ``matrix`` is added to the system's matrix.
     """
 
     kind: str
@@ -51,7 +51,7 @@ class Element:
 
 
 class _Line:
-    """The bodies on the line, by name; grounds have no coordinate, and ``ground`` is at rest."""
+    """The named bodies on the line; grounds have no coordinate, and ``ground`` is at rest."""
 
     def __init__(self, names: list[str], motions: GroundMotions) -> None:
         self.names = names
@@ -77,7 +77,7 @@ class _Line:
         return e
 
     def ground(self, section: Section) -> Vector:
-        """The unit vector of a section's ``ground``, shape (grounds,); zero for that at rest."""
+        """The unit vector of a section's ``ground``, shape (grounds,); zero for ``ground``."""
         name = section.value("ground") if "ground" in section else GROUND
         if name != GROUND and name not in self.motions.names:
             expected = ", ".join((GROUND, *self.motions.names))
@@ -94,8 +94,8 @@ class _Line:
         return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
 
     def moving(self, pair: Value) -> Vector:
-        """The displacements of grounds in ``q_b - q_a`` of two ends, shape (grounds,)."""
-        assert isinstance(pair, list), "it was read"
+        """Factors of ground displacements in ``q_b - q_a`` of two ends, shape (grounds,)."""
+        assert isinstance(pair, list), "relative() has checked the pair"
         return self.motions.unit(pair[1]) - self.motions.unit(pair[0])
 
 
@@ -159,15 +159,15 @@ def _springs(line: _Line, springs: list[Section]) -> Iterator[Element]:
 
 def _pushed(line: _Line, springs: list[Section], kind: str) -> Matrix:
     """Forces by unit displacements, or speeds, of the grounds, shape (n, grounds)."""
-    found = np.zeros((line.n, len(line.motions.names)))
+    forces = np.zeros((line.n, len(line.motions.names)))
     for spring in springs:
         moving = line.moving(spring.value("between"))
-        found -= spring.number(kind, 0.0) * np.outer(line.relative(spring), moving)
-    return found
+        forces -= spring.number(kind, 0.0) * np.outer(line.relative(spring), moving)
+    return forces
 
 
 def labels(pairs: Iterable[Value]) -> list[str]:
-    """Names of springs by their two ends; a second one between the same ends is ``..#2``."""
+    """Names of springs by their two ends; a second spring between the same ends ends in ``#2``."""
     plain: list[str] = []
     for pair in pairs:
         assert isinstance(pair, list), "a spring that was read has two ends"
@@ -182,20 +182,20 @@ def labels(pairs: Iterable[Value]) -> list[str]:
 def _forcing(
     line: _Line, document: Section, folder: Path | None
 ) -> tuple[Forcing, LiveNames | None]:
-    """``f(t)``, and what arrives live, if anything does."""
-    found, inputs, turning = _sum(line, document.items("forces"))
+    """``f(t)``, and the names of live forces and grounds; None where the model has none."""
+    forcing, inputs, turning = _sum(line, document.items("forces"))
     live = live_names(inputs, line.motions.live, line.n, turning)
     if "forcing" not in document:
-        return found, live
+        return forcing, live
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
     section.value("sampled")
-    return replace(found, sampled=sampled_files.read_samples(section, line.names, folder)), live
+    return replace(forcing, sampled=sampled_files.read_samples(section, line.names, folder)), live
 
 
 def _sum(
     line: _Line, forces: list[tuple[str, Value]]
 ) -> tuple[Forcing, list[tuple[str, Vector]], list[Turning]]:
-    """The sum of forces, the live ones by name with their directions, and what turns."""
+    """The sum of known forces, names and directions of live forces, and harmonics of the drive."""
     constant = np.zeros(line.n)
     turning, cosine, sine, inputs = list[Turning](), [], [], list[tuple[str, Vector]]()
     for key, value in forces:
@@ -224,17 +224,17 @@ def _sum(
         cosine.append(amplitude * np.cos(phase) * e)
         sine.append(-amplitude * np.sin(phase) * e)
     h = len(turning)
-    found = Forcing(
+    forcing = Forcing(
         constant,
         np.array([each.frequency for each in turning]),
         np.reshape(cosine, (h, line.n)),
         np.reshape(sine, (h, line.n)),
     )
-    return found, inputs, turning
+    return forcing, inputs, turning
 
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
-    """A stop, and the displacements of grounds in its gap, shape (grounds,)."""
+    """A stop, and the factors of ground displacements in the gap, shape (grounds,)."""
     refuse_coulomb(key, value)
     keys = ("name", "restitution", "contact_time", "body", "limit", "side", "ground", "between")
     stop = Section(key, value, (*keys, "gap"))
@@ -258,7 +258,7 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
 
 
 def _guide(line: _Line, key: str, value: Value) -> tuple[Guide, Vector]:
-    """A guide that rubs, and the speeds of grounds in its slip, shape (grounds,)."""
+    """A guide, and the factors of ground speeds in the slip of the guide, shape (grounds,)."""
     guide = guide_section(key, value, ("name", "between", "force"))
     direction, pair = line.relative(guide), guide.value("between")
     return Guide(guide.text("name"), direction, guide.positive("force")), line.moving(pair)

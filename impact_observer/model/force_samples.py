@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A forcing given by samples: held or linear in between, or a cubic from each to the next."""
+"""A forcing given by samples: constant, linear or cubic from each sample to the next."""
 
 from dataclasses import dataclass, field
 
@@ -12,30 +12,30 @@ from impact_observer.states import Matrix, Vector, frozen
 
 HOLDS = ("previous", "linear")
 JETS = 4
-"""A cubic and its derivatives."""
+"""Number of coefficients of a cubic: the value and three derivatives."""
 SHORTEST_STEP = 1e-9
 """Least time between two samples, s: one stamp."""
 _SAME = 1e-14
 """Largest difference of two instants by rounding, s."""
 _JUMP = 1e-9
-"""Jump of a force that counts as none, relative to the largest."""
+"""Largest jump of a force that counts as rounding, relative to the largest force."""
 _SLACK = 1e-9
 """How far before the first sample an instant may lie by rounding, s: one stamp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Forces at instants; after the last one its force is held.
+    """Forces at instants; the last force is held after the last instant.
 
     Attributes:
-        time: s since the epoch, shape (k,), ascending, k >= 2; the first not after 0.
+        time: s since the epoch, shape (k,), ascending, k >= 2; the first instant is 0 or before.
         force: shape (k, n), N or Nm.
         hold: ``previous`` or ``linear``; ``cubic`` where ``jets`` are given.
-        jets: the force and its first three derivatives from each sample on, shape (4, k, n);
-            zero derivatives at the last. Given for ``cubic`` only, otherwise derived.
-        steps: between the samples, shape (k - 1,), s; exactly equal where they differ by rounding
-            only. Derived.
-        rounding: difference below which an instant counts as that of a sample, s. Derived.
+        jets: force and first three time derivatives just after each sample, shape (4, k, n);
+            the last sample has zero derivatives. Given for ``cubic`` only, otherwise derived.
+        steps: time between samples, shape (k - 1,), s; exactly equal if all differences are
+            rounding. Derived.
+        rounding: largest difference of two instants that counts as zero, s. Derived.
         jumps: whether the force jumps at some sample. Derived.
 
     Raises:
@@ -51,7 +51,7 @@ class Samples:
     jumps: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check everything; derive the others."""
+        """Copy, freeze and check all fields, and derive the others."""
         if self.hold not in HOLDS and self.jets is None:
             raise ModelError("forcing.hold", f"{self.hold!r} found; expected {' or '.join(HOLDS)}")
         time = _checked_time(self.time)
@@ -85,7 +85,7 @@ class Samples:
 
     @classmethod
     def of_jets(cls, time: Vector, jets: NDArray[np.float64]) -> "Samples":
-        """Cubics from each of the instants on, by their derivatives, shape (4, k, n)."""
+        """Cubics from each instant on, by value and derivatives ``jets``, shape (4, k, n)."""
         return cls(time, jets[0], "cubic", jets)
 
     @property
@@ -96,13 +96,13 @@ class Samples:
 
     @property
     def end(self) -> float:
-        """The last sample, s since the epoch."""
+        """Instant of the last sample, s since the epoch."""
         return float(self.time[-1])
 
     def index(self, t: Vector) -> NDArray[np.intp]:
-        """The sample that holds from each ``t`` (s since the epoch) on, shape (samples,).
+        """Index of the latest sample at each ``t``, s since the epoch, shape (samples,).
 
-        An instant within rounding of a sample's counts as the sample's.
+        A ``t`` less than ``rounding`` before a sample counts as the instant of the sample.
 
         Raises:
             DynamicsError: an instant before the first sample.
@@ -111,13 +111,13 @@ class Samples:
         return self._index(t, self.rounding)
 
     def _index(self, t: Vector, slack: float) -> NDArray[np.intp]:
-        found = np.searchsorted(self.time, t + slack, side="right") - 1
-        return np.asarray(np.maximum(found, 0))
+        index = np.searchsorted(self.time, t + slack, side="right") - 1
+        return np.asarray(np.maximum(index, 0))
 
     def derivatives(self, t: Vector, *, slack: float | None = None) -> NDArray[np.float64]:
         """Forces at ``t`` (s since the epoch) and their derivatives, shape (4, samples, n).
 
-        From the right where they jump; ``slack`` is used instead of ``rounding``.
+        At a jump the values are those after the jump; ``slack`` replaces ``rounding``.
 
         Raises:
             DynamicsError: an instant before the first sample.
@@ -130,17 +130,18 @@ class Samples:
     def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
         """``rate`` and ``angle`` of harmonics at ``t``, s since the epoch, (samples, h) each.
 
-        They are given as those of constant frequencies; harmonics of a drive turn with it.
+        The arguments hold for constant frequencies. ``LiveSamples`` replaces the values of
+        harmonics that turn with a drive.
         """
         del t
         return rate, angle
 
     def fastest(self, frequency: Vector) -> Vector:
-        """The largest angular frequencies of harmonics with these nominal ones, (h,), rad/s."""
+        """The largest angular frequencies of harmonics of nominal ``frequency``, (h,), rad/s."""
         return frequency
 
     def check(self, t: Vector | float) -> None:
-        """Check that there are samples at ``t``, s since the epoch.
+        """Check that no ``t``, s since the epoch, is before the first sample.
 
         Raises:
             DynamicsError: an instant before the first sample.
@@ -153,7 +154,7 @@ class Samples:
             )
 
     def knots(self, start: float, stop: float) -> Vector:
-        """Samples strictly between ``start`` and ``stop``, both s since the epoch."""
+        """Instants of samples strictly between ``start`` and ``stop``, s since the epoch."""
         first, last = np.searchsorted(
             self.time, [start + self.rounding, stop - self.rounding], side="right"
         )
@@ -172,7 +173,7 @@ class Samples:
         return Samples.of_jets(self.time, np.concatenate([self.jets[1:], 0 * self.jets[:1]]))
 
     def plus(self, other: "Samples") -> "Samples":
-        """The sum with samples at other instants, from the later of both starts on."""
+        """The sum with samples at other instants; the sum begins at the later of both starts."""
         start = max(self.time[0], other.time[0])
         time = np.union1d(self.time, other.time)
         time = np.append(start, time[time > start])
@@ -182,20 +183,26 @@ class Samples:
 
 
 def shifted(jets: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
-    """Cubics by their derivatives, shape (4, samples, n), each ``s`` seconds later."""
-    found, s = np.array(jets), s[:, None]
+    """Value and derivatives of cubics ``s`` seconds later, shape (4, samples, n).
+
+    Args:
+        jets: value and derivatives now, shape (4, samples, n).
+        s: time from now, s, shape (samples,).
+    """
+    later, s = np.array(jets), s[:, None]
     for k in range(JETS - 1):
         for order in range(JETS - 2, k - 1, -1):
-            after = found[k] if order < JETS - 2 else jets[-1]
-            found[k] = jets[order] + s / (order - k + 1) * after
-    return np.asarray(found)
+            rest = later[k] if order < JETS - 2 else jets[-1]
+            later[k] = jets[order] + s / (order - k + 1) * rest
+    return np.asarray(later)
 
 
 def _checked_time(values: ArrayLike) -> Vector:
     """Instants of samples, frozen and checked.
 
     Raises:
-        ModelError: fewer than two, not ascending, or none at the epoch or before.
+        ModelError: fewer than two instants, instants that do not ascend, or none at the epoch or
+            before.
     """
     key, k = "forcing.sampled.time", np.size(np.asarray(values))
     time = finite(key, values, (k,), "a list of instants, s since the epoch")

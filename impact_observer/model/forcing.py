@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The forcing ``f(t)`` of a system: constant, harmonics and samples, with bounds on them."""
+"""The forcing ``f(t)`` of a system: constant, harmonics and samples, and bounds on the forcing."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -17,14 +17,14 @@ from impact_observer.states import Matrix, Vector, frozen
 class Forcing:
     """``f(t) = constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t) + sampled(t)``.
 
-    The displacements of moving grounds are such functions, too, in m.
+    The displacements of moving grounds are such functions, too. Their unit is m.
 
     Attributes:
         constant: shape (n,), N or Nm.
         frequency: angular frequencies ``omega``, shape (h,), rad/s, each positive.
         cosine: shape (h, n), N or Nm.
         sine: shape (h, n), N or Nm.
-        sampled: forces at instants; None where there are none.
+        sampled: forces at instants; None without samples.
     """
 
     constant: Vector
@@ -35,17 +35,17 @@ class Forcing:
 
     @classmethod
     def none(cls, n: int) -> "Forcing":
-        """No forcing of ``n`` coordinates."""
+        """The forcing of ``n`` coordinates that is always zero."""
         return cls(np.zeros(n), np.zeros(0), np.zeros((0, n)), np.zeros((0, n)))
 
     @classmethod
     def of_samples(cls, samples: Samples) -> "Forcing":
-        """Samples and nothing else."""
+        """The forcing by ``samples`` alone."""
         return replace(cls.none(np.shape(samples.force)[1]), sampled=samples)
 
     @property
     def depends_on_time(self) -> bool:
-        """Whether the epoch matters: there are samples, or some harmonic has an amplitude."""
+        """Whether ``f`` is not constant: it has samples, or a harmonic with an amplitude."""
         return self.sampled is not None or bool(np.any(self.cosine) or np.any(self.sine))
 
     @property
@@ -55,7 +55,7 @@ class Forcing:
 
     @property
     def end(self) -> float:
-        """From when on the last sample is held, s since the epoch; infinity without samples."""
+        """Instant of the last sample, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
 
     def __call__(self, t: float) -> Vector:
@@ -67,26 +67,31 @@ class Forcing:
         return np.asarray(self.derivatives(np.array([t]), 0)[0, 0])
 
     def derivatives(self, t: Vector, order: int) -> NDArray[np.float64]:
-        """``f`` and its time derivatives up to ``order``, from the right where they jump.
+        """``f`` and its time derivatives up to ``order``; after the jump where ``f`` jumps.
 
-        At ``t``, s since the epoch, shape (samples,): shape (order + 1, samples, n).
+        Args:
+            t: s since the epoch, shape (samples,).
+            order: the highest derivative.
+
+        Returns:
+            Shape (order + 1, samples, n).
 
         Raises:
             DynamicsError: some ``t`` lies before the first sample.
         """
-        found = np.zeros((order + 1, t.size, self.constant.size))
-        found[0] = self.constant
+        jets = np.zeros((order + 1, t.size, self.constant.size))
+        jets[0] = self.constant
         if self.frequency.size:
             rate, angle = self.frequency, t[:, None] * self.frequency
             if self.sampled is not None:
                 rate, angle = self.sampled.turned(t, rate, angle)
             cosine, sine = np.cos(angle), np.sin(angle)
             for k in range(order + 1):
-                found[k] += cosine @ self.cosine + sine @ self.sine
+                jets[k] += cosine @ self.cosine + sine @ self.sine
                 cosine, sine = -rate * sine, rate * cosine
         if self.sampled is not None:
-            found[:JETS] += self.sampled.derivatives(t)[: order + 1]
-        return found
+            jets[:JETS] += self.sampled.derivatives(t)[: order + 1]
+        return jets
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
         """A bound on the size of ``f`` and its derivatives in the metric ``X`` >= 0, shape (n, n).
@@ -109,7 +114,7 @@ class Forcing:
         return bounded
 
     def knots(self, start: float, stop: float) -> Vector:
-        """Instants inside (``start``, ``stop``), s since the epoch, where f is not smooth."""
+        """Instants in (``start``, ``stop``), s since the epoch, where ``f`` is not smooth."""
         return np.zeros(0) if self.sampled is None else self.sampled.knots(start, stop)
 
     def mapped(self, T: Matrix) -> "Forcing":
@@ -127,7 +132,7 @@ class Forcing:
         return replace(self, constant=self.constant + constant)
 
     def added(self, other: "Forcing") -> "Forcing":
-        """The sum of two; the harmonics of ``other`` come after these."""
+        """The sum with ``other``; the harmonics of ``other`` come last."""
         sampled = self.sampled or other.sampled
         if self.sampled is not None and other.sampled is not None:
             sampled = self.sampled.plus(other.sampled)
@@ -142,7 +147,7 @@ class Forcing:
     def responded(self, P: Matrix, Q: Matrix, R: Matrix) -> "Forcing":
         """The forcing ``P f + Q df/dt + R d2f/dt2``, for matrices of shape (r, n).
 
-        It has as many harmonics.
+        The response has as many harmonics as ``f``.
         """
         omega, c, s, sampled = self.frequency[:, None], self.cosine, self.sine, self.sampled
         if sampled is not None:
@@ -164,12 +169,12 @@ class Forcing:
         """The same forcing of ``n`` coordinates, copied, frozen and checked.
 
         Raises:
-            ModelError: naming the key of the model file and what is wrong with it.
+            ModelError: a value is wrong; the error names the key of the model file.
         """
         h = np.size(self.frequency)
         if self.sampled is not None and self.sampled.force.shape[1] != n:
-            found = self.sampled.force.shape[1]
-            raise ModelError("forcing.sampled.force", f"has {found} columns; expected {n}")
+            columns = self.sampled.force.shape[1]
+            raise ModelError("forcing.sampled.force", f"has {columns} columns; expected {n}")
         frequency = finite("forcing.harmonics.frequency", self.frequency, (h,), "a list")
         for k in np.flatnonzero(frequency <= 0):
             raise ModelError(
@@ -191,7 +196,10 @@ def _norms(forces: NDArray[np.float64], X: Matrix) -> NDArray[np.float64]:
 
 
 def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Vector]:
-    """As ``Forcing.bound``: a cubic is nowhere larger than the sum of its terms at the end."""
+    """The bound of ``Forcing.bound`` for samples.
+
+    A cubic is nowhere larger than the sum of the sizes of its terms at the end of its interval.
+    """
     assert samples.jets is not None, "derived"
 
     def bounded(k: int, t: Vector) -> Vector:
@@ -200,7 +208,7 @@ def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Ve
             return np.zeros(t.shape)
         last = samples.time.size - 1
         after = np.minimum(j + 1, last)
-        if samples.hold == "linear" and k == 0:  # nowhere larger than at both of its ends
+        if samples.hold == "linear" and k == 0:  # a linear force is largest at an end
             ends = _norms(samples.force[np.stack([j, after])], X)
             return np.asarray(np.max(ends, axis=0))
         step, factor = samples.time[after] - samples.time[j], np.ones(t.shape)

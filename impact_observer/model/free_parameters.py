@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of a model that can be estimated, by the names that users write."""
+"""The parameters of a model that can be estimated, and their names in commands."""
 
 from collections.abc import Collection, Iterator, Sequence
 from difflib import get_close_matches
@@ -36,12 +36,12 @@ UNITS = {
 }
 """Kinds of free parameters and their SI units; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
-"""Of what an observer learns besides; none for a ratio."""
+"""SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase"}
-"""Kinds that no observer learns: its frame moves as the model says."""
+"""Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
-"""Largest value of a scale, and the inverse of its least."""
+"""Largest value of a scale; the least value is the inverse."""
 _LONGEST = 0.1
 """Largest offset of a clock, s."""
 
@@ -60,11 +60,12 @@ def parametric_family(
 ) -> ParametricFamily:
     """The family of systems that differ from ``system`` in the ``wanted`` parameters.
 
-    A name such as ``restitution`` is that of every contact, ``gap.stop`` that of one. The values
-    of ``elements`` can be free, too, and with ``clock`` the offset of the sensor's clock.
+    A name such as ``restitution`` means the restitution of every contact, and ``gap.stop`` means
+    the gap of the contact ``stop``. The values of ``elements`` can be free, too. With ``observed``
+    only parameters that an observer can learn are known.
 
     Raises:
-        UsageError: a name is unknown, given twice, or does not go with another.
+        UsageError: a name is unknown or given twice, or two names exclude each other.
     """
     available = {
         each.name: each
@@ -73,10 +74,10 @@ def parametric_family(
     }
     names: list[str] = []
     for name in wanted:
-        found = [each for each in available if each == name or each.startswith(f"{name}.")]
-        if not found:
+        matches = [each for each in available if each == name or each.startswith(f"{name}.")]
+        if not matches:
             raise UsageError(_unknown(name, available, elements))
-        names.extend(found)
+        names.extend(matches)
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"parameter {name!r}: found twice; name it once")
@@ -94,7 +95,7 @@ def parametric_family(
 
 
 def _unknown(name: str, available: Collection[str], elements: Sequence[Element]) -> str:
-    """What is said of a ``name`` that no parameter of a model has."""
+    """The error text for a ``name`` that no parameter of the model has."""
     kinds = dict.fromkeys(each.partition(".")[0] for each in available)
     near = get_close_matches(name, [*kinds, *available], 1)
     meant = f"did you mean {near[0]}? " if near else ""
@@ -151,7 +152,7 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         kind, _, number = label.partition(".")
         yield parameter(f"{kind}-amplitude.{number}", 1.0, ratio, 1.0, amplitude=one)
         yield parameter(f"{kind}-phase.{number}", 0.0, free, np.pi, phase=one)
-    # Stamps that are late by an offset are those of a forcing that lags by it.
+    # Stamps that are late by an offset have the effect of a forcing that lags by the offset.
     lag = -system.forcing.frequency
     yield parameter(OFFSET, 0.0, (-_LONGEST, _LONGEST), _LONGEST, phase=lag)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The key ``grounds`` of a model file: what moves by itself, and how."""
+"""The key ``grounds`` of a model file: grounds and their motions."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from impact_observer.states import Matrix, Vector
 KINDS = ("harmonics", "sampled", "live")
 _DISPLACEMENT = "displacement"
 _SAME = 1e-9
-"""Difference of two frequencies of one drive that is rounding, relative to them."""
+"""Largest difference of two frequencies that counts as rounding, relative to the frequency."""
 Harmonic: TypeAlias = tuple[int, float, float, float]
 """Ground, amplitude (m), frequency (rad/s) and phase (rad)."""
 
@@ -29,9 +29,9 @@ class Turning(NamedTuple):
     """Whether a harmonic turns with the drive.
 
     Attributes:
-        key: of the harmonic in the model file.
-        order: how often in a revolution; 0 where it does not.
-        frequency: of the harmonic, nominal where it does, rad/s.
+        key: key of the harmonic in the model file.
+        order: periods in a revolution of the drive; 0 for a harmonic of constant frequency.
+        frequency: of the harmonic, rad/s; the nominal one for a harmonic of the drive.
     """
 
     key: str
@@ -46,9 +46,9 @@ class GroundMotions:
     Attributes:
         names: of the grounds.
         harmonics: of their motions.
-        samples: of their displacements, k columns, if some are sampled.
-        live: names of those that are known only live.
-        written: the value of the key, with tables in it.
+        samples: displacements of the sampled grounds, k columns; None without such grounds.
+        live: names of the grounds whose motion arrives live.
+        written: the value of the key ``grounds`` with all tables written out.
     """
 
     names: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class GroundMotions:
         return np.array([float(each == name) for each in self.names])
 
     def grounds(self, stiffness: Matrix, damping: Matrix, factors: Matrix) -> Grounds:
-        """What they do to a system; shapes as of ``Grounds``."""
+        """The grounds with their effects on a system; the shapes are those of ``Grounds``."""
         motion = motion_of(len(self.names), self.harmonics)
         if self.samples is not None:
             motion = motion.added(Forcing.of_samples(self.samples))
@@ -74,7 +74,7 @@ def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -
     """The grounds of a ``document``, whose names may not be ``taken``.
 
     Raises:
-        ModelError: naming the key, or the file with its line and column.
+        ModelError: a value is wrong; the error names the key, or file, line and column.
     """
     items = [Section(key, value, ("name", "motion")) for key, value in document.items("grounds")]
     names: list[str] = []
@@ -122,7 +122,7 @@ def _clamped(key: str, table: Matrix) -> Samples:
     """The C2 cubic spline through a ``table`` of instants and displacements, at rest at its ends.
 
     Raises:
-        ModelError: instants that cannot be used.
+        ModelError: fewer than two instants, or instants that do not ascend.
     """
     try:
         time = Samples(table[:, 0], table[:, 1:], "linear").time
@@ -141,7 +141,7 @@ def live_names(
     n: int,
     turning: Sequence[Turning] = (),
 ) -> LiveNames | None:
-    """What arrives live; directions of an input that stands there several times add up.
+    """The live signals of a model, None without any; directions of equal input names add up.
 
     Raises:
         ModelError: harmonics turn with drives of different nominal frequencies.

@@ -2,13 +2,13 @@
 """Grounds that move by themselves, and the frame of coordinates in which no stop moves.
 
 The gap of a contact on moving grounds is ``g = W^T q + q_r + F s(t)``, ``s`` their displacements.
-With a shift ``E`` of ``W^T E = -F`` the coordinates ``p = q - E s`` have ``g = W^T p + q_r`` and
+A shift ``E`` solves ``W^T E = -F``. The coordinates ``p = q - E s`` have ``g = W^T p + q_r`` and
 ``gamma = W^T du/dt``: no stop moves, and the motion of the grounds is a part of the forcing ::
 
     M ddp/dt2 + C dp/dt + K p = f + (B - K E) s + (D - C E) ds/dt - M E d2s/dt2
 
-``B`` and ``D`` are stiffness and damping of the springs between grounds and bodies. All of
-the package computes in this frame; only what comes in and goes out are coordinates ``q``.
+``B`` and ``D`` are stiffness and damping of the springs between grounds and bodies. The whole
+package computes in this frame. Initial states, messages and files have the coordinates ``q``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ from impact_observer.states import Matrix, Vector, frozen
 
 
 class Displacements(Protocol):
-    """Where grounds are that are known only live."""
+    """The displacements of live grounds."""
 
     grounds: tuple[str, ...]
 
@@ -35,15 +35,15 @@ class Displacements(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveNames:
-    """What arrives live.
+    """The signals of a model that arrive live.
 
     Attributes:
         inputs: names of forces.
         directions: of the coordinates by unit forces, shape (n, inputs).
         grounds: names of grounds.
-        nominal: angular frequency of the drive, rad/s; 0 where nothing turns with one.
-        orders: how often each harmonic of the forces turns in a revolution of the drive; 0 for
-            one that does not turn with it. Empty without a drive.
+        nominal: nominal angular frequency of the drive, rad/s; 0 without a drive.
+        orders: periods of each harmonic of the forces in a revolution of the drive; 0 for a
+            harmonic of constant frequency. Empty without a drive.
     """
 
     inputs: tuple[str, ...]
@@ -54,26 +54,26 @@ class LiveNames:
 
 
 _UNSOLVED = 1e-9
-"""Motion of a stop that no shift removes and that is not rounding, relative to the largest."""
+"""Largest motion of a stop after the shift that counts as rounding, relative to the largest."""
 _DIGITS = 12
-"""Of a shift that stops of single bodies determine."""
+"""Decimals to which a shift is rounded, if the rounded shift is exact."""
 _SAME = 1e-9
-"""Difference of a forcing that is rounding, relative to the largest."""
+"""Largest difference of two forcings that counts as rounding, relative to the largest force."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """What moves by itself.
+    """The moving grounds of a system.
 
     Attributes:
         names: of the grounds.
         motion: their displacements ``s(t)``, k columns, m; no constant.
-        owner: to which of them each harmonic of ``motion`` belongs, as indices.
+        owner: index of the ground of each harmonic of ``motion``.
         stiffness: forces on the coordinates by unit displacements, shape (n, k), N/m.
         damping: the same by unit speeds, shape (n, k), Ns/m.
-        factors: of the displacements in the gap of each contact, then of the speeds in the slip
-            of each guide, shape (m + guides, k).
-        written: what a model file says of them, with tables in it.
+        factors: factors of the displacements in the gap of each contact, then of the speeds in
+            the slip of each guide, shape (m + guides, k).
+        written: the value of the key ``grounds`` with all tables written out.
     """
 
     names: tuple[str, ...]
@@ -85,7 +85,7 @@ class Grounds:
     written: tuple[Mapping[str, object], ...] = ()
 
     def shift(self, W: Matrix) -> Matrix:
-        """``E``, shape (n, k), for contacts and guides in the directions ``W``, (n, m + guides).
+        """The shift ``E``, shape (n, k), for directions ``W`` of shape (n, m + guides).
 
         Raises:
             ModelError: stops of the same body move against each other.
@@ -111,13 +111,13 @@ class MovingFrame:
     """The frame in which no stop of a system moves.
 
     Attributes:
-        grounds: what moves.
-        forcing: ``f(t)`` of the model, without what the grounds do.
-        shift: ``E``: coordinates are those in the frame plus ``E s(t)``, shape (n, k).
-        live: where its live grounds are; None where they rest.
-        angles: of the harmonics of the grounds. Derived.
-        gap_reach: how far grounds move each contact and guide at most, shape (m + guides,), m.
-            Derived.
+        grounds: the moving grounds.
+        forcing: ``f(t)`` of the model without the effects of the grounds.
+        shift: ``E`` of ``q = p + E s(t)``, shape (n, k).
+        live: the displacements of live grounds; None if live grounds rest.
+        angles: angles of the harmonics of the grounds. Derived.
+        gap_reach: largest motion of each contact and guide by the grounds, m, shape
+            (m + guides,). Derived.
     """
 
     grounds: Grounds
@@ -128,7 +128,7 @@ class MovingFrame:
     gap_reach: Vector = field(init=False)
 
     def __post_init__(self) -> None:
-        """Count the turns of the harmonics."""
+        """Derive ``angles`` and ``gap_reach``."""
         motion = self.grounds.motion
         reach = np.sum(np.abs(motion.cosine) + np.abs(motion.sine), axis=0)
         if motion.sampled is not None:
@@ -137,14 +137,14 @@ class MovingFrame:
         object.__setattr__(self, "gap_reach", frozen(np.abs(self.grounds.factors) @ reach))
 
     def total(self, M: Matrix, C: Matrix, K: Matrix) -> Forcing:
-        """The forcing in the frame; the grounds' harmonics come last."""
+        """The forcing in the frame; the harmonics of the grounds come last."""
         grounds, E = self.grounds, self.shift
         stiffness, damping = grounds.stiffness - K @ E, grounds.damping - C @ E
         return self.forcing.added(grounds.motion.responded(stiffness, damping, -M @ E))
 
     def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
         """``s`` and ``ds/dt`` at instants, ns since the epoch, shape (samples, k) each."""
-        motion, angles = self.grounds.motion, self.angles.each(ns)
+        motion, angles = self.grounds.motion, self.angles.at_stamps(ns)
         cos, sin, omega = np.cos(angles), np.sin(angles), motion.frequency
         s = cos @ motion.cosine + sin @ motion.sine
         speed = (omega * cos) @ motion.sine - (omega * sin) @ motion.cosine
@@ -158,14 +158,21 @@ class MovingFrame:
         return s, speed
 
     def states(self, ns: NDArray[np.int64]) -> Matrix:
-        """What states (q, u) are ahead of those in the frame at instants, shape (samples, 2n)."""
+        """Difference of the states (q, u) from those in the frame.
+
+        Args:
+            ns: nanoseconds since the epoch, shape (samples,).
+
+        Returns:
+            ``(E s, E ds/dt)``, shape (samples, 2n).
+        """
         return np.hstack([each @ self.shift.T for each in self.displacements(ns)])
 
     def check(self, forcing: Forcing, M: Matrix, C: Matrix, K: Matrix) -> None:
         """Check that ``forcing`` is ``total``.
 
         Raises:
-            ModelError: it is not.
+            ModelError: ``forcing`` differs from ``total``.
         """
         total = self.total(M, C, K)
         for name in ("constant", "frequency", "cosine", "sine"):
@@ -178,7 +185,7 @@ class MovingFrame:
 
 
 def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:
-    """Displacements of ``k`` grounds: ``harmonics`` are ground, amplitude, frequency, phase."""
+    """Displacements of ``k`` grounds by ``harmonics``: ground, amplitude, frequency and phase."""
     zero, rows = np.zeros((len(harmonics), k)), range(len(harmonics))
     cosine, sine = zero.copy(), zero.copy()
     for row, (ground, amplitude, _, phase) in zip(rows, harmonics, strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The key ``friction`` of a model file: guides that rub; and what of friction is refused."""
+"""The key ``friction`` of a model file: guides with dry friction. Coulomb friction is refused."""
 
 from collections.abc import Mapping
 
@@ -14,10 +14,10 @@ _COULOMB = (
 
 
 def guide_section(key: str, value: Value, allowed: tuple[str, ...]) -> Section:
-    """A member of ``friction``.
+    """The guide in a member of ``friction``.
 
     Raises:
-        ModelError: it is not a mapping with keys that are ``allowed``, or Coulomb friction.
+        ModelError: ``value`` is Coulomb friction, or no mapping of ``allowed`` keys.
     """
     if isinstance(value, Mapping):
         for name in ("coefficient", "contact", "stop"):
@@ -27,10 +27,10 @@ def guide_section(key: str, value: Value, allowed: tuple[str, ...]) -> Section:
 
 
 def refuse_coulomb(key: str, value: Value) -> None:
-    """Refuse friction in a stop or contact.
+    """Refuse Coulomb friction in a stop or contact.
 
     Raises:
-        ModelError: it has some.
+        ModelError: ``value`` has the key ``friction``.
     """
     if isinstance(value, Mapping) and "friction" in value:
         raise ModelError(f"{key}.friction", _COULOMB)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that change while they are used: who has copies of them follows."""
+"""Samples of forces that change while a run goes on, with calls to the users of copies."""
 
 from collections.abc import Callable
 
@@ -14,20 +14,20 @@ NEVER = -(1 << 62)
 """A stamp before all samples, ns."""
 _NS = 1e-9
 _ROUNDING = 2.5e-10
-"""Difference of instants that counts as none, s: a quarter of a stamp."""
+"""Largest difference of two instants that counts as zero, s: a quarter of a stamp."""
 Splice = Callable[[int, Vector, NDArray[np.float64], Matrix, float], None]
-"""Takes other samples from a number on: instants, jets, phase and rate of the drive, until when
-they are final, s."""
+"""Called when samples change, with: number of the first changed sample, instants, jets, phase and
+rate of the drive, and the instant until which samples are final, s."""
 
 
 class LiveSamples(Samples):
-    """Samples that change; who has copies of them follows.
+    """Samples that change; each user of copies registers with ``follow``.
 
     Attributes:
-        dropped: how many samples have been forgotten.
-        newest: until when they are final, s since the epoch; infinity where all may change.
-        orders: how often each harmonic turns in a revolution of the drive, 0 for one that does
-            not turn with it, shape (h,).
+        dropped: number of forgotten samples.
+        newest: samples before this instant are final, s since the epoch.
+        orders: periods of each harmonic in a revolution of the drive, 0 for a harmonic of
+            constant frequency, shape (h,).
         turns: phase (rad) and rate (rad/s) of the drive at each of the samples, shape (2, k).
     """
 
@@ -45,7 +45,14 @@ class LiveSamples(Samples):
         newest: float,
         orders: NDArray[np.int64],
     ) -> None:
-        """Begin with those of ``base``, or with none; others ``drive`` these coordinates, too."""
+        """Begin with the samples of ``base``, or with zero forces.
+
+        Args:
+            base: known samples; None without any.
+            drives: which coordinates live signals drive, shape (n,).
+            newest: as the attribute.
+            orders: as the attribute.
+        """
         n = drives.size
         time, jets = np.array([NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
         if base is not None and base.jets is not None:
@@ -71,15 +78,15 @@ class LiveSamples(Samples):
 
     @property
     def end(self) -> float:
-        """There is no last sample."""
+        """Infinity: a live signal has no last sample."""
         return np.inf
 
     def follow(self, splice: Splice, drop: Callable[[int], None]) -> None:
-        """From now on tell of changes, and of the number of the first sample that is kept."""
+        """Call ``splice`` at changes, and ``drop`` with the number of the first kept sample."""
         self._followers.append((splice, drop))
 
     def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
-        """``rate`` and ``angle`` of harmonics, of which some turn with the drive."""
+        """``rate`` and ``angle`` of harmonics; harmonics of the drive get those of the drive."""
         if not self.orders.any():
             return rate, angle
         j, turning = self._index(t, self.rounding), self.orders > 0
@@ -91,13 +98,13 @@ class LiveSamples(Samples):
         )
 
     def fastest(self, frequency: Vector) -> Vector:
-        """A drive may be faster than its nominal frequency."""
+        """The largest angular frequencies; those of a drive can exceed the nominal ones, rad/s."""
         return np.where(self.orders > 0, frequency / (1 - OFF), frequency)
 
     def change(
         self, first: int, time: Vector, jets: NDArray[np.float64], turns: Matrix, newest: float
     ) -> None:
-        """Put others from the sample ``first`` on, counted from the very first."""
+        """Replace the samples from number ``first`` on; forgotten samples count."""
         kept = first - self.dropped
         assert self.jets is not None, "derived"
         self._set(
@@ -110,7 +117,7 @@ class LiveSamples(Samples):
             splice(first, time, jets, turns, newest)
 
     def forget(self, first: int) -> None:
-        """Forget the samples before ``first``."""
+        """Forget the samples before number ``first``."""
         assert self.jets is not None, "derived"
         old = first - self.dropped
         self._set(self.time[old:], self.jets[:, old:], self.turns[:, old:])

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of forces and grounds only while it happens: samples that arrive, in any order.
+"""Forces, grounds and a drive that are known by samples that arrive live, in any order.
 
-The previous sample of an input holds. A ground moves by cubic Hermite polynomials from sample to
-sample, before the first it rests where that is, and after the last one its speed stays. A drive
-turns by its pulses (``drive.py``). All is a function of the samples alone, whatever the order and
-the times at which they arrive.
+A force is constant from each sample to the next. A ground moves by cubic Hermite polynomials from
+sample to sample. Before the first sample the ground rests at the position of the first sample, and
+after the last sample the ground keeps the last speed. A drive turns by its pulses (``drive.py``).
+All signals are functions of the samples alone, not of the order or time of their arrival.
 """
 
 from bisect import bisect_left, bisect_right
@@ -28,10 +28,10 @@ from impact_observer.states import Matrix, Vector
 
 _NS = 1e-9
 _OFTEN = 1000
-"""Samples that are forgotten together."""
+"""Number of samples that are forgotten together."""
 
 PHASE_REFERENCE = "phase_reference"
-"""What the pulses of a drive are called."""
+"""Name of the pulses of a drive in messages and errors."""
 
 
 @dataclass(slots=True)
@@ -45,10 +45,10 @@ class _Signal:
     rates: list[float]
 
     def jets(self, at: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Value and three derivatives at stamps (ns, ascending), from there on: (4, samples)."""
-        found = np.zeros((JETS, at.size))
+        """Value and three derivatives just after stamps (ns, ascending), shape (4, samples)."""
+        jets = np.zeros((JETS, at.size))
         if not self.stamps or not at.size:
-            return found
+            return jets
         first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
         last = bisect_right(self.stamps, int(at[-1])) + 1
         stamps = np.array(self.stamps[first:last])
@@ -56,8 +56,8 @@ class _Signal:
         k = np.searchsorted(stamps, at, side="right") - 1
         before = k < 0
         if not self.moves:
-            found[0] = np.where(before, 0.0, value[k])
-            return found
+            jets[0] = np.where(before, 0.0, value[k])
+            return jets
         k = np.maximum(k, 0)
         starts = np.stack([value, rate, 0 * value, 0 * value])
         if value.size > 1:
@@ -72,7 +72,7 @@ class _Signal:
 
 
 class _Received(NamedTuple):
-    """A sample that has come, of the signal with this index."""
+    """A received sample of the signal with the index ``signal``."""
 
     signal: int
     stamp: int
@@ -84,20 +84,20 @@ class LiveSignals:
     """The live inputs and grounds of one user of a system.
 
     Attributes:
-        inputs: names of the inputs.
-        grounds: names of the grounds that are live.
-        drive: whose pulses arrive; None where nothing turns with one.
-        samples: what they do, with all other samples of forces.
-        late: how many samples came too late to be used.
+        inputs: names of the live forces.
+        grounds: names of the live grounds.
+        drive: the drive whose pulses arrive; None without a drive.
+        samples: the forces by all live signals, and the known samples of forces.
+        late: number of samples that came too late to be used.
     """
 
     def __init__(self, system: System, *, causal: bool) -> None:
         """Begin without any sample.
 
         Args:
-            system: whose signals.
-            causal: whether samples that lie before others of their signal are left out, so that
-                what has been is final.
+            system: the system with live signals.
+            causal: whether a sample is refused that lies before the newest sample of the same
+                signal. The past is final then.
         """
         live = system.live
         assert live is not None, "the system has live signals"
@@ -132,47 +132,47 @@ class LiveSignals:
 
     @property
     def newest(self) -> list[int]:
-        """The latest stamp of each of them that is used, ns; 0 before the first."""
+        """Stamp of the latest used sample of each signal in ``names``, ns; 0 before the first."""
         return [*self._newest, *([self.drive.newest] if self.drive else [])]
 
     @property
     def known_until(self) -> int:
-        """The stamp up to which all signals are known, ns; 0 before each has a sample."""
+        """The stamp up to which all signals are known, ns; 0 until each signal has a sample."""
         return min(self.newest)
 
     @property
     def turned_from(self) -> int:
-        """From which stamp on pulses since ``follow`` have changed the phase, ns."""
+        """First stamp at which pulses since the last ``follow`` have changed the phase, ns."""
         return MAX_STAMP if self._turned is None else self._turned
 
     def keep_waiting(self, most: int) -> None:
-        """Forget the oldest of more samples than ``most`` that wait for ``follow``."""
+        """Forget the oldest samples if more than ``most`` samples wait for ``follow``."""
         if len(self._pending) > most:
             del self._pending[: -most // 2]
         if self.drive is not None and len(self.drive.pulses) > most:
             self.drive.forget_before(self.drive.pulses[-most // 2])
             self._pulses = [each for each in self._pulses if each >= self.drive.pulses[0]]
 
-    def add(self, name: str, stamp: int, value: float) -> str:
-        """Take a sample of an input, N.
+    def add_force(self, name: str, stamp: int, value: float) -> str:
+        """Take a sample of the live force ``name`` at ``stamp``, ns; the ``value`` is in N.
 
         Returns:
-            In words why it cannot be used; empty where it can.
+            A sentence why the sample is not used; empty for a used sample.
         """
         return self._add((name, False), stamp, value, 0.0)
 
     def add_motion(self, name: str, stamp: int, position: float, velocity: float) -> str:
-        """Take a sample of a ground: ``position`` in m, ``velocity`` in m/s; as ``add``."""
+        """Take a sample of a ground, in m and m/s; stamp and return value as ``add_force``."""
         return self._add((name, True), stamp, position, velocity)
 
     def add_pulse(self, stamp: int) -> str:
-        """Take a stamp (ns) at which the phase of the drive is zero; as ``add``."""
+        """Take a pulse of the drive at ``stamp``, ns; the return value as ``add_force``."""
         if self.drive is None:
             return f"{PHASE_REFERENCE!r}: nothing of this model turns with a drive"
         if stamp <= (self.drive.newest if self._causal else self._least):
             self.late += 1
             return f"{PHASE_REFERENCE!r}: its stamp is not after that of the pulse before"
-        changed, problem = self.drive.add(stamp)
+        changed, problem = self.drive.add_pulse(stamp)
         if changed is not None:
             self._pulses.append(stamp)
             self._turned = changed if self._turned is None else min(changed, self._turned)
@@ -204,13 +204,13 @@ class LiveSignals:
         self._epoch, self._least = None, NEVER
 
     def follow(self, epoch: int) -> int | None:
-        """Use the samples that have come.
+        """Use the received samples.
 
         Args:
             epoch: stamp of ``t = 0``, ns.
 
         Returns:
-            The stamp from which on something has changed, ns; None where nothing has.
+            The stamp from which on the forces have changed, ns; None without a change.
         """
         changed = None if epoch == self._epoch else NEVER
         pending, self._pending = self._pending, []
@@ -227,26 +227,26 @@ class LiveSignals:
         return changed
 
     def _inserted(self, sample: _Received) -> int | None:
-        """Put a sample in its place; from which stamp on that changes its signal."""
+        """Insert a sample; return the first stamp of a change, None if the sample is unused."""
         signal = self._signals[sample.signal]
-        at = bisect_left(signal.stamps, sample.stamp)
+        index = bisect_left(signal.stamps, sample.stamp)
         if sample.stamp <= self._least:
             self.late += 1
             return None
-        if at < len(signal.stamps) and signal.stamps[at] == sample.stamp:
+        if index < len(signal.stamps) and signal.stamps[index] == sample.stamp:
             return None  # the first sample of a stamp counts
-        signal.stamps.insert(at, sample.stamp)
-        signal.values.insert(at, sample.value)
-        signal.rates.insert(at, sample.rate)
+        signal.stamps.insert(index, sample.stamp)
+        signal.values.insert(index, sample.value)
+        signal.rates.insert(index, sample.rate)
         if not signal.moves:
             return sample.stamp
-        return signal.stamps[at - 1] if at else NEVER
+        return signal.stamps[index - 1] if index else NEVER
 
     def _rebuild(self, epoch: int, changed: int, stamps: Sequence[int]) -> None:
-        """Make other samples of forces from ``changed`` (ns) on."""
+        """Compute the samples of forces from ``changed`` (ns) on."""
         if epoch != self._epoch:
             self._epoch, self._knots, start = epoch, self._all_knots(epoch), 0
-        else:  # from the knot on in whose interval the change begins
+        else:  # the last knot before the change
             start = max(bisect_right(self._knots, changed) - 1, 0)
             tail = sorted({*self._knots[start:], *(s for s in stamps if s > self._knots[0])})
             self._knots[start:] = tail
@@ -256,7 +256,7 @@ class LiveSignals:
         self.samples.change(first, time, self._forces(at, epoch), turns, self._final())
 
     def _all_knots(self, epoch: int) -> list[int]:
-        """Stamps of everything, ns, ascending."""
+        """Stamps of all samples, pulses and the epoch, ns, ascending."""
         own, first = {stamp for each in self._signals for stamp in each.stamps}, NEVER
         if self._base is not None:
             first, *others = [epoch + round(t / _NS) for t in self._base.time.tolist()]
@@ -266,7 +266,7 @@ class LiveSignals:
         return [first, *sorted(stamp for stamp in own if stamp > first)]
 
     def _final(self) -> float:
-        """Until when the samples do not change any more, s since the epoch."""
+        """The instant before which samples are final, s since the epoch."""
         assert self._epoch is not None, "followed"
         return (self.known_until - self._epoch) * _NS if self._causal else np.inf
 
@@ -283,16 +283,19 @@ class LiveSignals:
         return total
 
     def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
-        """Those of the live grounds and their speeds, ns since the epoch: (samples, grounds)."""
+        """Displacements and speeds of the live grounds, shape (samples, grounds) each.
+
+        ``ns`` are nanoseconds since the epoch, shape (samples,).
+        """
         assert self._epoch is not None, "followed"
         order = np.argsort(ns, kind="stable")
-        found = np.zeros((2, ns.size, len(self.grounds)))
+        motion = np.zeros((2, ns.size, len(self.grounds)))
         for k, signal in enumerate(self._signals[len(self.inputs) :]):
-            found[:, order, k] = signal.jets(ns[order] + self._epoch)[:2]
-        return found[0], found[1]
+            motion[:, order, k] = signal.jets(ns[order] + self._epoch)[:2]
+        return motion[0], motion[1]
 
     def forget_before(self, stamp: int) -> None:
-        """Forget what is not needed from ``stamp`` (ns) on, now and then."""
+        """Forget samples that are not needed from ``stamp`` (ns) on, many at a time."""
         old = bisect_right(self._knots, stamp) - 1
         if old < _OFTEN:
             return
@@ -310,19 +313,19 @@ def _responses(system: System) -> NDArray[np.float64]:
     """Forces by the value, first and second derivative of each signal, (signals, 3, n)."""
     live, frame = system.live, system.frame
     assert live is not None, "the system has live signals"
-    found = np.zeros((len(live.inputs) + len(live.grounds), 3, system.n))
-    found[: len(live.inputs), 0] = live.directions.T
+    responses = np.zeros((len(live.inputs) + len(live.grounds), 3, system.n))
+    responses[: len(live.inputs), 0] = live.directions.T
     for k, name in enumerate(live.grounds, len(live.inputs)):
         assert frame is not None, "a live ground is one of the frame's"
         i, E = frame.grounds.names.index(name), frame.shift
-        found[k, 0] = (frame.grounds.stiffness - system.K @ E)[:, i]
-        found[k, 1] = (frame.grounds.damping - system.C @ E)[:, i]
-        found[k, 2] = -(system.M @ E)[:, i]
-    return found
+        responses[k, 0] = (frame.grounds.stiffness - system.K @ E)[:, i]
+        responses[k, 1] = (frame.grounds.damping - system.C @ E)[:, i]
+        responses[k, 2] = -(system.M @ E)[:, i]
+    return responses
 
 
 def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSignals | None]:
-    """The ``system`` with signals of its own, where it has live ones."""
+    """The ``system`` connected to new live signals; None if the system has none."""
     if system.live is None:
         return system, None
     signals = LiveSignals(system, causal=causal)
@@ -334,7 +337,7 @@ def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSign
 def refused(system: System, what: str) -> None:
     """Raise UsageError where a ``system`` has live forces or grounds, which ``what`` cannot use.
 
-    What turns with a drive turns there with its nominal frequency.
+    A drive is no reason: ``what`` uses the nominal frequency of the drive.
     """
     if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
         raise UsageError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One sensor that measures a known function of the state, as its user declares it."""
+"""The declaration of a sensor that measures a linear function of the state."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ _RANGES = {
     "gate": (1e-9, 1e9, "a positive number of standard deviations"),
     "timeout": (1e-9, 1e9, "a positive number of seconds"),
 }
-"""Least and most of each number, and what is expected, in words."""
+"""Least and largest value of each number, and the words for the range in errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +39,25 @@ class Measurement:
     """A sensor: ``y`` = a sum of coefficients times positions, velocities, ... + ``offset``.
 
     Attributes:
-        name: of the sensor, in verdicts and diagnostics.
-        topic: where it publishes.
+        name: name of the sensor in verdicts and diagnostics.
+        topic: topic of the samples.
         joint: name of the joint in ``sensor_msgs/JointState``; empty where ``field`` is given.
         quantity: ``position`` or ``velocity`` of that joint.
         field: path of the number in a message, such as ``range`` or ``linear_acceleration.x``.
         position: coefficients by coordinate.
         velocity: coefficients by coordinate.
         acceleration: coefficients by coordinate.
-        gap: the contact whose gap is measured; empty for none.
-        offset: added to what is measured, in its own unit.
-        deviation: standard deviation of the noise, in the same unit; 0 for an exact measurement,
-            None to have it learned.
+        gap: name of the contact whose gap is measured; empty for none.
+        offset: constant part of ``y``, in the unit of ``y``.
+        deviation: standard deviation of the noise, in the unit of ``y``; 0 for an exact
+            measurement, None for a deviation that is learned.
         gain: share of the deviation from a sample that laws without a covariance remove.
-        delay: by how much stamps are late, s.
-        blanking: so long after an impact its samples are not used, s.
-        gate: normalised innovation from which on a sample is rejected.
-        timeout: silence of which a node warns, s.
-        stamp: ``header`` or ``receive``; None for the header's where there is one.
-        origin: put before a key in errors, such as ``rig.yaml: measurements[0].``.
+        delay: delay of the stamps, s.
+        blanking: time after an impact in which samples are not used, s.
+        gate: largest normalised innovation of an accepted sample.
+        timeout: longest time without a sample before a node warns, s.
+        stamp: ``header`` or ``receive``; None for ``header`` if the message has a header.
+        origin: text before a key in errors, such as ``rig.yaml: measurements[0].``.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Measurement:
     origin: str = dataclasses.field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check everything that does not need the system."""
+        """Check all fields that do not depend on the system."""
         for key in ("name", "topic"):
             if not getattr(self, key):
                 raise self.wrong(key, "is missing; expected a name")
@@ -95,10 +95,10 @@ class Measurement:
             raise self.wrong("stamp", f"{self.stamp!r} found; expected one of {', '.join(STAMPS)}")
 
     def _check_source(self) -> None:
-        """Raise unless it is known which number of a message is meant."""
+        """Raise UsageError unless exactly one of joint and field names the number of a message."""
         if bool(self.joint) == bool(self.field):
-            found = "both joint and field" if self.joint else "neither joint nor field"
-            raise self.wrong("field", f"{found} found; expected one of them")
+            pair = "both joint and field" if self.joint else "neither joint nor field"
+            raise self.wrong("field", f"{pair} found; expected one of them")
         if self.field and self.quantity:
             raise self.wrong("quantity", "does not go with field; leave it out")
         if self.joint and self.quantity not in QUANTITIES:
@@ -108,23 +108,23 @@ class Measurement:
             self.path()
 
     def _check_function(self) -> None:
-        """Raise unless it is known what is measured."""
+        """Raise UsageError unless either coefficients or a gap are given."""
         given = [kind for kind in KINDS if getattr(self, kind)]
         if self.joint and not (given or self.gap):
             object.__setattr__(self, self.quantity, ((self.joint, 1.0),))
             given = [self.quantity]
         if bool(given) == bool(self.gap):
-            found = f"{given[0]} and gap" if given else "no position, velocity, acceleration, gap"
+            kinds = f"{given[0]} and gap" if given else "no position, velocity, acceleration, gap"
             wanted = "expected coefficients by coordinate, or the gap of a contact"
-            raise self.wrong(given[0] if given else POSITION, f"{found} found; {wanted}")
+            raise self.wrong(given[0] if given else POSITION, f"{kinds} found; {wanted}")
         for kind in KINDS:
             for coordinate, value in getattr(self, kind):
                 if not (math.isfinite(value) and 0 < abs(value) <= LARGEST):
-                    found = f"{value:g} found; expected a finite number other than 0"
-                    raise self.wrong(f"{kind}.{coordinate}", found)
+                    problem = f"{value:g} found; expected a finite number other than 0"
+                    raise self.wrong(f"{kind}.{coordinate}", problem)
 
     def _check_numbers(self) -> None:
-        """Raise if a number is out of range."""
+        """Raise UsageError if a number is out of range."""
         for key, (low, high, wanted) in _RANGES.items():
             value = getattr(self, key)
             if not low <= value <= high:
@@ -141,7 +141,7 @@ class Measurement:
         """The parts of ``field``.
 
         Raises:
-            UsageError: ``field`` is no path.
+            UsageError: ``field`` is not a valid path.
         """
         try:
             return parse_path(self.field)
@@ -150,20 +150,20 @@ class Measurement:
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is declared to have no noise."""
+        """Whether the measurement is declared to have no noise."""
         return self.deviation == 0
 
     @property
     def unit(self) -> str:
-        """The unit of what is measured, as far as coordinates are in m."""
+        """The unit of ``y`` for coordinates in m."""
         orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
         return ("m", "m/s", "m/s^2")[orders[-1]]
 
     def check(self, system: "System") -> None:
-        """Raise unless the system has the coordinates and the contact that are named.
+        """Check that the system has the named coordinates and the named contact.
 
         Raises:
-            UsageError: by file and key.
+            UsageError: a name is unknown; the error names file and key.
         """
         for kind in KINDS:
             for coordinate, _ in getattr(self, kind):

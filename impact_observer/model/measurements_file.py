@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file that declares what is measured beside the impacts."""
+"""The file that declares the sensors of an observer."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -14,31 +14,31 @@ from impact_observer.resources import read_file_or_sample
 _KEYS = tuple(each.name for each in fields(Measurement) if each.name != "origin")
 _TEXTS = ("name", "topic", "joint", "quantity", "field", "gap", "stamp")
 LEARN = "learn"
-"""Instead of a deviation: it is to be learned from the innovations."""
+"""Value of ``deviation`` for a deviation that is learned from the innovations."""
 MOST = 1000
-"""Most sensors that a file may declare."""
+"""Largest number of sensors in a file."""
 
 
 def read_measurements(path: str | Path | None) -> tuple[Measurement, ...]:
-    """The sensors that a file declares, or a sample by its name, such as ``encoder``.
+    """The sensors in a file, or in a sample file by its name, such as ``encoder``.
 
-    Without a name, None or empty, nothing is measured.
+    Without a ``path`` (None or empty) the result has no sensors.
 
     Raises:
-        UsageError: one line that names the file, the key and what is wanted.
+        UsageError: one line that names the file, the key and the expected value.
     """
     if not path:
         return ()
     wanted = "a file of measurements, or a sample"
-    found, text = read_file_or_sample(path, "config/measurements", wanted)
-    return parse_measurements(text, str(found))
+    file, text = read_file_or_sample(path, "config/measurements", wanted)
+    return parse_measurements(text, str(file))
 
 
 def parse_measurements(text: str, source: str) -> tuple[Measurement, ...]:
-    """The sensors that the text of a file declares; ``source`` is what errors call it.
+    """The sensors in the ``text`` of a file; ``source`` is the name of the file in errors.
 
     Raises:
-        UsageError: one line that names the source, the key and what is wanted.
+        UsageError: one line that names the source, the key and the expected value.
     """
     try:
         document = load_yaml(text)
@@ -48,14 +48,14 @@ def parse_measurements(text: str, source: str) -> tuple[Measurement, ...]:
         if not 0 < len(members) <= MOST:
             wanted = f"expected a list of 1 to {MOST} sensors"
             raise ModelError("measurements", f"{len(members) or 'nothing'} found; {wanted}")
-        found = [_measurement(key, value, source) for key, value in members]
+        sensors = [_measurement(key, value, source) for key, value in members]
     except ModelError as error:
         raise UsageError(f"{source}: {error}") from None
-    names = [each.name for each in found]
-    for i, each in enumerate(found):
+    names = [each.name for each in sensors]
+    for i, each in enumerate(sensors):
         if each.name in names[:i]:
             raise each.wrong("name", f"{each.name!r} is taken already; names must differ")
-    return tuple(found)
+    return tuple(sensors)
 
 
 def _measurement(key: str, value: Value, source: str) -> Measurement:
@@ -68,7 +68,7 @@ def _measurement(key: str, value: Value, source: str) -> Measurement:
 
 
 def _value(section: Section, key: str) -> object:
-    """The value of a key, of the right type."""
+    """The value of a key, with the type of the field of ``Measurement``."""
     value = section.value(key)
     if key in _TEXTS:
         return section.text(key)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model file: a system, and where the plant starts."""
+"""A model file: a system, and the initial state of the plant."""
 
 import io
 import re
@@ -44,7 +44,7 @@ _MATRIX_KEYS = (
     "friction",
 )
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
+"""Exceptions of ruamel: its own errors, and others for values such as ``2020-13-45``."""
 _COMMON_KEYS = ("name", "unit", "initial_state", "provenance")
 
 
@@ -54,12 +54,13 @@ class Model:
 
     Attributes:
         system: the system that plant and replica share.
-        position: the plant's coordinates at the epoch, shape (n,); None when not given.
-        velocity: the plant's velocities at the epoch, shape (n,); None when not given.
-        provenance: who wrote the file; without effect on the dynamics.
-        source: what errors call the file.
-        elements: from which the system was assembled; empty where the file gives matrices.
-        element_form: the file's bodies, springs and so on, by key; empty for matrices too.
+        position: the plant's coordinates at the epoch, shape (n,); None if the file has none.
+        velocity: the plant's velocities at the epoch, shape (n,); None if the file has none.
+        provenance: origin of the file; without effect on the dynamics.
+        source: name of the file in errors.
+        elements: the elements of the system; empty for a file with matrices.
+        element_form: the bodies, springs and so on of the file, by key; empty for a file with
+            matrices.
     """
 
     system: System
@@ -74,7 +75,7 @@ class Model:
         """The plant's state at the epoch.
 
         Raises:
-            ModelError: the file gives none.
+            ModelError: the file has no initial state.
         """
         if self.position is None or self.velocity is None:
             key = f"{self.source}: initial_state" if self.source else "initial_state"
@@ -84,17 +85,16 @@ class Model:
         return self.position, self.velocity
 
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:
-        """The model as a file that reads back to equal numbers, in elements or matrices as it was.
+        """The text of a model file of this model, with elements or with matrices as read.
 
-        Matrices and samples that were in files of their own are in it.
-
-        ``provenance`` says who makes it, such as package, version and seed.
+        Reading the text gives equal numbers. Matrices and samples from other files are in the
+        text. ``provenance`` is the origin of the text, such as package, version and seed.
         """
         form = self.element_form or _matrix_form(self.system)
         document: dict[str, Value] = {"name": self.system.name, **form}
         if self.system.unit != _unit_of(elements=bool(self.element_form)):
             document["unit"] = self.system.unit
-        if self.element_form and "forcing" in form:  # it may name a file
+        if self.element_form and "forcing" in form:  # the form may name a file
             document["forcing"] = _sampled_of(self.system)
         if self.system.frame is not None:
             document["grounds"] = list(self.system.frame.grounds.written)
@@ -116,7 +116,7 @@ class Model:
 
 
 def _unit_of(*, elements: bool) -> str:
-    """The unit of coordinates where a file of this form does not say it."""
+    """The unit of coordinates for a file of this form without the key ``unit``."""
     return UNITS[0] if elements else UNKNOWN_UNIT
 
 
@@ -124,7 +124,7 @@ class _Representer(SafeRepresenter):
     """Writes text of several lines as a block."""
 
     def represent_str(self, data: str) -> Value:
-        """A block scalar where there is a line end, otherwise the default."""
+        """A block scalar for text with a line end, otherwise the default."""
         style = "|" if "\n" in data else None
         return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
 
@@ -216,8 +216,8 @@ class ModelText(NamedTuple):
 
     Attributes:
         text: the YAML.
-        source: what to call it in errors, such as the file's path.
-        folder: where matrix files lie; without it a model may not name any.
+        source: name of the text in errors, such as the path of the file.
+        folder: folder of matrix files; without a folder a model must not name a file.
     """
 
     text: str
@@ -229,7 +229,7 @@ def model_text(source: str | Path) -> ModelText:
     """The text of a model file, or of a sample model by its name, such as ``two_mass``.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: the file does not exist.
     """
     path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
     return ModelText(text, str(path), path.parent)
@@ -239,8 +239,8 @@ def read_model(source: str | Path) -> Model:
     """Read a model file, or a sample model by its name, such as ``two_mass``.
 
     Raises:
-        ModelError: one line that names the file, the key and what is wanted.
-        UsageError: there is no such file.
+        ModelError: one line that names the file, the key and the expected value.
+        UsageError: the file does not exist.
     """
     return parse_model(*model_text(source))
 
@@ -249,7 +249,7 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     """Read a model from its ``text``; the arguments are those of ``ModelText``.
 
     Raises:
-        ModelError: one line that names ``source``, the key and what is wanted.
+        ModelError: one line that names ``source``, the key and the expected value.
     """
     try:
         return replace(_model(load_yaml(text), folder), source=source)
@@ -262,7 +262,7 @@ def load_yaml(text: str) -> Value:
     """The document in a YAML text.
 
     Raises:
-        ModelError: it is not YAML, or too long; without a key.
+        ModelError: ``text`` is not YAML, or too long; the error has no key.
     """
     if len(text) > MOST_BYTES:
         raise ModelError("", f"{len(text)} characters found; expected at most {MOST_BYTES}")
@@ -276,12 +276,12 @@ def load_yaml(text: str) -> Value:
 
 
 def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
-    """A model file with ``changes`` of values, and all else kept, comments too.
+    """The ``text`` of a model file with changed values; comments and layout stay.
 
-    Values are found by their path in the file, such as ``("stops", 0, "limit")``.
+    The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``.
     """
     yaml = YAML()
-    yaml.width = 1_000_000  # or ruamel breaks lines
+    yaml.width = 1_000_000  # ruamel breaks longer lines
     yaml.preserve_quotes = True
     if re.search(r"^ +- ", text, re.MULTILINE):
         yaml.indent(sequence=4, offset=2)
@@ -368,9 +368,10 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
 def _forcing(
     section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
 ) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]], list[Turning]]:
-    """``f(t)``, the forces by displacements and by speeds of grounds, and what is live.
+    """``f(t)``, forces by grounds, live forces and harmonics of the drive.
 
-    Those by grounds have shape (n, k) each; inputs are names with directions, shape (n,).
+    The forces by unit displacements and by unit speeds of grounds have shape (n, k) each. A live
+    force is a name and a direction, shape (n,).
     """
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
@@ -392,7 +393,7 @@ def _forcing(
         which = _known(ground, "name", motions)
         for each, kind in zip(pushed, ("stiffness", "damping"), strict=True):
             each[which] += ground.vector(kind, n, optional=True)
-    found = Forcing(
+    own = Forcing(
         constant=forcing.vector("constant", n, optional=True),
         frequency=np.array([each.frequency for each in turning]),
         cosine=part("cosine"),
@@ -401,7 +402,7 @@ def _forcing(
     )
     items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
     inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
-    return found, (pushed[0].T, pushed[1].T), inputs, turning
+    return own, (pushed[0].T, pushed[1].T), inputs, turning
 
 
 def _known(section: Section, key: str, motions: GroundMotions) -> int:
@@ -424,12 +425,12 @@ def _contact(contact: Section, n: int) -> Contact:
 
 
 def _factors(contact: Section, motions: GroundMotions) -> Vector:
-    """The displacements of grounds in the gap of a contact, shape (k,)."""
-    found = np.zeros(len(motions.names))
+    """Factors of ground displacements in the gap of a contact, shape (k,)."""
+    factors = np.zeros(len(motions.names))
     for key, value in contact.items("motion"):
         part = Section(key, value, ("ground", "factor"))
-        found[_known(part, "ground", motions)] += part.number("factor")
-    return found
+        factors[_known(part, "ground", motions)] += part.number("factor")
+    return factors
 
 
 def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:

@@ -15,19 +15,19 @@ from impact_observer.states import Matrix, Vector, frozen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """All coefficients of a system that can be estimated, or their change with a parameter.
+    """The coefficients of a system that can be estimated, or a change of these coefficients.
 
     Attributes:
         M: mass matrix, shape (n, n), kg.
         C: damping matrix, shape (n, n), Ns/m.
         K: stiffness matrix, shape (n, n), N/m.
         gap: gaps in the rest position, shape (m,), m.
-        eps: restitution, shape (m,); of a power law its ``value``.
-        exponent: of power laws of the speed, shape (m,); 0 for other contacts.
-        amplitude: of the harmonics, relative to the model's, shape (h,).
-        phase: by which the harmonics lead the model's, shape (h,), rad.
+        eps: restitution, shape (m,); the ``value`` of a power law.
+        exponent: exponents of power laws of the speed, shape (m,); 0 for other contacts.
+        amplitude: amplitudes of the harmonics relative to those of the model, shape (h,).
+        phase: lead of the harmonics over those of the model, shape (h,), rad.
         friction: largest forces of the guides, shape (guides,), N.
-        contact_time: how long an impact lasts, shape (m,), s.
+        contact_time: duration of an impact, shape (m,), s.
     """
 
     M: Matrix
@@ -42,8 +42,8 @@ class Coefficients:
     contact_time: Vector
 
     @classmethod
-    def of(cls, system: System) -> "Coefficients":
-        """Those of ``system``."""
+    def of_system(cls, system: System) -> "Coefficients":
+        """The coefficients of ``system``."""
         h, lasts = system.forcing.frequency.size, system.contact_time
         harmonics = np.ones(h), np.zeros(h)
         curves = [each.curve for each in system.contacts]
@@ -55,18 +55,20 @@ class Coefficients:
 
     @property
     def parts(self) -> dict[str, Matrix]:
-        """Those of a change that are not zero, by name."""
+        """The coefficients that are not all zero, by name."""
         named = {name: getattr(self, name) for name in self.__slots__}
         return {name: part for name, part in named.items() if np.any(part)}
 
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":
-        """A change of ``parts``, by name, and of nothing else."""
-        zero = {name: np.zeros_like(getattr(cls.of(system), name)) for name in cls.__slots__}
+        """A change of the coefficients ``parts``, by name; all other changes are zero."""
+        zero = {
+            name: np.zeros_like(getattr(cls.of_system(system), name)) for name in cls.__slots__
+        }
         return cls(**{**zero, **parts})
 
     def curve(self, system: System, contact: int) -> Curve | None:
-        """How the restitution of a contact of ``system`` depends on the speed, if it does."""
+        """The restitution of a contact as a curve of the speed; None if constant."""
         curve = system.contacts[contact].curve
         if not isinstance(curve, PowerLaw):
             return curve
@@ -76,14 +78,14 @@ class Coefficients:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelParameter:
-    """A parameter of a model that may be estimated; the coefficients are linear in it.
+    """A parameter of a model that may be estimated; coefficients are linear in each parameter.
 
     Attributes:
         name: such as ``restitution.stop``.
-        value: nominal value, that of the model.
+        value: nominal value, as in the model.
         low: least value allowed.
         high: largest value allowed.
-        size: error that makes the model useless, the scale of the parameter.
+        size: scale of the parameter: an error that makes the model useless.
         unit: SI unit; empty for a ratio.
         effect: change of the system's coefficients per unit of the parameter.
     """
@@ -98,19 +100,19 @@ class ModelParameter:
 
     @property
     def moves(self) -> bool:
-        """Whether the motion between impacts depends on it."""
+        """Whether the motion between impacts depends on the parameter."""
         motion = {"M", "C", "K", "amplitude", "phase", "friction"}
         return not motion.isdisjoint(self.effect.parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParametricFamily:
-    """A system and the parameters in which it may be wrong.
+    """A system and its uncertain parameters.
 
     Attributes:
-        system: the nominal one.
-        parameters: the free ones.
-        coefficients: of the nominal system. Derived.
+        system: the nominal system.
+        parameters: the free parameters.
+        coefficients: coefficients of the nominal system. Derived.
     """
 
     system: System
@@ -119,9 +121,9 @@ class ParametricFamily:
     _effects: tuple[tuple[float, dict[str, Matrix]], ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Take the system's coefficients, and what each parameter changes of them."""
+        """Derive the coefficients of the system and the effects of the parameters."""
         effects = tuple((each.value, each.effect.parts) for each in self.parameters)
-        object.__setattr__(self, "coefficients", Coefficients.of(self.system))
+        object.__setattr__(self, "coefficients", Coefficients.of_system(self.system))
         object.__setattr__(self, "_effects", effects)
 
     @property
@@ -152,81 +154,85 @@ class ParametricFamily:
             frozen([each.high for each in self.parameters]),
         )
 
-    def at(self, values: Vector) -> Coefficients:
+    def coefficients_at(self, values: Vector) -> Coefficients:
         """The coefficients for parameter ``values``, shape (p,)."""
-        found = {name: getattr(self.coefficients, name) for name in Coefficients.__slots__}
+        changed = {name: getattr(self.coefficients, name) for name in Coefficients.__slots__}
         for (nominal, parts), value in zip(self._effects, values.tolist(), strict=True):
             if value != nominal:
                 by = value - nominal
-                found |= {name: found[name] + by * part for name, part in parts.items()}
-        return Coefficients(**found)
+                changed |= {name: changed[name] + by * part for name, part in parts.items()}
+        return Coefficients(**changed)
 
     def force_changes(self, values: Vector, t: float) -> Matrix:
         """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
-        found = np.zeros((self.size, self.system.n))
+        changes = np.zeros((self.size, self.system.n))
         if all(parts.keys().isdisjoint({"amplitude", "phase"}) for _, parts in self._effects):
-            return found
-        coefficients, forcing = self.at(values), self.system.forcing
+            return changes
+        coefficients, forcing = self.coefficients_at(values), self.system.forcing
         wave = np.exp(1j * (forcing.frequency * t + coefficients.phase))
         for j, each in enumerate(self.parameters):
             turn = (each.effect.amplitude + 1j * coefficients.amplitude * each.effect.phase) * wave
-            found[j] = turn.real @ forcing.cosine + turn.imag @ forcing.sine
-        return found
+            changes[j] = turn.real @ forcing.cosine + turn.imag @ forcing.sine
+        return changes
 
     def system_at(self, values: Vector) -> System:
         """The system for parameter ``values``, shape (p,).
 
         Raises:
-            ModelError: that is not a valid system.
+            ModelError: the values give no valid system.
         """
-        return replace(self.system, **self._changed(self.at(values)))
+        return replace(self.system, **self._changed(self.coefficients_at(values)))
 
     def near(self, values: Vector) -> System:
-        """The system for parameter ``values``, shape (p,), within their bounds; not checked."""
-        found = self.at(values)
-        changed = self._changed(found)
+        """The unchecked system for parameter ``values`` within the bounds, shape (p,)."""
+        coefficients = self.coefficients_at(values)
+        changed = self._changed(coefficients)
         changed["eps"] = frozen([each.restitution for each in changed["contacts"]])
-        return self.system.unchecked(q_r=found.gap, contact_time=found.contact_time, **changed)
+        return self.system.unchecked(
+            q_r=coefficients.gap, contact_time=coefficients.contact_time, **changed
+        )
 
-    def _changed(self, found: Coefficients) -> dict[str, Any]:
-        """The fields of the system with the coefficients ``found``."""
-        numbers = (found.gap, found.eps, found.contact_time)
+    def _changed(self, coefficients: Coefficients) -> dict[str, Any]:
+        """The fields of the system with these ``coefficients``."""
+        numbers = (coefficients.gap, coefficients.eps, coefficients.contact_time)
         stops = zip(self.system.contacts, *(each.tolist() for each in numbers), strict=True)
-        curves = [found.curve(self.system, i) for i in range(self.system.m)]
+        curves = [coefficients.curve(self.system, i) for i in range(self.system.m)]
         contacts = tuple(
             Contact(each.name, each.direction, gap, c.nominal if c else eps, c, lasts)
             for (each, gap, eps, lasts), c in zip(stops, curves, strict=True)
         )
         guides = tuple(
             Guide(each.name, each.direction, force)
-            for each, force in zip(self.system.guides, found.friction.tolist(), strict=True)
+            for each, force in zip(self.system.guides, coefficients.friction.tolist(), strict=True)
         )
         return {
-            "M": found.M,
-            "C": found.C,
-            "K": found.K,
-            "forcing": _turned(self.system.forcing, found.amplitude, found.phase),
+            "M": coefficients.M,
+            "C": coefficients.C,
+            "K": coefficients.K,
+            "forcing": _turned(self.system.forcing, coefficients.amplitude, coefficients.phase),
             "contacts": contacts,
-            "frame": self._frame_at(found),
+            "frame": self._frame_at(coefficients),
             "guides": guides,
         }
 
-    def _frame_at(self, found: Coefficients) -> MovingFrame | None:
-        """The frame whose own harmonics, the first, and those of grounds have changed."""
+    def _frame_at(self, coefficients: Coefficients) -> MovingFrame | None:
+        """The moving frame for these ``coefficients``; harmonics of the forcing come first."""
         frame = self.system.frame
         if frame is None:
             return None
         own = frame.forcing.frequency.size
-        motion = _turned(frame.grounds.motion, found.amplitude[own:], found.phase[own:])
+        motion = _turned(
+            frame.grounds.motion, coefficients.amplitude[own:], coefficients.phase[own:]
+        )
         return replace(
             frame,
             grounds=replace(frame.grounds, motion=motion),
-            forcing=_turned(frame.forcing, found.amplitude[:own], found.phase[:own]),
+            forcing=_turned(frame.forcing, coefficients.amplitude[:own], coefficients.phase[:own]),
         )
 
 
 def _turned(forcing: Forcing, amplitude: Vector, phase: Vector) -> Forcing:
-    """Harmonics of other amplitudes, relative to their own, that lead them by ``phase``, rad."""
+    """The forcing with harmonics of relative ``amplitude`` that lead by ``phase``, rad."""
     if np.all(amplitude == 1.0) and not np.any(phase):
         return forcing
     cos, sin = (amplitude * np.cos(phase))[:, None], (amplitude * np.sin(phase))[:, None]

@@ -17,11 +17,11 @@ from impact_observer.model.document import Section, Value, finite
 from impact_observer.states import Vector
 
 LIMIT = 0.95
-"""Largest restitution where none is given: slow impacts come to rest."""
+"""Default of the largest restitution; below 1, so that slow impacts come to rest."""
 LEAST_EXPONENT = -0.999
-"""Least exponent of a power law: at -1 the speed after an impact would not depend on it."""
+"""Least exponent of a power law; at -1 all impacts would have the same speed afterwards."""
 _SLOPE = 1e-12
-"""Excess of a slope over 1 that is rounding."""
+"""Largest excess of a slope over 1 that counts as rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +47,15 @@ class PowerLaw:
 
     @property
     def nominal_slope(self) -> float:
-        """That of ``eps(v) v`` at ``speed``."""
+        """The slope of ``eps(v) v`` at ``speed``."""
         return (1 + self.exponent) * self.value
 
     @property
     def is_nonexpansive(self) -> bool:
-        """Whether the slope of ``eps(v) v`` lies in [-1, 1]: always."""
+        """True: the slope of ``eps(v) v`` always lies in [-1, 1]."""
         return True
 
-    def at(self, speed: Vector) -> Vector:
+    def restitution_at(self, speed: Vector) -> Vector:
         """``eps`` at speeds ``v`` >= 0, m/s, of any shape."""
         return np.minimum(self.limit, self._unlimited(speed))
 
@@ -75,14 +75,14 @@ class PowerLaw:
     def _unlimited(self, speed: Vector) -> Vector:
         if not self.value:
             return np.zeros(np.shape(speed))
-        with np.errstate(divide="ignore", over="ignore"):  # slow: the limit holds
+        with np.errstate(divide="ignore", over="ignore"):  # the limit replaces an infinite value
             return np.asarray(self.value * (speed / self.speed) ** self.exponent)
 
     def checked(self, key: str) -> "PowerLaw":
         """The same law with checked numbers.
 
         Raises:
-            ModelError: naming the ``key`` of the model file, and what is expected.
+            ModelError: a number is wrong; the error names the ``key`` of the model file.
         """
         numbers = {
             name: float(finite(f"{key}.{name}", getattr(self, name), (), "a number"))
@@ -104,12 +104,12 @@ class PowerLaw:
 
     @property
     def text(self) -> str:
-        """In a few words."""
+        """The curve in a few words."""
         return f"{self.value:g} (v/{self.speed:g})^{self.exponent:g}, at most {self.limit:g}"
 
     @property
     def document(self) -> dict[str, Value]:
-        """As in a model file."""
+        """The value of ``restitution`` in a model file."""
         return {name: getattr(self, name) for name in ("value", "speed", "exponent", "limit")}
 
 
@@ -132,7 +132,7 @@ class RestitutionTable:
 
     @property
     def nominal_slope(self) -> float:
-        """The same: a table's slope of ``eps(v) v`` where it does not change."""
+        """The mean of the values: the slope of ``eps(v) v`` where ``eps`` is constant."""
         return self.nominal
 
     @cached_property
@@ -147,12 +147,12 @@ class RestitutionTable:
         )
         return bool(np.all(np.abs(ends) <= 1 + _SLOPE))
 
-    def at(self, speed: Vector) -> Vector:
+    def restitution_at(self, speed: Vector) -> Vector:
         """``eps`` at speeds ``v`` >= 0, m/s, of any shape."""
         return np.asarray(np.interp(speed, self.speeds, self.values))
 
     def slope(self, speed: float) -> float:
-        """``d(eps v)/dv`` at one speed, m/s; from above where it jumps."""
+        """``d(eps v)/dv`` at one speed, m/s; the right-hand slope at a kink."""
         eps = float(np.interp(speed, self.speeds, self.values))
         k = int(np.searchsorted(self.speeds, speed, side="right"))
         if not 0 < k < self.speeds.size:
@@ -164,7 +164,7 @@ class RestitutionTable:
         """The same table with checked numbers.
 
         Raises:
-            ModelError: naming the ``key`` of the model file, and what is expected.
+            ModelError: a number is wrong; the error names the ``key`` of the model file.
         """
         count = np.size(self.speeds)
         speeds = finite(f"{key}.speeds", self.speeds, (count,), "a list of numbers, m/s")
@@ -179,25 +179,25 @@ class RestitutionTable:
 
     @property
     def text(self) -> str:
-        """In a few words."""
+        """The curve in a few words."""
         ends = f"{self.values[0]:g} to {self.values[-1]:g}"
         return f"{ends} from {self.speeds[0]:g} to {self.speeds[-1]:g} m/s"
 
     @property
     def document(self) -> dict[str, Value]:
-        """As in a model file."""
+        """The value of ``restitution`` in a model file."""
         return {"speeds": self.speeds.tolist(), "values": self.values.tolist()}
 
 
 Curve: TypeAlias = PowerLaw | RestitutionTable
-"""How the restitution of a contact depends on the speed of approach."""
+"""The restitution of a contact as a function of the speed of approach."""
 
 
 def read_restitution(section: Section) -> tuple[float, Curve | None]:
     """The ``restitution`` of a contact in a model file: a number, or a nominal value and a curve.
 
     Raises:
-        ModelError: naming the key and what is expected.
+        ModelError: a value is wrong; the error names the key and the expected value.
     """
     value, key = section.value("restitution"), section.key("restitution")
     if not isinstance(value, Mapping):

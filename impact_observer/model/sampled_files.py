@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampled forcing of a model file: a CSV file beside it, or a table inside it."""
+"""Sampled forcing of a model file: a CSV file beside the model file, or a table inside."""
 
 import csv
 import io
@@ -29,13 +29,13 @@ _TIME = "time"
 def read_samples(
     section: Section, coordinates: Sequence[str], folder: Path | None
 ) -> Samples | None:
-    """The samples of a ``section`` with ``sampled`` and ``hold``; None where there are none.
+    """The samples of a ``section`` with ``sampled`` and ``hold``; None without these keys.
 
-    Forces are in the order of ``coordinates``, zero where a table has no column of them; CSV files
-    lie in ``folder``.
+    Forces are in the order of ``coordinates``. A coordinate without a column has zero force. CSV
+    files lie in ``folder``.
 
     Raises:
-        ModelError: naming the key, or the file with its line and column.
+        ModelError: a value is wrong; the error names the key, or file, line and column.
     """
     if "sampled" not in section:
         if "hold" in section:
@@ -61,12 +61,12 @@ def read_samples(
 
 
 def read_table(section: Section, name: str, columns: Sequence[str], folder: Path | None) -> Matrix:
-    """Instants, and the ``columns``, of a CSV file or of its text, shape (k, 1 + columns).
+    """Instants and ``columns`` of a CSV file or of CSV text, shape (k, 1 + columns).
 
-    A column that is not there is zero; one of them must be.
+    A missing column is zero. At least one of the columns must be present.
 
     Raises:
-        ModelError: naming the key and the file, with the line and column of a mistake.
+        ModelError: a value is wrong; the error names key, file, line and column.
     """
     key, value = section.key(name), section.value(name)
     if not isinstance(value, str):
@@ -105,7 +105,7 @@ def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
 
 
 def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
-    """What the columns of ``header`` are: time, and each coordinate at most once."""
+    """The place of each column of ``header`` in a table of time and ``coordinates``."""
     if _TIME in coordinates:
         raise ValueError(f"a coordinate is named {_TIME!r} as the column of instants; rename it")
     wanted = [_TIME, *coordinates]
@@ -131,7 +131,7 @@ def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
             numbers.append(float(value))
         except ValueError:
             numbers.append(math.nan)
-        if not abs(numbers[-1]) <= LARGEST:  # NaN neither
+        if not abs(numbers[-1]) <= LARGEST:  # false for NaN, too
             raise ValueError(
                 f"line {line}, column {name}: {value.strip()!r} found; expected a number of at"
                 f" most {LARGEST:g}"
@@ -140,7 +140,7 @@ def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
 
 
 def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
-    """The value of ``sampled`` that reads back equal: CSV, or lists for unusual names."""
+    """The value of ``sampled`` for ``samples``: CSV text, or lists for unusual names."""
     plain = all(name.isprintable() and name == name.strip() for name in coordinates)
     if _TIME in coordinates or not plain:
         return {"time": samples.time.tolist(), "force": samples.force.tolist()}

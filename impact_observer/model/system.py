@@ -5,7 +5,7 @@ Equation (1) of Baumann and Leine (ENOC 2014), for ``n`` coordinates and ``m`` c
 
     M du = (-C u - K q + f(t)) dt + W dP,    g = W^T q + q_r,    gamma = W^T u
 
-Where stops move, these are coordinates in a frame in which they do not (``grounds.py``).
+If stops move, the coordinates belong to a frame in which no stop moves (``grounds.py``).
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from impact_observer.model.restitution import Curve
 from impact_observer.states import Matrix, Vector, frozen
 
 UNITS = ("m", "rad")
-"""Of coordinates."""
+"""Units of coordinates."""
 UNKNOWN_UNIT = " or ".join(UNITS)
 LARGEST_STATE = 1e9
-"""Largest magnitude of a coordinate or velocity that is accepted."""
+"""Largest accepted magnitude of a coordinate or velocity."""
 LONGEST_CONTACT = 0.1
-"""Longest time that a hit may last, s."""
+"""Longest duration of an impact, s."""
 _INSIDE = 1e-12
-"""Gap that is rounding, relative to the terms of its sum."""
+"""Largest gap that counts as rounding, relative to the terms of the gap."""
 _SYMMETRY = 1e-9
 """Largest asymmetry accepted, relative to the largest entry, as from printed digits."""
 _SEMIDEFINITE = 1e-10
@@ -48,12 +48,13 @@ class Contact:
     """A rigid stop, open while ``g = direction . q + gap > 0``.
 
     Attributes:
-        name: its name in events.
+        name: name of the contact in events.
         direction: a column of W, shape (n,).
         gap: ``q_r``, gap in the rest position, m or rad.
         restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of a ``curve``.
-        curve: how it depends on the speed of approach; None where it does not.
-        contact_time: what a hit lasts, s: velocities jump half of it after the gap is zero.
+        curve: restitution as a function of the speed of approach; None if constant.
+        contact_time: duration of an impact, s; velocities jump half this time after the gap is
+            zero.
     """
 
     name: str
@@ -69,7 +70,7 @@ class Guide:
     """Dry friction of prescribed load: a force up to ``force`` against ``gamma = direction . u``.
 
     Attributes:
-        name: its name in parameters.
+        name: name of the guide in parameters.
         direction: a column of W_T, shape (n,).
         force: largest friction force, positive, N.
     """
@@ -81,31 +82,31 @@ class Guide:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """A linear system with stops: what the plant and its replicas have in common.
+    """A linear system with stops: the model that the plant and its replicas share.
 
     Attributes:
-        name: of the model.
+        name: name of the model.
         coordinates: names of the coordinates, as in ``JointState``.
         M: mass matrix, shape (n, n), symmetric positive definite, kg or kg m2.
         C: damping matrix, shape (n, n), symmetric part positive semidefinite, Ns/m.
         K: stiffness matrix, shape (n, n), symmetric positive semidefinite, N/m.
         forcing: ``f(t)``, in the frame in which no stop moves.
         contacts: the stops.
-        frame: that frame, and the grounds that move; None where nothing moves by itself.
-        guides: where it rubs.
-        live: names of what arrives live; None where nothing does.
-        unit: of the coordinates, ``m`` or ``rad``; ``m or rad`` where it is not known.
+        frame: the frame in which no stop moves, and the moving grounds; None without grounds.
+        guides: the guides with dry friction.
+        live: names of the live signals; None without any.
+        unit: unit of the coordinates, ``m`` or ``rad``; ``m or rad`` if unknown.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
             depends on the speed. Derived.
-        curved: indices of these contacts. Derived.
-        contact_time: of the contacts, shape (m,), s. Derived.
+        curved: indices of the contacts whose restitution depends on the speed. Derived.
+        contact_time: durations of impacts, shape (m,), s. Derived.
         W_T: directions of the guides, shape (n, k). Derived.
-        directions: of contacts, then guides, shape (n, m + k). Derived.
+        directions: directions of contacts, then guides, shape (n, m + k). Derived.
 
     Raises:
-        ModelError: naming the key of the model file and what is wrong with it.
+        ModelError: a value is wrong; the error names the key of the model file.
     """
 
     name: str
@@ -128,7 +129,7 @@ class System:
     directions: Matrix = field(init=False)
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check everything."""
+        """Copy, freeze and check all fields, and derive the others."""
         _check_names("coordinates", self.coordinates)
         n = self.n
         square = f"{n} x {n}, one row and one column a coordinate"
@@ -167,15 +168,15 @@ class System:
             self.frame.check(self.forcing, self.M, self.C, self.K)
 
     def unchecked(self, **changes: object) -> "System":
-        """The same with other fields, derived ones included, of which nothing is checked."""
-        found = object.__new__(System)
+        """A copy with other values of fields, also of derived ones; nothing is checked."""
+        system = object.__new__(System)
         for name in self.__slots__:
-            object.__setattr__(found, name, changes.get(name, getattr(self, name)))
-        return found
+            object.__setattr__(system, name, changes.get(name, getattr(self, name)))
+        return system
 
     @property
     def speed_unit(self) -> str:
-        """Of the velocities: ``m/s``, ``rad/s``, or both."""
+        """Unit of the velocities: ``m/s``, ``rad/s`` or ``m/s or rad/s``."""
         return per_second(self.unit)
 
     @property
@@ -185,17 +186,17 @@ class System:
 
     @property
     def depends_on_time(self) -> bool:
-        """Whether the epoch matters, of the forcing or of the motion of grounds."""
+        """Whether the forcing or the motion of grounds depends on time."""
         moves = self.frame is not None and self.frame.grounds.motion.depends_on_time
         return moves or self.live is not None or self.forcing.depends_on_time
 
     @property
     def own_forcing(self) -> Forcing:
-        """``f(t)`` without what grounds do."""
+        """``f(t)`` without the effects of grounds."""
         return self.forcing if self.frame is None else self.frame.forcing
 
     def held_force(self, t: float) -> str:
-        """A warning where the last sample of the forces is held at ``t``, s since the epoch."""
+        """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
         end = self.own_forcing.end
         if t <= end:
             return ""
@@ -215,7 +216,7 @@ class System:
         return tuple(c.name for c in self.contacts)
 
     def from_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
-        """States (q, u) from such in the frame at instants, ns since the epoch, (samples, 2n)."""
+        """States (q, u) from states in the frame at ``ns`` since the epoch, (samples, 2n)."""
         return x if self.frame is None else x + self.frame.states(ns)
 
     def to_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
@@ -223,7 +224,7 @@ class System:
         return x if self.frame is None else x - self.frame.states(ns)
 
     def gap_motion(self, ns: NDArray[np.int64]) -> Matrix:
-        """What moving grounds add to gaps at instants, ns since the epoch, m, (samples, m)."""
+        """Parts of gaps by moving grounds at ``ns`` since the epoch, m, shape (samples, m)."""
         if self.frame is None:
             return np.zeros((ns.size, self.m))
         return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors[: self.m].T)
@@ -248,7 +249,11 @@ class System:
     def restitution(self, contact: int, speed: Vector) -> Vector:
         """``eps`` of a contact at speeds of approach, m/s, of any shape."""
         curve = self.contacts[contact].curve
-        return np.full(np.shape(speed), self.eps[contact]) if curve is None else curve.at(speed)
+        return (
+            np.full(np.shape(speed), self.eps[contact])
+            if curve is None
+            else curve.restitution_at(speed)
+        )
 
     def penetrated(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g < 0`` at ``q``, shape (n,)."""
@@ -264,9 +269,9 @@ class System:
         return np.array([each.force for each in self.guides])
 
     def parts(self) -> NDArray[np.intp]:
-        """Number of the part of the system that each coordinate belongs to, shape (n,).
+        """Number of the uncoupled part of the system of each coordinate, shape (n,).
 
-        No mass, damper, spring or contact couples different parts.
+        No mass, damper, spring or contact couples coordinates of different parts.
         """
         touched = np.abs(self.W)
         coupled = (np.abs(self.M) + np.abs(self.C) + np.abs(self.K) + touched @ touched.T) > 0
@@ -282,9 +287,9 @@ class System:
         return np.asarray(_INSIDE * (np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q) + moved))
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
-        """As ``checked_state``, in the frame at the epoch, for a plant.
+        """The initial state of a plant in the frame at the epoch, checked by ``checked_state``.
 
-        It must not be inside a stop.
+        The position must not be inside a stop.
 
         Raises:
             UsageError: a wrong number of values, one that is not finite, or a stop penetrated.
@@ -311,7 +316,7 @@ class System:
 
 
 def refuse_contact_time(system: System, what: str) -> None:
-    """Raise UsageError where impacts of a ``system`` last, which ``what`` cannot take."""
+    """Raise UsageError if an impact of the ``system`` has a duration; ``what`` cannot take one."""
     for each in system.contacts:
         if each.contact_time:
             raise UsageError(
@@ -321,7 +326,7 @@ def refuse_contact_time(system: System, what: str) -> None:
 
 
 def moving_system(system: System, grounds: Grounds) -> System:
-    """The ``system``, in which nothing moves by itself yet, on ``grounds``.
+    """The ``system``, which has no grounds yet, on moving ``grounds``.
 
     Raises:
         ModelError: stops of the same body move against each other.
@@ -342,8 +347,8 @@ def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
     except (TypeError, ValueError):
         raise UsageError(f"{name}: is not made of numbers only; expected {n} numbers") from None
     if array.shape != (n,):
-        found = f"{array.size} values" if array.ndim == 1 else f"shape {array.shape}"
-        raise UsageError(f"{name}: {found}, expected {n}, one a coordinate")
+        given = f"{array.size} values" if array.ndim == 1 else f"shape {array.shape}"
+        raise UsageError(f"{name}: {given}, expected {n}, one a coordinate")
     largest = np.abs(array).max()
     if not np.isfinite(largest):
         raise UsageError(f"{name}: {array.tolist()} is not finite; every value must be a number")
@@ -377,7 +382,7 @@ def _check_symmetric(key: str, matrix: Matrix) -> None:
 
 
 def _is_clearly_definite(symmetric: Matrix, *, strictly: bool) -> bool:
-    """Whether a Cholesky factor exists with a margin: it takes far less than eigenvalues."""
+    """Whether a Cholesky factor exists with a margin; far faster than eigenvalues."""
     least = -_SEMIDEFINITE / 2 * float(np.max(np.abs(np.diag(symmetric))))
     if strictly:
         least = 2 * max(_SINGULAR * float(np.max(np.sum(np.abs(symmetric), axis=1))), 1 / LARGEST)

@@ -187,7 +187,7 @@ def test_velocities_jump_in_the_middle_of_an_impact_that_lasts() -> None:
     for eps, lasts in ((1.0, 0.01), (0.5, 0.02)):
         model = replace(chain(n, contacts=[(w, 0.2, eps)]), K=np.zeros((n, n)), C=np.zeros((n, n)))
         k = np.linalg.solve(model.M, w) / (w @ np.linalg.solve(model.M, w))
-        numbers = replace(Coefficients.of(model), contact_time=np.array([lasts]))
+        numbers = replace(Coefficients.of_system(model), contact_time=np.array([lasts]))
         mirror = Mirror.of(model, ImpactLaw(model).jump((0,)), (0,), numbers)
         q, u = np.array([0.5, 0.3]), np.array([0.9, -0.4])  # the gap is zero
         assert w @ q + model.q_r[0] == pytest.approx(0.0, abs=1e-15)

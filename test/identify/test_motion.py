@@ -179,5 +179,5 @@ def test_an_effect_has_the_shapes_of_the_system() -> None:
     assert change.M.shape == (2, 2)
     assert not np.any(change.M)
     stiffer = ModelParameter("stiffer", 1.0, 0.0, 9.0, 1.0, "", change)
-    found = ParametricFamily(model, (stiffer,)).at(np.array([3.0]))
+    found = ParametricFamily(model, (stiffer,)).coefficients_at(np.array([3.0]))
     np.testing.assert_array_equal(found.K, model.K + 2 * np.eye(2))

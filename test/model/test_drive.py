@@ -24,7 +24,7 @@ def drive(*seconds: float) -> Drive:
     """With pulses at these times since the epoch."""
     found = Drive(NOMINAL)
     for each in seconds:
-        found.add(EPOCH + round(each * NS_PER_S))
+        found.add_pulse(EPOCH + round(each * NS_PER_S))
     return found
 
 
@@ -50,12 +50,12 @@ def test_nominal_frequency_holds_before_there_are_two_pulses() -> None:
 def test_pulse_too_soon_is_left_out_and_a_missing_one_is_bridged() -> None:
     """After a gap the last good period goes on, and the phase starts again at zero."""
     one = drive(0.0, 1.1)
-    _, problem = one.add(EPOCH + round(1.5 * NS_PER_S))
+    _, problem = one.add_pulse(EPOCH + round(1.5 * NS_PER_S))
     assert "a period of 0.4 s found; expected 1 s within 30%: it is not used" in problem
     assert one.newest == EPOCH + round(1.1 * NS_PER_S)
-    one.add(EPOCH + round(2.3 * NS_PER_S))
+    one.add_pulse(EPOCH + round(2.3 * NS_PER_S))
     np.testing.assert_allclose(turns(one, 1.7)[0], 0.5, atol=1e-9)
-    _, problem = one.add(EPOCH + round(4.9 * NS_PER_S))
+    _, problem = one.add_pulse(EPOCH + round(4.9 * NS_PER_S))
     assert "a period of 2.6 s found" in problem
     assert one.odd == 2
     phase, rate = turns(one, 2.9, 4.7, 4.9, 5.5)
@@ -75,11 +75,11 @@ def test_phase_does_not_depend_on_the_order_of_arrival(
     stamps = [EPOCH + each * NS_PER_S // 20 for each in pulses]
     one, other = Drive(NOMINAL), Drive(NOMINAL)
     for stamp in sorted(stamps):
-        one.add(stamp)
+        one.add_pulse(stamp)
     at = EPOCH + np.arange(-5, 450) * (NS_PER_S // 20)
     for stamp in data.draw(st.permutations(stamps)):
         before = other.jets(at, EPOCH)
-        changed, _ = other.add(stamp)
+        changed, _ = other.add_pulse(stamp)
         assert changed is not None
         np.testing.assert_array_equal(
             before[:, at < changed], other.jets(at, EPOCH)[:, at < changed]
@@ -88,7 +88,7 @@ def test_phase_does_not_depend_on_the_order_of_arrival(
     cut = EPOCH + data.draw(st.integers(0, 400)) * NS_PER_S // 20
     other.forget_before(cut)
     for each in (one, other):
-        each.add(EPOCH + 21 * NS_PER_S)
+        each.add_pulse(EPOCH + 21 * NS_PER_S)
     np.testing.assert_array_equal(one.jets(at[at >= cut], EPOCH), other.jets(at[at >= cut], EPOCH))
 
 

@@ -24,7 +24,7 @@ def test_power_law_has_its_value_at_its_speed_and_its_limit_below() -> None:
     """The closed form, and 0.95 for slow impacts where no limit is given."""
     contact = parse_model(TEXT.replace("CURVE", POWER), "ball").system.contacts[0]
     assert isinstance(contact.curve, PowerLaw)
-    found = contact.curve.at(np.array([0.0, 1e-300, 2.0, 32.0]))
+    found = contact.curve.restitution_at(np.array([0.0, 1e-300, 2.0, 32.0]))
     np.testing.assert_allclose(found, [0.95, 0.95, 0.7, 0.35], rtol=1e-15)
     assert contact.restitution == 0.7
 
@@ -33,7 +33,7 @@ def test_table_is_linear_between_its_speeds_and_constant_outside() -> None:
     """By hand."""
     curve = parse_model(TEXT.replace("CURVE", TABLE), "ball").system.contacts[0].curve
     assert curve is not None
-    found = curve.at(np.array([0.0, 0.1, 0.55, 2.0, 9.0]))
+    found = curve.restitution_at(np.array([0.0, 0.1, 0.55, 2.0, 9.0]))
     np.testing.assert_allclose(found, [0.9, 0.9, 0.8, 0.6, 0.5], rtol=1e-14)
 
 
@@ -48,7 +48,7 @@ def test_curve_survives_the_text_of_its_model(curve: str) -> None:
     speeds = np.linspace(0, 5, 40)
     own = model.system.contacts[0].curve
     assert own is not None
-    np.testing.assert_array_equal(again.at(speeds), own.at(speeds))
+    np.testing.assert_array_equal(again.restitution_at(speeds), own.restitution_at(speeds))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_impact_by_a_power_law_does_not_raise_the_difference_of_two_speeds(
     """``|eps(v) v - eps(w) w| <= |v - w|``: what is proved of one contact."""
     law = PowerLaw(value, speed, exponent, limit)
     v, w = np.array(data.draw(st.tuples(st.floats(0, 20), st.floats(0, 20))))
-    after = abs(float(law.at(v) * v - law.at(w) * w))
+    after = abs(float(law.restitution_at(v) * v - law.restitution_at(w) * w))
     assert after <= abs(v - w) * (1 + 1e-12) + 1e-14
 
 
@@ -98,7 +98,7 @@ def test_slope_of_a_table_is_checked() -> None:
     assert gentle.is_nonexpansive
     assert not steep.is_nonexpansive
     v = np.linspace(0, 4, 4001)
-    slopes = np.diff(steep.at(v) * v) / np.diff(v)
+    slopes = np.diff(steep.restitution_at(v) * v) / np.diff(v)
     assert np.min(slopes) < -1
 
 
@@ -116,12 +116,16 @@ def test_slope_is_that_of_finite_differences(
     """Of ``eps(v) v``, and of the power law by its value and exponent."""
     h = 1e-6
     v = speed + np.array([-h, h])
-    found = float(np.diff(curve.at(v) * v)[0]) / (2 * h)
+    found = float(np.diff(curve.restitution_at(v) * v)[0]) / (2 * h)
     assert curve.slope(speed) == pytest.approx(found, abs=1e-8)
     if isinstance(curve, PowerLaw):
         at = np.array(speed)
         by = [
-            float(PowerLaw(0.7 + a, 1.0, -0.25 + b, 0.9).at(at) - curve.at(at)) / h
+            float(
+                PowerLaw(0.7 + a, 1.0, -0.25 + b, 0.9).restitution_at(at)
+                - curve.restitution_at(at)
+            )
+            / h
             for a, b in ((h, 0.0), (0.0, h))
         ]
         assert curve.sensitivity(speed) == pytest.approx(by, abs=1e-5)

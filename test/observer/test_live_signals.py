@@ -202,7 +202,7 @@ def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], lin
     """And changes nothing."""
     live = watcher("geometric").live
     assert live is not None
-    assert live.add(*sample) == line
+    assert live.add_force(*sample) == line
     assert live.follow(EPOCH) is None
 
 

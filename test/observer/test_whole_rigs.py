@@ -78,7 +78,7 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     found, signals = connected(replace(model, live=live))
     assert signals is not None
     for stamp in draw(stamps(times, 4)):
-        signals.add("motor", stamp, draw(numbers()))
+        signals.add_force("motor", stamp, draw(numbers()))
         signals.add_motion("steered", stamp, draw(numbers(-0.5, 0.5)), draw(numbers(-1.0, 1.0)))
     if nominal:
         for stamp in draw(stamps(times, 6)):
