@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an observer can use a bag, and what is wrong with it."""
+"""Checks of bags and models: faults, and their remedies."""

@@ -119,7 +119,7 @@ class BagCheck:
             add(raw)
 
     def _check_for(self, info: TopicInfo) -> Callable[[RawMessage], None] | None:
-        """The check for the messages of a topic; None where there is nothing to check."""
+        """The check for the messages of a topic; None if the type of the topic has no check."""
         topic = info.name
         own = next((each for each in _INTERFACES if each.fits(topic)), None)
         if own is None or info.type != own.type:
@@ -137,7 +137,7 @@ class BagCheck:
         return self._add_event
 
     def _wrong_definition(self, info: TopicInfo) -> Finding | None:
-        """What is wrong with the message definition in the bag."""
+        """The fault of a message definition in the bag; None if its fields are right."""
         try:
             differs = info.definition and add_definition(self._store, info.definition, info.type)
         except BagError as error:
@@ -199,7 +199,7 @@ class BagCheck:
         yield from self._undefined_types(topics)
 
     def _model_in_bag(self, topic: str | None) -> tuple[System | None, list[Finding]]:
-        """The system of the model in the bag, and what is wrong with that model."""
+        """The system of the model in the bag, and the faults of that model."""
         remedy = "name one with --model MODEL"
         if (model := self._models.get(topic or "")) is None:
             found = f"carries no model ({interfaces.PLANT_MODEL.topic})"
@@ -219,7 +219,7 @@ class BagCheck:
             return False
 
     def _no_impacts(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """No topic of impacts: what impacts could be made from."""
+        """An error for a bag without impacts, with the topics that impacts could be made from."""
         if any(interfaces.IMPACTS.fits(topic) for topic in topics):
             return
         others = [t for t, info in topics.items() if info.type == interfaces.IMPACT_EVENT]
@@ -253,7 +253,7 @@ class BagCheck:
 
 
 def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | None, list[Finding]]:
-    """The topic that is used for an interface, as ``BagReader.find``, and its faults."""
+    """The topic of an interface by the rule of ``BagReader.find``, and its faults."""
     fitting = sorted(topic for topic in topics if own.fits(topic))
     if not fitting:
         return None, []

@@ -33,7 +33,7 @@ class Report:
         return all(each.severity != ERROR for each in self.findings)
 
     def for_json(self) -> dict[str, object]:
-        """What ``--json`` prints."""
+        """The report as the dictionary that ``--json`` prints."""
         return {
             "path": str(self.path),
             "usable": self.usable,

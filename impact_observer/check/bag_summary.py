@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag holds: topics, impacts, model, observers."""
+"""Contents of a bag: topics, impacts, model, observers."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -50,7 +50,7 @@ class TopicSummary:
 
 @dataclass(frozen=True, slots=True)
 class BagSummary:
-    """What a bag holds.
+    """The contents of a bag.
 
     Attributes:
         path: the folder or file.
@@ -88,7 +88,7 @@ class BagSummary:
 
 
 def summarize(bag: Path) -> BagSummary:
-    """What a bag holds.
+    """Summarize the contents of a bag.
 
     Raises:
         UsageError: there is no bag.
@@ -160,7 +160,7 @@ def _impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind
 
 
 def _topics(reader: BagReader) -> list[TopicSummary]:
-    """The topics by the bag's index: no message is read."""
+    """The topics of a bag by its index, without reading a message."""
     length = seconds_between(reader.start, reader.end)
     return [
         TopicSummary(
@@ -177,7 +177,7 @@ def _topics(reader: BagReader) -> list[TopicSummary]:
 
 
 def _chunks(bag: Path) -> dict[str, Any] | None:
-    """The chunks of all MCAP files, by their indexes; None without any."""
+    """The chunks of all MCAP files, by their indexes; None without an indexed chunk."""
     chunks = []
     for file in sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]:
         if file.suffix == ".mcap":
@@ -195,7 +195,7 @@ def _chunks(bag: Path) -> dict[str, Any] | None:
 
 
 def _model(reader: BagReader) -> dict[str, object] | None:
-    """Name and origin of the model in the bag; or why it cannot be read."""
+    """Name and origin of the model in the bag, or an error if the model cannot be read."""
     try:
         if (source := reader.model_text()) is None:
             return None
@@ -207,7 +207,7 @@ def _model(reader: BagReader) -> dict[str, object] | None:
 
 
 def _law(reader: BagReader, prefix: str) -> str:
-    """The law in an observer's first state; empty when it published none."""
+    """The law in an observer's first state; empty without a state."""
     if (topic := f"{prefix}/state") not in reader.topics:
         return ""
     _, message = next(reader.messages(topic), (0, None))
@@ -258,7 +258,7 @@ def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
 
 
 def _origin(model: Mapping[str, object]) -> str:
-    """A model's name, and what made the bag."""
+    """Name, version, seed and integrator of the model in a bag."""
     if "error" in model:
         return f"cannot be read: {model['error']}"
     origin = [f"{key} {model[key]}" for key in ("version", "seed") if model[key] is not None]

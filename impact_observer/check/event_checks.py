@@ -162,7 +162,7 @@ class EventCheck:
             self._add_new(event, where)
 
     def _weigh(self, event: ImpactEvent, where: str) -> None:
-        """Note an event that has no effect, until others bear it out."""
+        """Note an event without effect, until later events agree with it."""
         weighed = self._senders.weigh(event)
         for each in (*weighed.released, event):
             self._without_effect.pop(each, None)

@@ -39,7 +39,7 @@ class Finding:
 
 @dataclass(slots=True)
 class Occurrences:
-    """How often a fault occurs, and where first.
+    """Number of occurrences of one fault, and the place of the first.
 
     Attributes:
         count: how often.
@@ -50,6 +50,6 @@ class Occurrences:
     first: str = ""
 
     def add(self, where: str) -> None:
-        """Count one more, at the place ``where``."""
+        """Count one more occurrence, at the place ``where``."""
         self.count += 1
         self.first = self.first or where

@@ -73,7 +73,7 @@ class ForcedMotion:
         return _where((self.speed > _FAST) & np.isfinite(self.speed))
 
     def odd_frequencies(self, system: System) -> list[tuple[float, str]]:
-        """Frequencies of excitations far from all modes, rad/s, and on which side they lie."""
+        """Frequencies of excitations far above or below all modes, rad/s, and their side."""
         odd = list[tuple[float, str]]()
         for each in np.unique(system.forcing.frequency).tolist():
             if each > _ABOVE * self.fastest:

@@ -52,7 +52,10 @@ class HitTimes:
             self.add(each)
 
     def add(self, event: ImpactEvent) -> None:
-        """Add an event; of another run of the sender, earlier ones are no neighbours."""
+        """Add an event.
+
+        The first event of another run of the sender has no predecessor.
+        """
         hit = [each.contact for each in event.switches if each.kind is not Kind.OPEN]
         if not hit:
             return
@@ -68,7 +71,9 @@ class HitTimes:
 
     @property
     def median(self) -> float:
-        """The median time between impacts of any contacts, s; 0 without.
+        """Median time between impacts of any contacts, s; 0 without impacts.
+
+        The median is rounded down, by less than half.
 
         It is rounded down, by less than half.
         """
@@ -81,7 +86,7 @@ class HitTimes:
 
 
 def doubts(bag: Path, times: HitTimes, system: System, *, has_covariance: bool) -> Iterator[str]:
-    """What is odd in the times of impacts, and what to do; nothing as a rule.
+    """Warnings about times of impacts that are unlikely for a model or costly for a filter.
 
     Args:
         bag: that they are of.
@@ -111,7 +116,7 @@ def first_times(reader: BagReader) -> HitTimes:
 
 
 def settling(times: HitTimes) -> str:
-    """What to do where many hits are bounces that settle; empty elsewhere."""
+    """The remedy for many hits that are settling bounces; empty for other hits."""
     if times.fast < _MANY or times.fast <= _SHARE * times.hits:
         return ""
     return (
@@ -125,7 +130,7 @@ def settling(times: HitTimes) -> str:
 
 
 def too_slow(times: HitTimes, system: System) -> str:
-    """What is wrong where impacts come far less often than a model can make; empty elsewhere."""
+    """A warning if impacts come far less often than the model makes likely; empty otherwise."""
     longest, median = longest_interval(system), times.median
     if median <= longest:
         return ""
@@ -139,7 +144,10 @@ def too_slow(times: HitTimes, system: System) -> str:
 
 
 def longest_interval(system: System) -> float:
-    """Time that may pass between impacts as a rule, s; infinite where the model does not say.
+    """Longest likely time between impacts, s; infinite if the model does not bound the time.
+
+    The time is 30 periods of the slowest mode or excitation. If bodies fly, the time is at least
+    that of a flight under their constant forces that begins at 30 m/s.
 
     It is 30 periods of the slowest mode or excitation; where bodies fly, the flight under their
     constant forces that begins at 30 m/s.

@@ -32,7 +32,7 @@ _COUPLED = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Growth:
-    """Two solutions whose difference an impact increases.
+    """Growth, by an impact, of the difference between two solutions.
 
     Both have an impulse at every contact. ``one`` closes every contact, so it can be a plant's.
 

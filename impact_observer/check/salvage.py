@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can still be read of a damaged bag, and a new bag made of it.
+"""Recovery of a damaged bag: reads the messages before the damage, and makes a new bag of them.
 
 MCAP files are read from their beginning, without index, footer or ``metadata.yaml``. A chunk whose
 checksum does not match is left out, and so is a message without an end. sqlite3 files are read as
@@ -82,7 +82,7 @@ class Salvage:
             done += file.stat().st_size
 
     def _file(self, file: Path) -> _Read:
-        """The messages of a file, which is decompressed first where needed."""
+        """The messages of a file; a compressed file is decompressed first."""
         with TemporaryDirectory() as folder:
             plain = file
             if file.suffix == ".zstd":
@@ -97,7 +97,7 @@ class Salvage:
             yield from read(file, plain)
 
     def _decompressed(self, raw: RawMessage) -> RawMessage | None:
-        """A message, decompressed where messages are compressed; None if it is broken."""
+        """A message, decompressed if necessary; None if the message is broken."""
         if raw.data[:4] != _ZSTD:
             return raw
         try:
@@ -117,7 +117,7 @@ class Salvage:
         self.losses += [f"{file.name}: {loss}" for loss in records.losses]
 
     def _has_topic(self, found: McapMessage) -> bool:
-        """Note the topic of a message; False where the message cannot be of this bag."""
+        """Note the topic of a message; False if the bag cannot have such a message."""
         schema, channel, message = found
         topic = channel.topic
         if not 0 <= message.log_time < _LATEST:
@@ -155,7 +155,7 @@ class Salvage:
 def salvage(
     source: Salvage, output: Path, *, progress: Progress = lambda _done, _total: None
 ) -> list[str]:
-    """Write a new bag of what can be read of a damaged one.
+    """Write a new bag of the readable messages of a damaged bag.
 
     Args:
         source: not read yet.
@@ -193,7 +193,7 @@ def salvage(
 
 
 def summary(source: Salvage) -> str:
-    """How much was read, and until when, in words."""
+    """Number of recovered messages and time of the last, in words."""
     if not source.files:
         return "there is no .mcap or .db3 file"
     if not source.counts:
@@ -202,7 +202,7 @@ def summary(source: Salvage) -> str:
 
 
 def _quality(topic: str, profiles: str) -> Quality | None:
-    """The quality of service of a topic; None where it is missing or damaged."""
+    """The quality of service of a topic; None if the quality is missing or damaged."""
     try:
         offers = list(parse_qos(profiles))
     except Exception:  # noqa: BLE001 (rosbags raises anything; a bag is readable without them)
@@ -213,5 +213,5 @@ def _quality(topic: str, profiles: str) -> Quality | None:
 
 
 def _file_order(file: Path) -> list[int | str]:
-    """For sorting: ``bag_10`` comes after ``bag_9``."""
+    """Sorting key of a file of a bag: ``bag_10`` comes after ``bag_9``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]

@@ -108,7 +108,7 @@ def _simulated(model: "Model", duration: float, rate: float, progress: "Progress
 def _observed(
     observers: "Sequence[Observer]", run: "Run", progress: "Progress"
 ) -> "dict[str, Comparison]":
-    """Each law's estimates against the run, with a progress bar."""
+    """Run each observer on ``run``, and compare its estimates with the truth, by law."""
     from impact_observer.compare.comparison import compare_observer
     from impact_observer.io.pairing import samples_of
 

@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:
-    """How many contacts hit and opened, in words."""
+    """Number of impacts and openings of the contacts, in words."""
     from impact_observer.events import Kind
 
     kinds = Counter(switch.kind for event in events for switch in event.switches)

@@ -218,7 +218,7 @@ def settling_time(stamps: Stamps, V: NDArray[np.float64], settled: float) -> flo
 def _mismatch(
     system: System, pairs: Pairs, outcomes: EventOutcomes, begin: int
 ) -> tuple[NDArray[np.bool_], Mismatch]:
-    """Which samples lie between the jumps of truth and estimate, and the windows they form."""
+    """Mask of the samples between the jumps of truth and estimate, and their windows."""
     between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
     for c, name in enumerate(system.contact_names):
         w = system.W[:, c]

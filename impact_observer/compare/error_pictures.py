@@ -162,7 +162,7 @@ def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
 def _draw_curve(
     axes: Axes, seconds: Vector, values: NDArray[np.float64], curves: int, style: Style
 ) -> None:
-    """One of several ``curves``, with a few markers beside those of the others."""
+    """Draw one of several ``curves`` with a few markers, beside the markers of the others."""
     # Zero has no logarithm: a gap in the curve means that the estimate is exact there.
     (line,) = axes.semilogy(seconds, np.where(values > 0, values, np.nan), **style)
     step = max(values.size // 9, 1)
@@ -170,7 +170,7 @@ def _draw_curve(
 
 
 def _legend_style(labels: Sequence[str], room: int) -> Style:
-    """As many columns as have room above the axes."""
+    """Style of a legend with as many columns as have room above the axes."""
     longest = max(map(len, labels), default=0) + _HANDLE
     columns = min(max(room // longest, 1), 4)
     return {"ncol": columns, "fontsize": "small", "frameon": False, "handlelength": 3.2}

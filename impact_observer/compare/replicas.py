@@ -176,7 +176,7 @@ def _about(stamps: Stamps, event: int) -> NDArray[np.intp]:
 def _between(
     stamps: Stamps, truth: Matrix, errors: _ReplicaErrors, system: System
 ) -> NDArray[np.bool_]:
-    """Which samples lie between the jumps of truth and replica, shape (N, samples)."""
+    """Mask of the samples between the jumps of truth and replica, shape (N, samples)."""
     between = np.zeros(errors.V.shape, dtype=np.bool_)
     for c, name in enumerate(system.contact_names):
         gamma = truth[:, system.n :] @ system.W[:, c]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All sensors of a rig together: messages in, numbered events out."""
+"""Detector of all sensors of a rig: messages in, numbered events out."""
 
 import math
 from collections.abc import Iterable

@@ -20,7 +20,7 @@ class SwitchSensor(Sensor):
     """
 
     def __init__(self, source: Source) -> None:
-        """Before the first sample the contact is assumed to be open."""
+        """Begin with an open contact."""
         super().__init__(source)
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")

@@ -44,7 +44,7 @@ def law_of(states: JointStates) -> str:
 
 
 def labels_by_law(laws: Mapping[str, str]) -> dict[str, str]:
-    """Each estimate by its law, with the topic's prefix if several have the same law.
+    """Label of each estimate: the law, with the topic's prefix if several have the same law.
 
     Args:
         laws: by prefix; empty where the messages do not name a law.

@@ -58,7 +58,7 @@ class ObserverTopics:
 
     @classmethod
     def of_node(cls, name: str) -> "ObserverTopics":
-        """The topics of a node called ``name``; ``observer_<law>`` runs that law.
+        """The topics of a node called ``name``; the name ``observer_<law>`` gives the law.
 
         Raises:
             UsageError: no node can be called ``name``.

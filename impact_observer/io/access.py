@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each node publishes, receives and serves; the policies of SROS2 that allow no more.
+"""Topics and services of each node, and the SROS2 policies that allow no others.
 
 A policy (https://design.ros2.org/articles/ros2_access_control_policies.html) has an enclave for
 each node, in a file of its own, made by ``./dev docs`` from the table here.
@@ -22,7 +22,7 @@ LOGS, CHANGES = "/rosout", "/parameter_events"
 
 
 class Access(NamedTuple):
-    """What a node does on the graph.
+    """Topics and services of a node.
 
     Attributes:
         publishes: topics.

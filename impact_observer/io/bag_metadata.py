@@ -70,7 +70,7 @@ def metadata(file_name: str, file: McapOutput, topics: Iterable[Topic]) -> tuple
 
 
 def _extent(file: McapOutput) -> dict[str, object]:
-    """How many messages there are, and from when to when."""
+    """Number of messages, duration and start of a file, as in ``metadata.yaml``."""
     count = file.counts.total()
     return {
         "message_count": count,

@@ -34,7 +34,7 @@ experiment."""
 
 @dataclass(frozen=True, slots=True)
 class CsvForm:
-    """How a file is to be read.
+    """Options for reading a file: unit and column of time, and order of rows.
 
     Attributes:
         unit: of time: s, ms, us or ns; None for that in the header, else seconds.
@@ -107,7 +107,7 @@ class CsvFile:
 
     @property
     def unit(self) -> str:
-        """Of time, as the form or the header says, else seconds; known with the first record."""
+        """Unit of time, by the form or the header, else seconds; known with the first record."""
         return self._unit or "s"
 
     def in_order(self, read: Callable[[], object] = lambda: None) -> Iterator[CsvRecord]:

@@ -66,12 +66,12 @@ class ImpactTable:
 
     @property
     def unit(self) -> str:
-        """Of time: s, ms, us or ns; known with the first row."""
+        """Unit of time: s, ms, us or ns; known with the first row."""
         return self._file.unit
 
     @property
     def signal(self) -> str:
-        """Name of a column of numbers that is not read, where none is of contacts; else empty."""
+        """Name of an unread column of numbers in a table without contacts; else empty."""
         if "contact" in self._file.columns:
             return ""
         numbers = (

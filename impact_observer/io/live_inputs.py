@@ -98,7 +98,7 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
 
 
 def first_pulse(reader: BagReader) -> int:
-    """The stamp of the first pulse of a drive that a bag has received, ns; 0 without any.
+    """The stamp of the first pulse of a drive in a bag, ns; 0 without a pulse.
 
     Raises:
         BagError: the bag is damaged.
@@ -113,7 +113,7 @@ def first_pulse(reader: BagReader) -> int:
 
 
 def epoch_in(reader: BagReader, events: Iterable[ImpactEvent]) -> int:
-    """The epoch that the ``events`` of a bag say, else its first pulse, ns; else 0.
+    """The epoch in the ``events`` of a bag, else the stamp of the first pulse, ns; else 0.
 
     Raises:
         BagError: the bag is damaged.
@@ -122,7 +122,7 @@ def epoch_in(reader: BagReader, events: Iterable[ImpactEvent]) -> int:
 
 
 def with_recorded(reader: BagReader, system: System, epoch: int) -> System:
-    """The ``system`` with the live forces and grounds of a bag, where it has such.
+    """The ``system`` with the live forces and grounds that a bag has.
 
     Samples that cannot be used are left out; ``observe`` warns of them.
 

@@ -104,7 +104,7 @@ class RecordedSamples(NamedTuple):
 
 
 class MeasuredTopics(NamedTuple):
-    """What sensors have measured in a bag, for ``observe_bag``.
+    """The samples of sensors in a bag, for ``observe_bag``.
 
     Attributes:
         samples: in order of their stamps.
@@ -122,7 +122,7 @@ class MeasuredTopics(NamedTuple):
     def of(
         cls, reader: BagReader, measurements: Sequence[Measurement], verdicts: str = AUTO
     ) -> "MeasuredTopics":
-        """Those of a bag; ``verdicts`` is one of ``options.VERDICTS``.
+        """Read the samples of a bag; ``verdicts`` is one of ``options.VERDICTS``.
 
         Raises:
             UsageError, BagError: as ``samples_in``.
@@ -184,7 +184,7 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
 def _tried(
     each: SensorReader, message: AnyMessage, received: int, problems: list[str]
 ) -> SensorSample | None:
-    """A sample; NaN where its array is too short, unless that of the first message is."""
+    """Read a sample; None, with a line in ``problems``, if its array is too short."""
     try:
         return each.sample(message, received)
     except UsageError as error:
@@ -213,7 +213,7 @@ def _by_topic(
 
 
 def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
-    """The topic of a sensor in a bag, in its namespace; None where there is none."""
+    """The topic of a sensor in a bag, in its namespace; None if the bag has no such topic."""
     name = measurement.topic
     for each in (f"{reader.namespace}/{name.lstrip('/')}", f"/{name.lstrip('/')}"):
         if each in reader.topics:
@@ -222,7 +222,7 @@ def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
 
 
 def _clock_of_impacts(reader: BagReader) -> float | None:
-    """By how much impacts are recorded after their stamps, s; None without any."""
+    """Median delay of the recording of impacts after their stamps, s; None without impacts."""
     topic = reader.find(interfaces.IMPACTS)
     if topic is None:
         return None
@@ -237,7 +237,7 @@ def _clock_of_impacts(reader: BagReader) -> float | None:
 
 
 def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, SensorSample]]:
-    """Those whose stamps are as far from their reception as usual, but for a minute."""
+    """The samples whose delay from stamp to reception is within a minute of the median delay."""
     if not samples:
         return samples
     usual = statistics.median(at - sample.stamp for at, sample in samples)
@@ -248,7 +248,7 @@ def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, Sensor
 def _clock_problem(
     measurement: Measurement, samples: Sequence[tuple[int, SensorSample]], clock: float | None
 ) -> str:
-    """Why the stamps of a sensor cannot be those of the impacts' clock; empty if they may."""
+    """A problem if the stamps of a sensor are of another clock than the impacts; else empty."""
     if not samples or clock is None:
         return ""
     late = [(at - sample.stamp) / NS_PER_S for at, sample in samples[:_COMPARED]]

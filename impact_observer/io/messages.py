@@ -143,7 +143,10 @@ class Messages:
         )
 
     def verdict(self, verdict: Verdict, latency: float = 0.0) -> AnyMessage:
-        """As ``impact_observer_msgs/EventVerdict``; latency from stamp to application, s."""
+        """A verdict as ``impact_observer_msgs/EventVerdict``.
+
+        ``latency`` is the time from stamp to application, s.
+        """
         _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
         return self._classes(interfaces.EVENT_VERDICT)(
             header=self._header("EventVerdict", verdict.stamp),
@@ -298,7 +301,7 @@ def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
 
 
 class MessageLimits(NamedTuple):
-    """How large a message of impacts may be; an observer node has parameters of these names.
+    """Limits on the size of a message of impacts; an observer node has parameters of these names.
 
     Attributes:
         max_switches: contacts that switch in one event.

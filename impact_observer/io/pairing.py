@@ -41,7 +41,7 @@ def samples_of(
 
 
 def fresh(samples: Samples) -> Samples:
-    """Samples without stale ones: those more than ``HOLD`` older than one before them.
+    """Samples without stale ones, which are more than ``HOLD`` older than an earlier sample.
 
     Args:
         samples: states in the order of the bag.
@@ -51,7 +51,7 @@ def fresh(samples: Samples) -> Samples:
 
 
 def paired(truth: Samples, estimates: Samples) -> Pairs:
-    """Truth and estimates at the stamps that both have; of equal stamps the last state counts.
+    """Truth and estimates at their common stamps; of equal stamps the last state counts.
 
     Args:
         truth: true states, in any order.
@@ -85,7 +85,9 @@ def stamp_range(samples: Samples) -> str:
 
 
 def arrived(stamps: Stamps, last_event: Stamps, reported: Stamps) -> NDArray[np.bool_]:
-    """Which estimates contain all events before them; the others were published too early.
+    """Mask of the estimates that contain all events before them.
+
+    The other estimates were published too early.
 
     Args:
         stamps: of the estimates, ns, shape (samples,).

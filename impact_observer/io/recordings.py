@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: a plant's run written to a bag, and what is read from a bag: model, events."""
+"""Recordings: write a plant's run to a bag, and read the model and the events of a bag."""
 
 import heapq
 import math
@@ -234,7 +234,7 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
 
 
 def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) -> EventOutcomes:
-    """How the observer with these states used the events of a bag.
+    """Outcome of each event of a bag, for the observer with these states.
 
     Args:
         reader: the bag.
@@ -254,5 +254,5 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:
-    """The stamp of ``t = 0`` in the events, ns; 0 if none has it."""
+    """The stamp of ``t = 0`` in the events, ns; 0 if no event has an epoch."""
     return next((event.epoch for event in events if event.epoch), 0)

@@ -127,7 +127,7 @@ class SignalFile:
 
 
 def topic_of(column: str) -> str:
-    """The topic that a column is taken for: ``/az`` of ``az``, ``/a_z_m_s_2`` of ``a z (m/s^2)``.
+    """The topic of a column: ``/az`` of ``az``, ``/a_z_m_s_2`` of ``a z (m/s^2)``.
 
     Letters and digits stay.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors beside the impacts would measure on a simulated plant, as messages."""
+"""Simulated messages of the sensors beside the impacts."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -42,7 +42,7 @@ _STREAM = 1923
 
 @dataclass(frozen=True, slots=True)
 class SampleFaults:
-    """How samples are taken; fields as in ``MEASUREMENT_FAULTS``.
+    """Faults and rate of simulated samples; fields as in ``MEASUREMENT_FAULTS``.
 
     Attributes:
         rate: of each sensor, Hz.
@@ -60,7 +60,7 @@ class SampleFaults:
 
     @classmethod
     def of(cls, given: Mapping[str, float | None]) -> "SampleFaults":
-        """From values by the names of ``MEASUREMENT_FAULTS``; None for the default."""
+        """Faults from values by the names of ``MEASUREMENT_FAULTS``; None gives the default."""
         names = (row.name.removeprefix("measurement_") for row in MEASUREMENT_FAULTS)
         both = zip(names, (given.get(row.name) for row in MEASUREMENT_FAULTS), strict=True)
         return cls(**{name: float(value) for name, value in both if value is not None})
@@ -142,18 +142,18 @@ class SampleSimulation:
                 )
 
     def stamps(self, epoch: int, last: int) -> Stamps:
-        """When samples are taken, from the epoch to ``last``, ns."""
+        """Stamps of the samples from the epoch to ``last``, ns."""
         count = int((last - epoch) / NS_PER_S * self.faults.rate) + 1
         return np.array([self.stamp(epoch, k) for k in range(count)], dtype=np.int64)
 
     def stamp(self, epoch: int, k: int) -> int:
-        """When the ``k``-th samples are taken, ns; those at the epoch are the 0th."""
+        """Stamp of the ``k``-th samples, ns; samples at the epoch have the number 0."""
         return epoch + round(k / self.faults.rate * NS_PER_S)
 
     def at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[SimulatedMessage]:
-        """What all sensors publish of the state (q, u), shape (2n,), at ``stamp`` (ns)."""
+        """Messages of all sensors for the state (q, u), shape (2n,), at ``stamp`` (ns)."""
         for sample, arrival in self.sampled(stamp, epoch, x, closed):
             declared = self._sensors[sample.sensor].measurement
             late = sample.stamp + from_seconds(declared.delay)
@@ -163,7 +163,7 @@ class SampleSimulation:
     def sampled(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[tuple[SensorSample, int]]:
-        """What all sensors measure of a state, each sample with when it is received, ns."""
+        """Samples of all sensors for a state, each with its time of reception, ns."""
         instant = stamp - epoch
         framed = self._system.to_frame(np.array([instant]), x[None])[0]
         place = Place(instant / NS_PER_S, instant, framed, closed)
@@ -196,7 +196,7 @@ class SampleSimulation:
 
 
 def samples_of_run(simulation: SampleSimulation, run: Run) -> list[SensorSample]:
-    """What all sensors measure on a run whose stamps are those of samples."""
+    """Samples of all sensors on a run whose stamps are stamps of samples."""
     return [sample for at in _states(run) for sample, _ in simulation.sampled(*at)]
 
 
@@ -210,7 +210,7 @@ def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
 
 
 def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
-    """The messages of all sensors on a run whose stamps are those of samples, as they arrive."""
+    """The messages of all sensors on a run of a plant, in order of arrival."""
     found = (message for at in _states(run) for message in simulation.at(*at))
     return sorted(found, key=lambda each: each.arrival)
 

@@ -32,18 +32,18 @@ def named_states(reader: BagReader, name: str) -> str:
 
 
 def states_of(reader: BagReader, prefix: str) -> str:
-    """The topic of an observer's states; that of its joint states if there is none."""
+    """The topic of an observer's states, or of its joint states if no states are recorded."""
     state = f"{prefix}/state"
     return state if state in reader.topics else f"{prefix}/joint_states"
 
 
 def first_stamp(reader: BagReader, topics: Iterable[str]) -> int | None:
-    """The first stamp, ns, in the first of some topics with a state; None without any."""
+    """The first stamp, ns, in the first topic with a state; None without a state."""
     first = first_block(reader, topics)
     return None if first is None else int(first.stamps[0])
 
 
 def first_block(reader: BagReader, topics: Iterable[str]) -> JointStates | None:
-    """The first states in the first of some topics with a state; None without any."""
+    """The first states in the first topic with a state; None without a state."""
     blocks = (next(iter(reader.blocks([topic])))[1] for topic in topics)
     return next((block for block in blocks if block.stamps.size), None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message types: those of ROS 2 Jazzy, ours from their ``.msg`` texts, those a bag defines.
+"""Message types: of ROS 2 Jazzy, of this package's ``.msg`` texts, and of a bag's definitions.
 
 The texts in ``msg_defs/msg`` are the single source of our messages: ``colcon`` builds the ROS
 classes from them, this module registers them with ``rosbags``.
@@ -150,7 +150,7 @@ def installed_definition(type_name: str) -> str | None:
 
 
 def _installed_text(type_name: str) -> Path | None:
-    """The installed ``.msg`` file of a type; None if there is none."""
+    """The installed ``.msg`` file of a type; None if no such file is installed."""
     package, kind, name = type_name.split("/")
     prefixes = (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix)
     paths = (Path(prefix, "share", package, kind, f"{name}.msg") for prefix in prefixes if prefix)

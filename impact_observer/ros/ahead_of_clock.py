@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps what is stamped too far ahead of the clock, until the clock is near enough."""
+"""Keeps items with stamps too far ahead of the clock until the clock is near enough."""
 
 import bisect
 from typing import Generic, TypeVar
@@ -17,7 +17,7 @@ class AheadOfClock(Generic[_Item]):
         self._number = 0
 
     def __len__(self) -> int:
-        """How many items are kept."""
+        """Number of items that are kept."""
         return len(self._items)
 
     def keep(self, stamp: int, item: _Item) -> _Item | None:

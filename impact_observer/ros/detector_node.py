@@ -103,7 +103,7 @@ class DetectorNode(BaseNode):
         )
 
     def _wants_past_messages(self, topic: str) -> bool:
-        """Whether past messages are of use: those of a switch, if their time is known."""
+        """Whether past messages are useful: messages of a switch with known times."""
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 

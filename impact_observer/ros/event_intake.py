@@ -96,7 +96,7 @@ class EventIntake:
         return not (self.is_busy or self._ahead)
 
     def backlog(self) -> tuple[int, float]:
-        """How many events are not applied yet, and how long the oldest has waited, s."""
+        """Number of events that are not applied yet, and waiting time of the oldest, s."""
         batch = self._batch if self._work is not None else []
         oldest = next(chain(batch, self._waiting), None)
         if oldest is None:

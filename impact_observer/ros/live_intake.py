@@ -154,6 +154,6 @@ class LiveIntake:
 
 
 def _stamp_in(interface: Interface, message: AnyMessage) -> int:
-    """The stamp of a message, ns, not checked yet."""
+    """The unchecked stamp of a message, ns."""
     time = (message if interface is interfaces.PHASE_REFERENCE else message.header).stamp
     return int(time.sec) * NS_PER_S + int(time.nanosec)

@@ -18,7 +18,7 @@ _OTHERS = "other lines"
 
 
 class LogLines:
-    """Logs the first line of each kind, and then how many more there were."""
+    """Logs the first line of each kind, and later the number of further lines."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         """Log to ``logger``."""
@@ -42,7 +42,7 @@ class LogLines:
             self._logger.warning(printable(line))
 
     def info(self, line: str, kind: str = "") -> None:
-        """Log what is usual; see ``warning``."""
+        """Log a usual event; see ``warning``."""
         if self._is_new(line, kind):
             self._logger.info(printable(line))
 

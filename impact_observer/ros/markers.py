@@ -68,7 +68,7 @@ class Painter:
         time: Time,
         moved: Vector | None = None,
     ) -> list[Marker]:
-        """All markers of a row.
+        """The markers of a row.
 
         Args:
             row: the row.

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The monitor node: the estimate's distance from the truth. Only this node receives both."""
+"""The monitor node: publishes the distance of the estimate from the truth.
+
+No other node receives both truth and estimates.
+"""
 
 from collections import OrderedDict
 

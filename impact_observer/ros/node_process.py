@@ -138,7 +138,7 @@ def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode
 
 
 def _how_to_set(name: str, args: Sequence[str]) -> str:
-    """How to give a required parameter; names an argument that may be the misspelt name."""
+    """Advice on setting a required parameter; names an argument that may be the misspelt name."""
     assigned = [value for option, value in pairwise(args) if option in {"-p", "--param"}]
     given = [each.partition(":=")[0].rpartition(":")[2] for each in assigned]
     similar = get_close_matches(name, [each for each in given if each != name], 1)

@@ -30,7 +30,7 @@ _CAUGHT_UP = 0.5
 
 
 class ObserverDiagnostics:
-    """Counts what an observer node does, and makes its diagnostic status.
+    """Counts the actions of an observer node, and makes its diagnostic status.
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
@@ -160,7 +160,7 @@ class ObserverDiagnostics:
 
     @property
     def _odd_periods(self) -> int:
-        """How many periods of the drive were too long or too short."""
+        """Number of periods of the drive that were too long or too short."""
         live = self._observer.live
         return 0 if live is None or live.drive is None else live.drive.odd
 
@@ -193,7 +193,7 @@ class ObserverDiagnostics:
         return f"{last} events were not applied: {self._why}"
 
     def _clock_fault(self, now: int) -> str:
-        """Why there are no impacts at the time ``now`` (ns); empty if there are impacts."""
+        """A fault that explains missing impacts at ``now`` (ns); empty if impacts arrive."""
         observer = self._observer
         if not now:
             return "use_sim_time is set, but no /clock has come"

@@ -208,13 +208,13 @@ class ObserverNode(BaseNode):
             self._sensors.use_waiting()
 
     def _correct_from(self, stamp: int) -> None:
-        """Publish the last estimate again if what is known has changed from ``stamp`` (ns) on."""
+        """Publish the last estimate again if knowledge has changed from ``stamp`` (ns) on."""
         if self._last is not None and stamp <= self._last_stamp:
             self._publish(self._last_stamp)
             self._counts["corrected"] += 1
 
     def _on_samples(self, stamp: int, revised: Sequence[Verdict]) -> None:
-        """Publish what samples from ``stamp`` (ns) on change, and the verdicts on samples."""
+        """Publish the estimates after ``stamp`` (ns) that samples change, and verdicts."""
         self._correct_from(stamp)
         self._publish_verdicts(revised, latency=0.0)
         published = {
@@ -233,7 +233,7 @@ class ObserverNode(BaseNode):
             self.publish(self._verdicts, self.make.verdict, verdict, latency)
 
     def _with_lag_reason(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
-        """``verdicts`` on an event that is late in spite of a lag, with that as a reason."""
+        """``verdicts`` on an event that is late in spite of a lag, with the lag as reason."""
         first, *others = verdicts
         if not self._lag or first.ruling is not Ruling.APPLIED:
             return verdicts
@@ -255,7 +255,7 @@ class ObserverNode(BaseNode):
             self.lines.info(line, kind)
 
     def _on_timer(self) -> None:
-        """Use what was ahead of the clock, and publish the estimates that are due."""
+        """Use inputs that were ahead of the clock, and publish the estimates that are due."""
         self._inputs.take_what_was_ahead()
         self._sensors.take_what_was_ahead()
         self._publish_due()

@@ -135,13 +135,13 @@ class PlantNode(BaseNode):
             raise UsageError(f"parameter epoch: {odd}")
 
     def _on_timer(self) -> None:
-        """Use what was ahead of the clock, and publish."""
+        """Use inputs that were ahead of the clock, and publish."""
         self._inputs.take_what_was_ahead()
         if not self.done:
             self._tick()
 
     def _tick(self) -> None:
-        """Publish what is due, in the order of stamps, and set the timer."""
+        """Publish all messages that are due, in the order of stamps, and set the timer."""
         if self._plant is None and not self._try_to_start():
             return
         now = self._now()
@@ -183,7 +183,7 @@ class PlantNode(BaseNode):
         return True
 
     def _wait_for_inputs(self, now: int) -> None:
-        """Raise DynamicsError where live forces or grounds have not come for too long."""
+        """Raise DynamicsError if live forces or grounds are missing for too long."""
         self._waits_since = self._waits_since or time.monotonic()
         if time.monotonic() - self._waits_since > self._timeout:
             silent = self._inputs.silent(now, 0.0)
@@ -222,7 +222,7 @@ class PlantNode(BaseNode):
         self.lines.info(f"{name}: episode {self._episode}, epoch {epoch} ns")
 
     def _now(self) -> int:
-        """The present stamp, ns; where live signals are not known so far, the latest they are."""
+        """The present stamp, ns, or an earlier stamp up to which the live signals are known."""
         now = self._clock_now()
         if self._plant is None or (known := self._plant.known_until) >= now:
             self._waits_since = None
@@ -248,7 +248,7 @@ class PlantNode(BaseNode):
         return self._epoch + round(k * NS_PER_S / self._rate)
 
     def _publish_until(self, now: int) -> None:
-        """Publish what is due: at equal stamps the event first, the clock last.
+        """Publish all due messages: at equal stamps the event first, the clock last.
 
         After the end only events in transit are due, and the clock for them.
         """
@@ -296,7 +296,7 @@ class PlantNode(BaseNode):
         return np.asarray(self._plant.states(np.array([stamp]))[0])
 
     def _set_timer(self, now: int) -> None:
-        """Set the timer to what is due next."""
+        """Set the timer to the next message that is due."""
         wait = max(min(self._next_stamps(now)) - now, 0) / self._factor
         if not self._owns_clock:
             wait = min(wait, _LONGEST_SLEEP * NS_PER_S)
@@ -304,7 +304,7 @@ class PlantNode(BaseNode):
         self._timer.reset()
 
     def _next_stamps(self, now: int) -> Iterator[int]:
-        """Stamps of what is due next, at least one."""
+        """Stamps of the next messages, at least one."""
         assert self._plant is not None
         if (arrival := self._sensing.next_stamp) is not None:
             yield arrival

@@ -65,7 +65,7 @@ class PlantPulses:
 
 
 class PlantSensors:
-    """Sensors of a plant: their samples are those of ``simulate`` with the same seed."""
+    """Sensors of a plant, with the samples of ``simulate`` for the same seed."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class PlantSensors:
         faults: SampleFaults,
         seed: int,
     ) -> None:
-        """Make best-effort publishers of what ``measurements`` of a ``system`` declare.
+        """Make a best-effort publisher for each of the ``measurements`` of a ``system``.
 
         Raises:
             UsageError: by file and key, if a sensor cannot be simulated.
@@ -104,7 +104,7 @@ class PlantSensors:
 
     @property
     def next_stamp(self) -> int | None:
-        """When a sample is taken or arrives next, ns; None without sensors."""
+        """Stamp of the next sample or the next arrival, ns; None without sensors."""
         if not self._has_sensors:
             return None
         arrival = self._transit[0][0] if self._transit else self._sample_stamp
@@ -130,7 +130,7 @@ class PlantSensors:
 
 
 def _with_lists(message: AnyMessage) -> AnyMessage:
-    """The message with lists for arrays of NumPy, which ROS does not take."""
+    """The message with lists instead of NumPy arrays, which ROS does not take."""
     for name in ("position", "velocity"):
         if isinstance(values := getattr(message, name, None), np.ndarray):
             setattr(message, name, values.tolist())

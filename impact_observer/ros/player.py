@@ -50,7 +50,7 @@ def _always() -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Playing:
-    """How a bag is played.
+    """Options for playing a bag.
 
     Attributes:
         topics: only these absolute names; None for all.
@@ -295,7 +295,7 @@ class Player:
             time.sleep(_TICK)
 
     def _all(self) -> list[Publisher]:
-        """Every publisher, including the clock's."""
+        """The publishers of all topics, and that of the clock."""
         return [*self._publishers.values(), *([self._clock] if self._clock else [])]
 
 

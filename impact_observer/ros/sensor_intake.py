@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of an observer node to what sensors measure beside the impacts."""
+"""Subscriptions of an observer node to the sensors beside the impacts."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -51,7 +51,7 @@ class SensorIntake:
         on_samples: Callable[[int, Sequence[Verdict]], None],
         on_problem: Callable[[str], None],
     ) -> None:
-        """Prepare to receive what the sensors of ``observer`` publish.
+        """Prepare to receive the samples of the sensors of ``observer``.
 
         Args:
             node: owner of the subscriptions.
@@ -223,7 +223,7 @@ class SensorIntake:
         return self._observer.samples.counts[index]["samples"]
 
     def _status(self, index: int, now: int) -> DiagnosticStatus:
-        """The state of a sensor: values, and the worst that holds."""
+        """The status of a sensor: its values, and the worst of its faults."""
         sensor, samples = self._sensors[index], self._observer.samples
         declared, counts, newest = sensor.measurement, samples.counts[index], samples.newest[index]
         topic = self._node.resolve_topic_name(declared.topic)
@@ -248,7 +248,7 @@ class SensorIntake:
         )
 
     def _fault(self, index: int, topic: str, age: float, learned: float | None) -> str:
-        """The fault of a sensor; empty for none.
+        """The fault of a sensor; empty without a fault.
 
         Args:
             index: of the sensor.

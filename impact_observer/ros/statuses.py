@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 def diagnostic_status(
     name: str, level: bytes, message: str, values: Mapping[str, object], *, hardware: str
 ) -> DiagnosticStatus:
-    """A status called ``name`` of some ``hardware``, with ``values`` as texts."""
+    """A status called ``name`` of some ``hardware``, with the texts of ``values``."""
     return DiagnosticStatus(
         level=level,
         name=name,

@@ -94,7 +94,7 @@ class StateLine:
 
 @dataclass(frozen=True, slots=True)
 class ObserverView:
-    """One observer.
+    """An observer as the screen shows it.
 
     Attributes:
         name: the node's absolute name.
@@ -263,7 +263,7 @@ class Listener:
         )
 
     def _update(self, name: str, **changes: Any) -> None:  # noqa: ANN401 (fields of a view)
-        """Change what is known of an observer."""
+        """Change the view of an observer."""
         self._observers[name] = replace(self._observers.get(name) or ObserverView(name), **changes)
 
     def _on_truth(self, topic: str, message: AnyMessage) -> None:
@@ -323,7 +323,7 @@ class Listener:
                 self._update(name, sensors={**sensors, sensor: health})
 
     def _observer_view(self, name: str) -> ObserverView:
-        """One observer with its newest estimate, and the truth at the stamp of the estimate."""
+        """View of an observer: its newest estimate, and the truth at the same stamp."""
         epoch = self._epochs.get(_beside(name, interfaces.IMPACTS), 0)
         view = replace(self._observers[name], epoch=epoch)
         if not (estimates := self._estimates.get(name)):
@@ -481,7 +481,7 @@ def _head(view: View) -> list[RenderableType]:
 
 
 def _panel(view: ObserverView, whole: View, verdicts: int, levels: str) -> Panel:
-    """One observer in a frame."""
+    """A framed panel of one observer."""
     parts: list[RenderableType] = [Text(f"V  {_distance(view, whole)}")]
     if view.history:
         parts.append(Text(_chart(view.history, levels), "cyan", no_wrap=True, overflow="crop"))
@@ -578,7 +578,7 @@ def _distance(view: ObserverView, whole: View) -> str:
 
 
 def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
-    """One verdict."""
+    """A verdict as a line of text."""
     words = [
         f"{seconds_between(epoch, verdict.stamp):>13.6f} s",
         verdict.contact or "all",
@@ -608,7 +608,7 @@ def _impacts(view: View) -> str:
 
 
 def _time(view: View) -> str:
-    """The present time since the epoch, if there is a single one."""
+    """The present time since the epoch, as text."""
     return f"t = {seconds_between(view.epoch, view.clock):.2f} s"
 
 

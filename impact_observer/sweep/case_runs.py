@@ -30,7 +30,7 @@ from impact_observer.sweep.plan import Case, parsed, plant_run
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The metrics of a case; None where they are undefined.
+    """The metrics of a case; None for an undefined metric.
 
     Attributes:
         case: number of the case.

@@ -207,7 +207,7 @@ class Sweep:
         return self._cases(self.sensors, self.variants, self.runs)
 
     def batches(self, done: Collection[int] = ()) -> Iterator[tuple[Case, ...]]:
-        """All cases, in parts that run together; without parts of which all are ``done``.
+        """All cases in parts that run together, without the parts whose cases are all ``done``.
 
         Cases that differ only in their start are an ensemble: ``run_batch`` computes them at once.
         The parts are always the same, so that outcomes do not depend on what is done.

@@ -51,11 +51,11 @@ def test_product_of_a_band_is_as_exact() -> None:
 
 def worst(A: Array, B: Array) -> float:
     """Largest error of a product, relative to the sizes of its terms."""
-    (found, rest), sizes = product(A, B), np.abs(A) @ np.abs(B)
+    (rounded, rest), sizes = product(A, B), np.abs(A) @ np.abs(B)
     errors = [
         abs(Fraction(high) + Fraction(low) - entry) / (Fraction(size) or 1)
         for highs, lows, row, over in zip(
-            found.tolist(), rest.tolist(), exact(A, B), sizes.tolist(), strict=True
+            rounded.tolist(), rest.tolist(), exact(A, B), sizes.tolist(), strict=True
         )
         for high, low, entry, size in zip(highs, lows, row, over, strict=True)
     ]

@@ -30,7 +30,7 @@ class FreeMotion:
     """The motion of a model without contacts, from any sample, also back in time."""
 
     def __init__(self, system: System, epoch: int) -> None:
-        """Of ``system``, whose forcing begins at the stamp ``epoch``, ns."""
+        """Take a model whose forcing begins at the stamp ``epoch``, ns."""
         self._system, self._epoch = system, epoch
         self._phase = Phases(system).phase()
 

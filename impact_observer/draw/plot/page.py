@@ -201,7 +201,7 @@ def _mark_traces(recording: PlotContent) -> Iterator[Any]:
 
 
 def _note(recording: PlotContent) -> str:
-    """How to read the curves of the page, and how to zoom."""
+    """Advice on reading the curves of the page, and on zooming."""
     note = f"Shaded: ± {BAND:g} standard deviations. Wheel: zoom. Drag: move. Double click: all."
     if recording.left_out:
         note += f" {recording.left_out} coordinates that move less are not drawn."

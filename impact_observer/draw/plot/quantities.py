@@ -34,7 +34,7 @@ class Quantity:
 
 
 def values_of(quantities: Sequence[Quantity], x: Matrix, motion: Matrix | None = None) -> Matrix:
-    """Each quantity of each state.
+    """Values of the quantities in each state.
 
     Args:
         quantities: k of them.

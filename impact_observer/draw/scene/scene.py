@@ -32,7 +32,7 @@ _ZERO = 1e-9
 
 
 class SceneJoint(Enum):
-    """What joins two bodies, or a body and the ground."""
+    """Kind of a coupling between two bodies, or between a body and the ground."""
 
     SPRING = "spring"
     """Stiffness, with damping or without."""
