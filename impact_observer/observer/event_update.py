@@ -72,7 +72,7 @@ class EventUpdate:
             posterior, x = self._corrected(previous, change)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
-        result = self.test.after(previous.synchronization, change, x, posterior)
+        result = self.test.after_event(previous.synchronization, change, x, posterior)
         if not isfinite(result.energy):
             raise DynamicsError(
                 f"at {text(stamp)} s: the estimate is not finite any more; is the declared"

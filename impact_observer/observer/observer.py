@@ -501,7 +501,7 @@ class Observer:
             self._initial, self._root = x, root
         else:
             stamp = max(whole_stamp(stamp), timeline.start.stamp)
-            now = timeline.at(stamp)
+            now = timeline.entry_at(stamp)
             replicas = spread(x, root, self.ensemble)
             first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
             self._run.restart(first)

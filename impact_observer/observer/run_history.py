@@ -114,14 +114,14 @@ class RunHistory:
         """Remember the number of an event; what is wrong with it, or missing beside it, if any."""
         numbers, sequence = self.numbers, event.sequence
         if numbers.follows(sequence):
-            numbers.add(sequence, event.stamp)
+            numbers.remember(sequence, event.stamp)
             return None
         remark, notice = Remark.GAP, numbers.gap(sequence)
         if not notice and numbers.leaps(sequence):
             remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"
         elif sequence in numbers and (stamp := numbers.stamp_of(sequence)) != event.stamp:
             remark, notice = Remark.REUSED, f"its number is that of the event at {text(stamp)} s"
-        numbers.add(sequence, event.stamp)
+        numbers.remember(sequence, event.stamp)
         return (remark, notice) if notice else None
 
     def is_repeated(self, event: ImpactEvent, switches: Collection[object]) -> bool:
@@ -276,7 +276,7 @@ class RunHistory:
                 past = f"the history starts at {text(timeline.start.stamp)} s"
             raise UsageError(f"estimate at {text(stamp)} s: {past}")
         self.require_epoch()
-        return timeline.at(stamp)
+        return timeline.entry_at(stamp)
 
     def obstacle(self, stamp: int) -> str:
         """See ``Observer.obstacle``."""
@@ -356,7 +356,7 @@ class RunHistory:
     def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
         """See ``Observer.replicas``."""
         assert self.timeline is not None, "there is an estimate"
-        entry = self.timeline.at(int(stamps[0]))
+        entry = self.timeline.entry_at(int(stamps[0]))
         s = (stamps - entry.since) / NS_PER_S
         x, maps, columns = self.update.prediction(entry).replicas(s)
         return self._from_frame(stamps, x), maps, columns

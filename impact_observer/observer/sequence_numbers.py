@@ -66,8 +66,8 @@ class SequenceNumbers:
             return _are_missing(sequence + 1, self.first - 1, "after")
         return ""
 
-    def add(self, sequence: int, stamp: int) -> None:
-        """Add ``sequence``, with the stamp (ns) of its event."""
+    def remember(self, sequence: int, stamp: int) -> None:
+        """Remember the number of an event, with its stamp (ns); 0 is no number."""
         if not sequence:
             return
         numbers = [sequence]

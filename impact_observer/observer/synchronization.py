@@ -107,7 +107,7 @@ class SynchronizationTest:
         """The result before any event."""
         return Synchronization(*self._distance_and_energy(belief.ensemble))
 
-    def after(
+    def after_event(
         self, previous: Synchronization, change: ContactChange, x: Vector, posterior: Belief
     ) -> Synchronization:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""

@@ -279,12 +279,12 @@ class Timeline:
     def _place(self, key: EventKey) -> int:
         return bisect_right(self.entries, key, key=lambda entry: entry.key)
 
-    def at(self, stamp: int) -> Entry:
+    def entry_at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp`` (ns)."""
         return self.interval(stamp)[0]
 
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
-        """``at(stamp)``, and the stamp (ns) of the entry after it; None where there is none."""
+        """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
         entry = self.entries[-1]
         if entry.key.stamp <= stamp:
             return entry, None

@@ -104,7 +104,7 @@ def root(watcher: Observer, stamp: int) -> Array:
     """A root of the covariance at ``stamp``: P itself would be rounding."""
     timeline = watcher.timeline
     assert timeline is not None
-    entry = timeline.at(stamp)
+    entry = timeline.entry_at(stamp)
     since = Elapsed(entry.since - watcher.epoch)
     prediction = watcher.law.predict(since, entry.belief, entry.closed)
     found = prediction.root(seconds_between(entry.key.stamp, stamp))

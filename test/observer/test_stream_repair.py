@@ -452,14 +452,14 @@ def test_sequence_numbers_beyond_the_history_are_neither_new_nor_missing() -> No
     """Whether the events arrive again or not."""
     numbers = SequenceNumbers()
     for k in (*range(1, 80), 81):
-        numbers.add(k, 10 * k)
+        numbers.remember(k, 10 * k)
         numbers.forget_before(10)  # nothing is older
     assert len(numbers) == 80
     for k in range(82, 300):
-        numbers.add(k, 10 * k)
+        numbers.remember(k, 10 * k)
         numbers.forget_before(10 * k - 100)
         assert len(numbers) < 200
-    numbers.add(2, 20)
+    numbers.remember(2, 20)
     assert numbers.missing == 1
     assert numbers.gap(301) == "event 300 before it is missing"
 

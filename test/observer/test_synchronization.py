@@ -355,7 +355,7 @@ def test_impacts_of_an_estimate_at_rest_are_no_agreement(
     test, x = SynchronizationTest(THREE_MASS.system), np.zeros(6)
     still = Belief(Ensemble.of(np.zeros((10, 6))), 1e-13 * np.eye(6))
     known = Synchronization(0.0, 1.0, 1.0, (REQUIRED_EVENTS - 1,))
-    found = test.after(known, ContactChange(1.0, (), (0,), closed), x, still)
+    found = test.after_event(known, ContactChange(1.0, (), (0,), closed), x, still)
     assert test.is_synchronized(found, still.root) == counts
 
 
@@ -368,7 +368,7 @@ def test_each_part_of_a_system_must_agree() -> None:
     belief = Belief(Ensemble.of(np.ones((10, 4))), 1e-9 * np.eye(4))
     for hit in [(0,)] * 5 + [(1,)] * REQUIRED_EVENTS:
         assert not test.is_synchronized(result, belief.root)
-        result = test.after(result, ContactChange(1.0, (), hit, ()), np.ones(4), belief)
+        result = test.after_event(result, ContactChange(1.0, (), hit, ()), np.ones(4), belief)
         if hit == (0,) and min(result.agreed) == 0 < REQUIRED_EVENTS <= max(result.agreed):
             assert test.obstacle(result, belief.root).endswith("0 of 3 impacts in a row of c2")
     assert test.is_synchronized(result, belief.root)
@@ -397,7 +397,7 @@ def test_impacts_that_are_inserted_beside_rejected_ones_end_synchronization(
         )
         change = ContactChange(1.0 + k, (), (0,), (), stamp=k)
         assert test.is_synchronized(result, state.root)
-        result = test.after(result, change, np.ones(2), belief)
+        result = test.after_event(result, change, np.ones(2), belief)
     assert test.is_synchronized(result, state.root) != ends
 
 
@@ -406,7 +406,7 @@ def test_a_contact_that_opens_is_no_impact_and_ends_no_agreement() -> None:
     ball = sample("bouncing_ball").system
     test, before = SynchronizationTest(ball), Synchronization(0.0, 1.0, 1.0, (2,), hits={0: 0.5})
     belief = Belief(Ensemble.of(np.tile([0.0, 1.0], (10, 1))))
-    found = test.after(before, ContactChange(1.0, (0,), (), ()), np.zeros(2), belief)
+    found = test.after_event(before, ContactChange(1.0, (0,), (), ()), np.zeros(2), belief)
     assert found.agreed == (2,)
 
 

@@ -63,17 +63,17 @@ def test_equal_stamps_are_successive_by_sequence() -> None:
 def test_state_at_a_stamp_is_after_all_events_of_that_stamp() -> None:
     """At, before and after, with two events at one instant."""
     timeline = filled(key(2, 1), key(2, 2), key(5, 3))
-    assert timeline.at(1).key.sequence == -1
-    assert timeline.at(2).key.sequence == 2
-    assert timeline.at(4).key.sequence == 2
-    assert timeline.at(5).key.sequence == timeline.at(9).key.sequence == 3
+    assert timeline.entry_at(1).key.sequence == -1
+    assert timeline.entry_at(2).key.sequence == 2
+    assert timeline.entry_at(4).key.sequence == 2
+    assert timeline.entry_at(5).key.sequence == timeline.entry_at(9).key.sequence == 3
 
 
 def test_event_at_the_start_comes_after_the_initial_state() -> None:
     """The initial state holds before any event of its stamp."""
     timeline = filled(key(0))
     assert [entry.key.stamp for entry in timeline.entries] == [0, 0]
-    assert timeline.at(0).key.switches == ((0, Kind.IMPACT),)
+    assert timeline.entry_at(0).key.switches == ((0, Kind.IMPACT),)
 
 
 def test_timeline_recognises_its_events() -> None:
@@ -92,7 +92,7 @@ def test_cut_keeps_the_states_after_it() -> None:
     assert states(timeline) == [12, 124]
     assert timeline.start == key(2)
     assert [*was_complete, timeline.is_complete] == [True, False]
-    assert timeline.at(3).belief.x[0] == 12
+    assert timeline.entry_at(3).belief.x[0] == 12
     timeline.forget_before(-5, 100)
     assert states(timeline) == [12, 124]
 

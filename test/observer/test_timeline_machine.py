@@ -154,7 +154,7 @@ class TimelineMachine(RuleBasedStateMachine):
         ordered = sorted(self.keys)
         for stamp in range(self.timeline.start.stamp, 14):
             count = sum(key.stamp <= stamp for key in ordered)
-            assert value(self.timeline.at(stamp)) == wanted[count]
+            assert value(self.timeline.entry_at(stamp)) == wanted[count]
 
 
 def test_any_steps_lead_to_the_states_of_the_reference() -> None:

@@ -20,16 +20,15 @@ class Law(ABC):
     A law that corrects each replica by itself derives from ``ReplicaLaw``, which is simpler.
 
     Attributes:
-        name: what users choose it by.
-        uses_events: whether events correct its replicas; only then does their agreement mean
-            anything.
-        has_bound: whether it certifies a bound of V.
-        has_covariance: whether it estimates a covariance.
-        learns: whether it estimates unknown parameters of the model.
-        uses_measurements: whether samples of sensors correct its replicas.
-        system: what plant and replicas share.
-        uncertainty: as declared by the user.
-        moving: the system between impacts.
+        name: the name by which users choose the law.
+        uses_events: whether events correct the replicas. Otherwise their agreement says nothing.
+        has_bound: whether the law certifies a bound of V.
+        has_covariance: whether the law estimates a covariance.
+        learns: whether the law estimates unknown parameters of the model.
+        uses_measurements: whether samples of sensors correct the replicas.
+        system: the model of plant and replicas.
+        uncertainty: the uncertainty that the user declares.
+        moving: the motion of the system between impacts.
     """
 
     name: ClassVar[str]
@@ -45,7 +44,12 @@ class Law(ABC):
         uncertainty: Uncertainty | None = None,
         moving: MovingSystem | None = None,
     ) -> None:
-        """Prepare the law for one ``system``, which is ``moving`` where that is prepared already.
+        """Prepare the law for one ``system``.
+
+        Args:
+            system: the model of plant and replicas.
+            uncertainty: the declared uncertainty.
+            moving: the motion of the same system, if another law has prepared it already.
 
         Raises:
             UsageError: the declared uncertainty does not fit the system.
@@ -57,7 +61,7 @@ class Law(ABC):
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
-        """The belief before any event; it satisfies the constraints of the ``closed`` contacts.
+        """The belief before any event, which satisfies the constraints of ``closed`` contacts.
 
         The ``replicas`` (q, u) have shape (N, 2n), the estimate first; ``root`` is a square root
         of its covariance, shape (2n, 2n).
@@ -78,10 +82,13 @@ class Law(ABC):
     def struck(
         self, change: ContactChange, posterior: Belief, since: float, s: float
     ) -> tuple[Belief, Vector] | None:
-        """``correct`` of the prior ``s`` seconds after a ``posterior`` that holds ``since``, s.
+        """Predict by ``s`` seconds and correct at once, if the law has a short way to do so.
 
-        With it the estimate (q, u-) of that prior, shape (2n,). None where the prior is to be made
-        first, as by default.
+        The ``posterior`` holds at ``since``, s since the epoch.
+
+        Returns:
+            The belief after the event, and the estimate (q, u-) just before it, shape (2n,). None
+            asks the caller to predict first and to ``correct`` then.
         """
         del change, posterior, since, s
         return None
@@ -89,10 +96,10 @@ class Law(ABC):
     def measure(
         self, reading: Reading, prior: Belief
     ) -> tuple[Belief, SampleOutcome, SensorState]:
-        """The posterior of a sample that is measured beside the impacts; by default the prior.
+        """Correct a prior by a sample of a sensor; by default samples are not used.
 
         Returns:
-            The belief; what became of the sample; and what is known of its sensor.
+            The posterior, the outcome of the sample, and the state of the sensor.
         """
         reason = f"{self.name} uses no measurements"
         return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
@@ -100,9 +107,10 @@ class Law(ABC):
     def followed(
         self, reading: Reading, posterior: Belief, since: float, s: float
     ) -> tuple[Belief, SampleOutcome, SensorState] | None:
-        """``measure`` of the prior ``s`` seconds after a ``posterior`` that holds ``since``, s.
+        """Predict by ``s`` seconds and use a sample at once, if the law has a short way to do so.
 
-        None where the prior is to be made first, as by default.
+        The ``posterior`` holds at ``since``, s since the epoch. None asks the caller to predict
+        first and to ``measure`` then.
         """
         del reading, posterior, since, s
         return None
