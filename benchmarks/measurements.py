@@ -359,7 +359,7 @@ def print_cost(seconds: float = 3.0, rounds: int = 3) -> None:
                     observer.receive(events.pop())
                 observer.measure([sample])
             taken = min(taken, (time.process_time() - begin) / len(samples))
-            timeline = observer._run.timeline  # noqa: SLF001 (how many are followed)
+            timeline = observer.timeline
             assert timeline is not None
             followed_ = len(timeline.entries[-1].belief.hypotheses)
         print(f"{label:>35} {1e6 * taken:8.0f}   {followed_ or 1} hypotheses at the end")

@@ -21,7 +21,7 @@ from impact_observer.observer.event_order import impacts_of
 from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 
-_WINDOW = 20_000
+WINDOW = 20_000
 """Events that are sorted together: all of any bag but a very long one."""
 
 
@@ -116,7 +116,7 @@ def _summary(reader: BagReader) -> BagSummary:
 
     for topic in reader.topics.values():
         if topic.type == IMPACT_EVENT:
-            for contact, kind in _impacts_in_order(events(topic.name)):
+            for contact, kind in impacts_in_order(events(topic.name)):
                 impacts[contact] += 1
                 closings[contact] += kind is Kind.CLOSE
     return BagSummary(
@@ -137,10 +137,10 @@ def _summary(reader: BagReader) -> BagSummary:
     )
 
 
-def _impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
+def impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
     """Contacts and kinds of the impacts and closings that count, in constant memory.
 
-    ``_WINDOW`` events are sorted at a time; those of one stamp stay together.
+    ``WINDOW`` events are sorted at a time; those of one stamp stay together.
     """
 
     def key(event: ImpactEvent) -> tuple[int, int, int]:
@@ -149,9 +149,9 @@ def _impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind
     waiting: list[ImpactEvent] = []
     for event in events:
         waiting.append(event)
-        if len(waiting) >= 2 * _WINDOW:
+        if len(waiting) >= 2 * WINDOW:
             waiting.sort(key=key)
-            cut = _WINDOW
+            cut = WINDOW
             while cut < len(waiting) and key(waiting[cut]) == key(waiting[cut - 1]):
                 cut += 1
             yield from (impact[1:] for impact in impacts_of(waiting[:cut]))

@@ -74,7 +74,7 @@ def run_case(case: Case) -> Outcome:
     A case that fails gives an outcome with the error, and the sweep goes on.
     """
     try:
-        return _outcome(case)
+        return outcome_alone(case)
     except ImpactObserverError as error:
         return Outcome(case.number, error=str(error))
     except Exception as error:  # noqa: BLE001 (a bug in one law must not stop the other cases)
@@ -90,13 +90,13 @@ def run_batch(cases: Sequence[Case]) -> list[Outcome]:
     """
     if len(cases) > 1:
         try:
-            return _outcomes(cases)
+            return outcomes_together(cases)
         except Exception:  # noqa: BLE001 (the start that has failed will say why)
             pass
     return [run_case(case) for case in cases]
 
 
-def _outcome(case: Case) -> Outcome:
+def outcome_alone(case: Case) -> Outcome:
     """The outcome of one case; V is the energy of the plant, also for another model."""
     run, system, events = _sensed(case)
     measurements, samples = case.measurements, list[SensorSample]()
@@ -115,7 +115,7 @@ def _outcome(case: Case) -> Outcome:
     return _outcome_of(case, comparison, len(events))
 
 
-def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
+def outcomes_together(cases: Sequence[Case]) -> list[Outcome]:
     """The outcomes of cases with equal events."""
     first = cases[0]
     run, system, events = _sensed(first)

@@ -68,5 +68,5 @@ def test_many_events_are_counted_in_windows_as_all_together(
     for i in draw.integers(0, len(events) - 8, 200).tolist():
         events.insert(i + 5, events.pop(i))
     whole = [impact[1:] for impact in impacts_of(events)]
-    monkeypatch.setattr(bag_summary, "_WINDOW", 50)
-    assert Counter(bag_summary._impacts_in_order(iter(events))) == Counter(whole)
+    monkeypatch.setattr(bag_summary, "WINDOW", 50)
+    assert Counter(bag_summary.impacts_in_order(iter(events))) == Counter(whole)

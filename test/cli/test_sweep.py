@@ -208,7 +208,7 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The other cases have results; running the command again does not change the row."""
-    whole, path = case_runs._outcome, tmp_path / "sweep.parquet"
+    whole, path = case_runs.outcome_alone, tmp_path / "sweep.parquet"
 
     def broken(case: Case) -> Outcome:
         if case.number == 3:
@@ -218,8 +218,8 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
     def all_broken(_: Sequence[Case]) -> list[Outcome]:
         raise DynamicsError("one of them has no solution")
 
-    monkeypatch.setattr(case_runs, "_outcome", broken)
-    monkeypatch.setattr(case_runs, "_outcomes", all_broken)
+    monkeypatch.setattr(case_runs, "outcome_alone", broken)
+    monkeypatch.setattr(case_runs, "outcomes_together", all_broken)
     words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
     for _ in range(2):
         assert main([*words, "-o", str(path)]) == 1

@@ -161,8 +161,8 @@ def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
     for each in events:
         watcher.receive(each)
     assert episode.start == watcher.start
-    assert watcher._run.timeline is not None
-    entries = watcher._run.timeline.entries[1:]
+    assert watcher.timeline is not None
+    entries = watcher.timeline.entries[1:]
     assert [change.stamp for change in episode.changes] == [entry.key.stamp for entry in entries]
     assert [change.closed for change in episode.changes] == [e.closed for e in entries]
     assert episode.left_out == len(entries)

@@ -93,7 +93,7 @@ def assert_same_outcomes(sweep: Sweep) -> list[Outcome]:
     for batch in sweep.batches():
         assert len(batch) == sweep.runs
         # Not ``run_batch``, which would run each alone if that fails.
-        outcomes = case_runs._outcomes(batch)
+        outcomes = case_runs.outcomes_together(batch)
         for case, outcome in zip(batch, outcomes, strict=True):
             assert_same_outcome(outcome, run_case(case))
         found += outcomes
