@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def lines(*, usable: bool, name: str | None = None) -> list[str]:
-    """What is found in ``bag``, against a model that is named or against its own."""
+    """Severity and line of each finding in ``bag``, against a given model or that of the bag."""
     system = None if name is None else read_model(name).system
     report = check_bag(Path("bag"), system)
     assert report.usable is usable
@@ -78,7 +78,7 @@ def test_no_impacts_and_no_sensors_names_import() -> None:
 
 
 def test_impacts_under_another_name_are_pointed_at() -> None:
-    """They are recognised by their type."""
+    """Impacts under another name are recognised by their type."""
     write(
         None,
         types={"/hits": "impact_observer_msgs/msg/ImpactEvent"},
@@ -108,7 +108,7 @@ def test_a_second_topic_of_impacts_is_not_used() -> None:
 
 
 def test_impacts_of_another_type_are_named() -> None:
-    """With what makes events of them."""
+    """The error says how messages of another type become events."""
     message = TYPES["std_msgs/msg/Bool"](data=True)
     write(None, types={"/impacts": "std_msgs/msg/Bool"}, more=[("/impacts", S, message)])
     assert lines(usable=False) == [
@@ -234,13 +234,13 @@ def test_every_fault_of_model_and_truth_has_its_line(
     usable: bool,
     expected: str,
 ) -> None:
-    """And there is no other line."""
+    """The check prints one line for each fault, and no other line."""
     write(**changes)  # type: ignore[arg-type]
     assert lines(usable=usable, name=name) == [expected]
 
 
 def test_a_contact_that_is_never_reported_is_a_warning() -> None:
-    """Of three_mass, whose left stop has no event."""
+    """The left stop of three_mass has no event."""
     events = [ImpactEvent(e.stamp, (Switch("right"),), e.sequence, 1, S) for e in GOOD]
     write(events, text=model("three_mass"), truth=[])
     assert lines(usable=True) == [

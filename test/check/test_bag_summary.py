@@ -34,7 +34,7 @@ def test_impacts_are_counted_by_contact_and_episode(tmp_path: Path) -> None:
 
 
 def test_impact_superseded_by_a_close_is_counted_once(tmp_path: Path) -> None:
-    """As the persistent contact; a duplicate is counted once too."""
+    """The impact counts as persistent contact; a duplicate is counted once too."""
     make = bag_messages()
     switches = [(1, Kind.IMPACT), (2, Kind.IMPACT), (2, Kind.CLOSE), (3, Kind.OPEN)]
     events = [

@@ -21,14 +21,17 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def lines(*, usable: bool) -> list[str]:
-    """What is found in ``bag``."""
+    """Severity and line of each finding in ``bag``."""
     report = check_bag(Path("bag"))
     assert report.usable is usable
     return [f"{each.severity} {each.line}" for each in report.findings]
 
 
 def observed() -> bool:
-    """Whether an observer applies any event of ``bag``; it is given the epoch where needed."""
+    """Whether an observer applies any event of ``bag``.
+
+    The epoch is given to the observer if no event has one.
+    """
     with BagReader(Path("bag")) as reader:
         epoch = 0 if any(event.epoch for event in reader.events()) else S
         observer = make_observer(
@@ -237,7 +240,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
 
 
 def recorded(events: list[ImpactEvent]) -> None:
-    """A bag of a plant with these events in this order."""
+    """Record a bag of a plant with these events in this order."""
     with BagWriter(Path("bag")) as writer:
         writer.write("/plant/model", S, MAKE.model(model()))
         for k in range(1, 8):
@@ -249,7 +252,7 @@ def recorded(events: list[ImpactEvent]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_every_fault_of_events_has_its_line(case: str) -> None:
-    """With the message where it is first seen."""
+    """The line of a fault names the first message that has the fault."""
     events, usable, expected = CASES[case]
     recorded(events)
     assert lines(usable=usable) == expected
@@ -265,14 +268,14 @@ def test_every_fault_of_events_has_its_line(case: str) -> None:
     ],
 )
 def test_an_observer_applies_events_of_a_bag_exactly_where_it_is_usable(case: str) -> None:
-    """A bag with an error gives it nothing to apply."""
+    """An observer applies no event of a bag with an error."""
     events, usable, _ = CASES[case]
     recorded(events)
     assert observed() is usable
 
 
 def test_messages_without_a_valid_event_are_errors() -> None:
-    """Stamp zero, nanoseconds that fill a second, unknown kind, bytes that are no event."""
+    """A stamp of zero, too many nanoseconds, an unknown kind and foreign bytes are errors."""
     unknown = event_message(GOOD[0])
     unknown.switches[0].kind = 7
     with BagWriter(Path("bag")) as writer:
@@ -312,8 +315,8 @@ def test_messages_without_a_valid_event_are_errors() -> None:
     ]
 
 
-def test_stamps_of_another_clock_are_event_message() -> None:
-    """Simulated time in a bag of wall time."""
+def test_stamps_of_another_clock_are_a_warning() -> None:
+    """Stamps of simulated time in a bag of wall time are a warning."""
     write(delay=2_000_000 * S)
     assert lines(usable=True) == [
         (
@@ -326,7 +329,7 @@ def test_stamps_of_another_clock_are_event_message() -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only recent duplicates and gaps are kept; a late number still fills its gap."""
+    """Checks keep recent duplicates and gaps; a late number still fills its gap."""
     monkeypatch.setattr(event_check, "_RECENT", 300)
 
     def peak(count: int) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the times of impacts say of a table's unit, and of bounces that settle."""
+"""Warnings drawn from the times of impacts: a table's unit, and bounces that settle."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def times_of(seconds: list[float], contact: str = "floor") -> HitTimes:
 
 
 def test_a_ball_in_milliseconds_that_were_taken_for_seconds_is_named() -> None:
-    """With the unit that would do; the same bounces in seconds are no cause for doubt."""
+    """The warning names the unit that fits; the same bounces in seconds give no warning."""
     bounces = np.cumsum(2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(12))
     system = read_model("bouncing_ball").system
     assert longest_interval(system) == pytest.approx(2 * 30 / 9.81)
@@ -39,7 +39,7 @@ def test_periods_of_modes_and_forces_bound_the_time_between_impacts() -> None:
 
 
 def test_bounces_that_settle_are_named_with_the_dead_time_that_leaves_them_out() -> None:
-    """Not as many hits at an even rate, nor a few of them."""
+    """Neither as many hits at an even rate nor a few settling hits are named."""
     row = np.cumsum(0.05 * 0.6 ** np.arange(30))
     rows = np.concatenate([row + k for k in range(10)]).tolist()
     said = settling(times_of(rows))
@@ -94,7 +94,7 @@ def test_filters_are_not_begun_where_milliseconds_were_taken_for_seconds(
 
 @pytest.mark.usefixtures("in_tmp_path")
 def test_check_does_not_ask_to_debounce_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its bounces die out; simulate counts as many impacts as check does."""
+    """The bounces of a simulation die out; simulate counts as many impacts as check does."""
     words = ["simulate", "bouncing_ball", "--duration", "10", "--impacts-only", "--rate", "1"]
     assert main([*words, "-o", "bag"]) == 0
     said = capsys.readouterr().out

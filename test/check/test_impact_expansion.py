@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which contacts can close together, and where an impact of them can raise V."""
+"""Sets of contacts that can close together, and impacts that can raise V."""
 
 from itertools import chain as joined
 from itertools import combinations
@@ -24,7 +24,7 @@ TOL = 1e-7
 
 
 def subsets(m: int) -> list[list[int]]:
-    """All that are not empty."""
+    """All nonempty subsets of ``m`` contacts."""
     every = joined.from_iterable(combinations(range(m), k) for k in range(1, m + 1))
     return [list(each) for each in every]
 
@@ -57,7 +57,7 @@ def raises(model: System, index: list[int]) -> bool:
 
 
 def smallest(sets: list[list[int]]) -> list[Contacts]:
-    """Those without one of the others in them."""
+    """The sets that contain no other set."""
     return [tuple(a) for a in sets if not any(set(b) < set(a) for b in sets)]
 
 
@@ -73,7 +73,7 @@ def corner(*eps: float, gap: float = 0.0) -> System:
 
 
 def grown(model: System, contacts: Contacts, one: Array, two: Array) -> float:
-    """By what the law multiplies ``du^T M du`` of velocities with these contact speeds."""
+    """Factor of ``du^T M du`` at an impact of velocities with these contact speeds."""
     W = model.W[:, list(contacts)]
     lift = np.linalg.solve(model.M, W) @ np.linalg.inv(W.T @ np.linalg.solve(model.M, W))
     law, u, v = ImpactLaw(model), lift @ one, lift @ two
@@ -102,7 +102,7 @@ def test_the_documented_counterexample_fails() -> None:
 @examples(25)
 @given(systems(max_n=3, contacts=(1, 5), forced=False))
 def test_answers_agree_with_trying_every_set_of_contacts(model: System) -> None:
-    """With equations instead of a minimum, and eigenvalues of every set by itself."""
+    """The oracle solves equations instead of a minimum, and takes eigenvalues of every set."""
     closed = [index for index in subsets(model.m) if closes(model, index)]
     failing = [i for i in closed if independent(model, i) and raises(model, i)]
     answer = impact_expansion.expansive(ClosingSets(model))
@@ -122,7 +122,7 @@ def test_answers_agree_with_trying_every_set_of_contacts(model: System) -> None:
 @examples(25)
 @given(systems(max_n=3, contacts=(2, 5), common_restitution=False, gaps=(0.0, 0.0), forced=False))
 def test_contacts_that_meet_at_rest_can_all_close_together(model: System) -> None:
-    """All gaps are zero: only the eigenvalues count, and dependence."""
+    """If all gaps are zero only eigenvalues and dependence count."""
     assert ClosingSets(model).conflict(tuple(range(model.m))) is None
     failing = [i for i in subsets(model.m) if independent(model, i) and raises(model, i)]
     assert bool(expansive_sets(model)) == bool(failing)
@@ -132,7 +132,7 @@ def test_contacts_that_meet_at_rest_can_all_close_together(model: System) -> Non
 @examples(25)
 @given(systems(contacts=(1, 4), forced=False), st.integers(0, 1000))
 def test_two_solutions_never_diverge_where_v_cannot_rise(model: System, seed: int) -> None:
-    """By the impact law itself, on every set that can close together, dependent ones too."""
+    """The impact law raises V on no set that can close together, dependent sets included."""
     rng = np.random.default_rng(seed)
     law, nonexpansive = ImpactLaw(model), is_nonexpansive(model)
     assert nonexpansive is not None
@@ -222,7 +222,7 @@ def test_contacts_out_of_reach_of_each_other_do_not_count() -> None:
 
 
 def threefold() -> tuple[System, System]:
-    """Three contacts that fail together and no two of them; the same with one restitution."""
+    """Three contacts that fail together while no two fail; the same with one restitution."""
     directions, unit = [[1, 0.0, 0.0], [0.8, 0.6, 0.0], [0.8, 0.3, 0.52]], np.eye(3)
 
     def model(*eps: float) -> System:
@@ -266,7 +266,7 @@ def test_hundreds_of_contacts_need_few_programmes() -> None:
 
 
 def test_what_is_not_decided_is_not_passed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the bound is reached, the answer is None, and nothing is claimed."""
+    """If the search reaches its bound, the answer is None."""
     model, _ = threefold()
     assert is_nonexpansive(model) is False
     monkeypatch.setattr(closing_sets, "STEPS", 1)

@@ -20,7 +20,7 @@ def state_matrix(model: System) -> Array:
 
 
 def eigenvalues(checked: ModelCheck) -> Array:
-    """All 2n of them, from the result."""
+    """All 2n eigenvalues of a result."""
     modes = checked.modes
     return np.array([*modes, *modes.conj(), *checked.rates, *np.zeros(len(checked.rigid))])
 
@@ -66,7 +66,7 @@ def test_overdamped_pairs_are_real() -> None:
 
 
 def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
-    """Without friction on the ground its motion does not decay."""
+    """Without friction on the ground the chain's rigid motion does not decay."""
     laplacian = np.diag([1.0, 2, 1]) - np.eye(3, k=1) - np.eye(3, k=-1)
     model = system(np.diag([1.0, 2, 3]), laplacian, laplacian, contacts=[([1, -1, 0], 0.1, 0.5)])
     checked = check_model(model)
@@ -80,7 +80,7 @@ def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
 
 
 def test_friction_on_the_ground_damps_a_rigid_body() -> None:
-    """Its velocity decays at c/m, its displacement is still seen by no V."""
+    """The body's velocity decays at c/m; no V contains its displacement."""
     checked = check_model(system(2, 3, 0, contacts=[([1], 0.0, 0.5)]))
     assert checked.rates == pytest.approx([-1.5], rel=1e-14)
     assert len(checked.rigid) == 1
@@ -118,7 +118,7 @@ def test_undamped_modes_are_exactly_that() -> None:
 def test_only_a_force_along_an_undamped_mode_resonates(
     frequency: float, force: list[float], resonates: bool
 ) -> None:
-    """At its frequency, and not at a node of it."""
+    """A force resonates at the mode's frequency, but not at a node of the mode."""
     harmonics = [Harmonic(1.0, [1, 1, 1], [0, 0, 0]), Harmonic(frequency, [0, 0, 0], force)]
     model = chain(3, damping=0.0, force=forcing(3, 0.0, harmonics))
     found = check_model(model).resonances
@@ -137,7 +137,7 @@ def test_a_contact_at_a_node_does_not_see_the_mode() -> None:
 
 
 def test_equal_oscillators_need_a_contact_each() -> None:
-    """Each is seen by the sum, but not their difference."""
+    """A contact at the sum of the positions does not see their difference."""
     one = check_model(system(np.eye(2), np.eye(2) / 9, np.eye(2), contacts=[([1, 1], 0, 1)]))
     assert len(one.unseen) == 1
     assert one.unseen[0].shape.sum() == pytest.approx(0, abs=1e-12)
@@ -172,7 +172,7 @@ def test_effective_mass_is_that_of_the_contact_direction() -> None:
 
 
 def test_a_system_without_contacts_hides_every_mode() -> None:
-    """And no impact can raise anything."""
+    """No impact can raise V of a system without contacts."""
     checked = check_model(chain(3))
     assert len(checked.unseen) == 3
     assert checked.nonexpansive is True
@@ -182,7 +182,7 @@ def test_a_system_without_contacts_hides_every_mode() -> None:
 
 
 def test_every_set_that_raises_v_has_its_factor() -> None:
-    """In the same order."""
+    """Factors are in the order of the sets."""
     contacts = [([1.0, 0.0], 0.1, 1.0), ([0.9, 0.436], 0.1, 0.0), ([0.436, 0.9], 0.1, 0.3)]
     model = system(np.eye(2), np.eye(2), np.eye(2), contacts=contacts)
     checked = check_model(model)

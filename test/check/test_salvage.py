@@ -41,7 +41,7 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def messages(path: Path) -> list[RawMessage]:
-    """All of a whole bag."""
+    """All messages of a whole bag."""
     with BagReader(path) as reader:
         return list(reader.raw())
 
@@ -68,7 +68,7 @@ def lines(path: Path) -> list[str]:
 
 
 def found(path: Path, whole: Path) -> int:
-    """How many messages a salvage brings back, each of them unharmed."""
+    """Number of messages that a salvage recovers, each of them unharmed."""
     salvage(Salvage(path), Path("new"))
     again, all_ = messages(Path("new")), set(messages(whole))
     assert set(again) <= all_
@@ -78,14 +78,14 @@ def found(path: Path, whole: Path) -> int:
 
 
 def readable(path: Path) -> dict[str, int]:
-    """How many messages of each topic can be read."""
+    """Number of readable messages of each topic."""
     source = Salvage(path)
     assert len(list(source.raw())) == sum(source.counts.values())
     return source.counts
 
 
 def chunks(path: Path) -> list[int]:
-    """Where the chunks of an MCAP file begin."""
+    """Offsets of the chunks in an MCAP file."""
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
@@ -98,7 +98,7 @@ REMEDY = "write them to a new bag with `impact-observer check bag --salvage -o N
 @pytest.mark.slow
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
-    """Every message before the cut is recovered, those of the open chunk too."""
+    """Every message before the cut is recovered, the messages of the open chunk too."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", compression=compression, chunk=10_000)
     size = cut(bare(bag), 0.5)
     counts = readable(bag)
@@ -113,7 +113,7 @@ def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
 
 
 def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
-    """It ends after a chunk, without index and metadata."""
+    """The file ends after a chunk, without index and metadata."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
     (bag / "metadata.yaml").unlink()
     third = chunks(bare(bag))[2]
@@ -129,7 +129,7 @@ def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
 
 
 def test_mcap_with_a_broken_chunk(whole: Path) -> None:
-    """It is left out: which of its messages are right is unknown."""
+    """The broken chunk is left out, since any of its messages may be wrong."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
     second = chunks(bare(bag))[1]
     flip(bare(bag), second + 3000)
@@ -146,7 +146,7 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
 
 
 def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
-    """By the reader and by the check: chunks that this package writes have checksums."""
+    """Reader and check notice the bit by the checksums of the chunks that this package writes."""
     shutil.copytree(whole, "bag")
     file = Path("bag") / "own_0.mcap"
     (begin,) = chunks(file)
@@ -196,7 +196,7 @@ def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
 def test_damaged_database_names_the_command_that_recovers_it(
     whole: Path, damage: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In check, in salvage and wherever the bag is opened."""
+    """Check, salvage and every command that opens the bag name the command."""
     bag = humble_sqlite(whole, Path("bag"))
     file = bare(bag)
     if damage == "cut":
@@ -228,7 +228,7 @@ def test_database_without_metadata_is_salvaged_whole(whole: Path) -> None:
 
 
 def test_journal_that_a_recorder_left_is_reported(whole: Path) -> None:
-    """No reader uses it; the bag without it can be used."""
+    """No reader uses the journal; the bag without the journal can be used."""
     bag = humble_sqlite(whole, Path("bag"))
     (bag / "bag_0.db3-wal").write_bytes(b"1234")
     report = check_bag(bag)
@@ -242,7 +242,7 @@ def test_journal_that_a_recorder_left_is_reported(whole: Path) -> None:
 
 
 def test_a_file_that_is_no_bag_is_named() -> None:
-    """Nothing can be salvaged from it."""
+    """Nothing can be salvaged from a file that is no bag."""
     Path("notes.txt").write_text("none")
     Path("bag").mkdir()
     for path, expected in (

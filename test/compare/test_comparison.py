@@ -73,7 +73,7 @@ def test_metrics_are_those_of_plain_formulas() -> None:
 
 @pytest.mark.parametrize("delay", [1, 3, 8])
 def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
-    """As many samples lie between the jumps as the estimate is late, at every impact."""
+    """The mismatch at every impact has as many samples as the estimate is late."""
     delayed = [
         ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events
     ]
@@ -130,7 +130,7 @@ def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None
 
 
 def test_a_spurious_impact_is_an_error_and_no_mismatch() -> None:
-    """Where the truth has not jumped, the estimate's jump is its own."""
+    """A jump of the estimate without a jump of the truth is an error."""
     instant = (RUN.events[2].stamp + RUN.events[3].stamp) // 2
     x = RUN.states.copy()
     x[np.searchsorted(RUN.stamps, instant) :, 3] += 5.0
@@ -190,7 +190,7 @@ def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> No
 
 
 def test_an_estimate_without_its_event_is_late() -> None:
-    """It is counted and left out: neither an error nor a mismatch."""
+    """A late estimate is counted and left out: neither an error nor a mismatch."""
     stamps = RUN.stamps
     instants = np.array([e.stamp for e in RUN.events])
     last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
@@ -205,7 +205,7 @@ def test_an_estimate_without_its_event_is_late() -> None:
 
 
 def test_a_missed_impact_makes_no_estimate_late() -> None:
-    """No event arrives late: until the impact is inserted the estimate has an error."""
+    """Until the missed impact is inserted the estimate has an error, but is not late."""
     stamps, missed, later = RUN.stamps, RUN.events[4], 60
     instants = np.array([e.stamp for e in RUN.events])
     last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
@@ -227,7 +227,7 @@ def test_a_missed_impact_makes_no_estimate_late() -> None:
 
 
 def test_a_withdrawn_insertion_is_no_rejected_event() -> None:
-    """There is no event at its stamp."""
+    """A withdrawn insertion has no event at its stamp."""
     events = [ImpactEvent(2 * NS_PER_S, (Switch("stop"),), 1)]
     verdicts = [
         Verdict(2 * NS_PER_S, Ruling.APPLIED, 1, "stop"),
@@ -240,7 +240,7 @@ def test_a_withdrawn_insertion_is_no_rejected_event() -> None:
 
 
 def test_both_ranges_are_named_where_they_do_not_overlap() -> None:
-    """In seconds, in one line."""
+    """The error names both ranges in seconds, in one line."""
     truth = samples_of(RUN.stamps, RUN.states)
     estimate = samples_of(RUN.stamps + 3600 * NS_PER_S, RUN.states)
     with pytest.raises(BagError) as error:

@@ -45,12 +45,12 @@ FIVE["minimum-variance"] = 20.0
 
 
 def luminance(style: Style) -> float:
-    """How bright a curve is on grey paper, 0 to 1 (ITU-R BT.601)."""
+    """Brightness of a curve on grey paper, 0 to 1 (ITU-R BT.601)."""
     return float(np.dot(to_rgb(style["color"]), [0.299, 0.587, 0.114]))
 
 
 def test_laws_are_distinct_in_grey() -> None:
-    """Any two differ in dashes or in markers, or in brightness and width."""
+    """Two laws differ in dashes or in markers, or in brightness and width."""
     for (one, first), (two, second) in combinations(STYLES.items(), 2):
         dashed = first["linestyle"] != second["linestyle"]
         marked = first.get("marker") != second.get("marker")
@@ -68,7 +68,7 @@ def test_all_curves_are_dark_enough_on_white() -> None:
 
 
 def test_a_law_that_comes_again_gets_other_markers() -> None:
-    """Two bags observed with one law are two curves, and so are two laws of other packages."""
+    """Two bags observed with one law are two curves; two laws of other packages are two curves."""
     found = styles(["geometric", "geometric", "geometric", "mine", "yours", "mine"])
     looks = [(each["color"], str(each["linestyle"]), each.get("marker")) for each in found]
     assert len(set(looks)) == len(looks)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All sensors together: numbering, stamps, latency, ignored messages; and their declaration."""
+"""The detector of all sensors: numbering, stamps, latency, ignored messages, declarations."""
 
 import pickle
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from impact_observer.message_fields import header_stamp, numbers_at, parse_path
 
 
 def two_switches(epoch: int = 0) -> Detector:
-    """Floor and ceiling."""
+    """A detector with one switch on the floor and one on the ceiling."""
     declared = (Source("floor", "/a"), Source("ceiling", "/b", min_contact_duration=0.03))
     return Detector([each.complete(BOOL) for each in declared], epoch=epoch)
 
@@ -52,7 +52,7 @@ def test_events_of_all_sensors_share_one_sequence() -> None:
 
 
 def test_a_restart_is_a_new_episode_without_state() -> None:
-    """The contact that was closed is open; the numbers begin again."""
+    """After a restart every contact is open, and sequence numbers begin at 1."""
     detector = two_switches()
     detector.feed(0, Scalar(1.0), START)
     detector.restart()
@@ -62,7 +62,7 @@ def test_a_restart_is_a_new_episode_without_state() -> None:
 
 
 def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
-    """It is subtracted from the stamps of all three events of a closure."""
+    """All three events of a closure are stamped earlier by the latency."""
     signal = [(START, 1.0), (START + 60 * MS, 1.0), (START + 70 * MS, 0.0)]
     plain = detections(switch(), signal)
     early = detections(switch(latency=0.0123), signal)
@@ -72,7 +72,7 @@ def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
 
 
 def test_stamps_are_those_of_headers_by_default() -> None:
-    """A header with stamp 0 is not used."""
+    """A header with stamp 0 is replaced by the time of reception."""
     for given, sent, wanted in (
         (None, START, START),
         (None, 0, START + 5 * MS),
@@ -87,7 +87,7 @@ def test_stamps_are_those_of_headers_by_default() -> None:
 
 
 def test_late_messages_of_a_switch_count_by_their_own_stamps() -> None:
-    """A closure of 10 ms whose end comes 60 ms later is short, one of 60 ms is not."""
+    """A closure of 10 ms whose end comes 55 ms late is short; one of 60 ms is long."""
     source = Source("stop", "/s", kind="switch", field="data[0]").complete("x/msg/Y")
 
     def kinds(length: int, delay: int) -> list[Kind]:
@@ -102,7 +102,7 @@ def test_late_messages_of_a_switch_count_by_their_own_stamps() -> None:
 
 
 def test_invalid_messages_are_counted_and_reported() -> None:
-    """Numbers that are not finite, stamps that go back, and events with a stamp before 0."""
+    """Non-finite numbers, stamps that go back and events stamped before 0 are counted."""
     detector = Detector([peak(10.0, latency=5.0)])
     values = [(2, 0.0), (3, float("nan")), (4, 50.0), (5, 0.0), (1, 0.0)]
     detected = [d for s, v in values for d in detector.feed(0, Scalar(v), s * 1_000_000_000)]
@@ -117,7 +117,7 @@ def test_invalid_messages_are_counted_and_reported() -> None:
 
 
 def test_an_array_that_is_sometimes_too_short_is_ignored() -> None:
-    """It is an error of the file only if no message had the member."""
+    """A missing member is an error only if no message had the member."""
     source = Source("stop", "/t", field="data[1]", threshold=1.0).complete("x/msg/Y")
     detector = Detector([source])
     for k, data in enumerate(([0.0, 0.0], [0.0], [0.0, 0.0])):
@@ -126,7 +126,7 @@ def test_an_array_that_is_sometimes_too_short_is_ignored() -> None:
 
 
 def test_the_memory_of_a_detector_does_not_grow() -> None:
-    """It has the same size after a hundred impacts as after ten."""
+    """A pickled detector has the same size after a hundred impacts as after ten."""
     sizes = []
     detector = Detector([switch(), replace(peak(10.0, baseline=1.0), contact="wall")])
     for k in range(4000):
@@ -140,7 +140,7 @@ def test_the_memory_of_a_detector_does_not_grow() -> None:
 
 
 def test_a_sensor_without_impacts_reports_its_largest_signal() -> None:
-    """So that a threshold can be chosen."""
+    """The user can choose a threshold by the largest signal."""
     detector = Detector([peak(10.0)])
     assert detector.problem(0) == "stop: no message on /force"
     detector.feed(0, Scalar(-7.5), START)
@@ -150,7 +150,7 @@ def test_a_sensor_without_impacts_reports_its_largest_signal() -> None:
 
 
 def test_fields_are_named_by_paths() -> None:
-    """Numbers, vectors and arrays, of lists and of numpy."""
+    """Paths lead to numbers, vectors and members of lists and NumPy arrays."""
     message = Stamped(header(START), Vector3(1.0, 2.0, 3.0), np.array([4.0, 5.0]))
     for text, wanted in (
         ("force.z", (3.0,)),
@@ -177,7 +177,7 @@ def test_fields_are_named_by_paths() -> None:
     ],
 )
 def test_a_field_that_is_not_there_is_named_with_those_that_are(path: str, expected: str) -> None:
-    """One line with the topic."""
+    """The error is one line with the topic."""
     source = Source("stop", "/w", field=path, threshold=1.0, origin="rig.yaml: sources[0].")
     detector = Detector([source.complete("x/msg/Y")])
     message = Stamped(header(START), data=[1.0, 2.0])
@@ -199,7 +199,7 @@ def test_a_field_that_is_not_there_is_named_with_those_that_are(path: str, expec
 def test_the_kind_is_guessed_from_the_type(
     declared: dict[str, object], type_name: str, kind: str
 ) -> None:
-    """Where it can be."""
+    """A source without a kind gets the kind that fits the message type and the threshold."""
     source = Source("stop", "/t", **declared).complete(type_name)  # type: ignore[arg-type]
     assert source.kind == kind
 
@@ -252,7 +252,7 @@ MISTAKES: list[tuple[str, str, str]] = [
 def test_a_mistake_in_a_file_is_one_line_that_names_it(
     text: str, type_name: str, expected: str
 ) -> None:
-    """File, key, what was found, what is expected."""
+    """The error names the file, the key, the value and the expectation."""
     with pytest.raises(UsageError) as caught:
         [source.complete(type_name) for source in parse_sources(text, "rig.yaml")]
     assert str(caught.value).startswith(f"rig.yaml: {expected}")
@@ -260,7 +260,7 @@ def test_a_mistake_in_a_file_is_one_line_that_names_it(
 
 
 def test_the_sample_file_is_a_switch_at_its_defaults(tmp_path: Path) -> None:
-    """It has the default values."""
+    """The sample file has the default values."""
     (source,) = read_sources("switch")
     plain = Source("stop", "switch").complete(BOOL)
     assert source.complete(BOOL) == plain
@@ -283,7 +283,7 @@ def test_the_sample_file_is_a_switch_at_its_defaults(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_is_one_line(
     tmp_path: Path, name: Callable[[Path], Path], expected: str
 ) -> None:
-    """It names the samples."""
+    """The error names the samples."""
     with pytest.raises(
         UsageError, match=f"{expected}.*switch$" if "sample" in expected else expected
     ):

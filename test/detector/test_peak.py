@@ -107,7 +107,7 @@ def test_a_saturated_peak_has_the_stamp_of_its_middle() -> None:
 
 
 def test_a_signal_with_noise_about_the_threshold_is_one_peak() -> None:
-    """It has to fall by the hysteresis before another one can begin."""
+    """The signal has to fall by the hysteresis before another peak can begin."""
     signal = np.array([0, 9.9, 10.1, 9.9, 10.2, 9.8, 10.1, 6.0, 4.9, 0, 12, 0.0])
     stamps = every(MS, signal.size)
     detected = events(
@@ -117,7 +117,7 @@ def test_a_signal_with_noise_about_the_threshold_is_one_peak() -> None:
 
 
 def test_a_signal_that_stays_high_is_one_peak_after_the_dead_time() -> None:
-    """By the next sample, or by time without samples; it must fall before there is another."""
+    """The next sample or the time ends the peak; the signal must fall before another peak."""
     stamps = every(MS, 100)
     signal = np.where(np.arange(100) < 10, 0.0, 20.0)
     signal[12] = 30.0
@@ -166,7 +166,7 @@ def test_gravity_is_removed_in_any_orientation() -> None:
 
 
 def test_a_vector_has_no_direction() -> None:
-    """Nor is it open or closed: the error asks for one of its components."""
+    """A vector is neither open nor closed: the error asks for one of its components."""
     up = Source("stop", "/t", field="force", threshold=1.0, direction="up")
     for source in (up, Source("stop", "/t", field="force", kind="switch")):
         detector = Detector([source.complete("x/msg/Y")])
@@ -175,7 +175,7 @@ def test_a_vector_has_no_direction() -> None:
 
 
 def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
-    """By the header's stamp, whenever it is received."""
+    """Arrivals count by the header's stamp, whenever the message is received."""
     source = Source("stop", "/hit", kind="arrival", dead_time=0.01).complete("x/msg/Y")
     detector = Detector([source])
     stamps = [START + k * MS for k in (0, 5, 10, 12, 30)]
@@ -184,7 +184,7 @@ def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
 
 
 def test_noise_of_a_peak_is_as_documented() -> None:
-    """On average its deviation over the sum of the two differences beside the top, in samples."""
+    """The error is the deviation over the sum of the differences beside the top, in samples."""
     w, deviation = math.pi / 10, 0.3
     tops = 0.1 + np.arange(400.0) * 0.0500137
     stamps = every(MS, int(tops[-1] * 1000) + 100)

@@ -33,7 +33,7 @@ def at(milliseconds: float) -> int:
 
 
 def test_a_short_closure_is_a_single_impact_at_its_edge() -> None:
-    """It is detected at once, with the edge's own stamp."""
+    """The impact is detected at once, with the edge's own stamp."""
     detected = detections(switch(), changes(10, 15, 400, 405), at(1000))
     assert events(detected) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
     assert [d.decided for d in detected] == [at(10), at(400)]
@@ -123,7 +123,7 @@ def test_a_force_may_be_a_switch_with_hysteresis() -> None:
 def test_a_switch_that_closes_for_milliseconds_at_each_impact_gives_impacts_only(
     rate: int,
 ) -> None:
-    """Two masses on a stop, 5 ms per impact: exact on change, polled within a period."""
+    """Stamps of closures of 5 ms are exact on change, and within a period if polled."""
     model = sample("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=START)
     run = simulate(plant, grid(START, START + 30_000 * MS, 1.0))
@@ -157,7 +157,7 @@ CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
 @examples(60)
 @given(CHANGES)
 def test_without_dead_time_each_closure_is_detected_once_by_its_length(signal: Changes) -> None:
-    """No event is lost and none spurious, whatever the lengths."""
+    """Closures of any length lose no event and cause no spurious event."""
     end = signal[-1][0] + 1000 * MS
     wanted: list[tuple[int, Kind]] = []
     for (stamp, value), (until, _) in pairwise([*signal, (end, 0.0)]):

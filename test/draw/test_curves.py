@@ -114,7 +114,7 @@ def test_v_and_its_bound_are_drawn_as_logarithms() -> None:
 
 
 def test_only_topics_that_are_there_are_drawn() -> None:
-    """Of a bag without a monitor no errors are drawn."""
+    """A bag without a monitor has no curves of errors."""
     topics = ["/plant/joint_states", "/observer/joint_states", "/elsewhere"]
     found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")], topics)
     assert {each.topic for each in found} == set(topics[:2])

@@ -46,7 +46,7 @@ def write_joint_states(topic: str) -> Callable[..., None]:
 
 
 def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
-    """With the law for a name, V at the samples, and the impacts."""
+    """An estimate has its law as name, V at the samples, and the impacts."""
     with BagReader(sample_bag) as reader:
         film = film_of(reader)
     assert film.truth is not None
@@ -77,7 +77,7 @@ def test_part_without_states_is_one_line(sample_bag: Path) -> None:
 
 
 def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
-    """Without events the time begins at the first state, and nothing is highlighted."""
+    """Time without events begins at the first state, and nothing is highlighted."""
     for topic, truth in (("/plant/joint_states", True), ("/observer_rig/joint_states", False)):
         folder = tmp_path / str(truth)
         folder.mkdir()
@@ -103,7 +103,7 @@ def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
 
 
 def test_observers_of_one_law_are_named_by_their_topics(tmp_path: Path) -> None:
-    """Only named observers are shown, named with or without a slash."""
+    """Only chosen observers are shown, whether chosen with or without a slash."""
     make, names = bag_messages(), SYSTEM.coordinates
     several = {"observer_a": "geometric", "observer_b": "geometric", "observer_c": "kinematic"}
 
@@ -125,7 +125,7 @@ def test_observers_of_one_law_are_named_by_their_topics(tmp_path: Path) -> None:
 
 
 def test_too_many_observers_are_refused(tmp_path: Path) -> None:
-    """With the names to choose from."""
+    """The error has the names to choose from."""
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
         for i in range(MOST_ESTIMATES + 1):

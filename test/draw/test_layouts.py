@@ -108,7 +108,7 @@ def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
 @pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("kind", ["json", "xml"])
 def test_shipped_layouts_are_what_the_command_writes(name: str, kind: str, tmp_path: Path) -> None:
-    """To the byte: ``impact-observer layout two_mass --observers ... -o FILE``."""
+    """Shipped layouts are byte for byte those of ``impact-observer layout``."""
     written = tmp_path / f"{name}.{kind}"
     assert layout("two_mass", written, observers=SHIPPED[name]) == 0
     assert written.read_bytes() == (LAYOUTS / written.name).read_bytes()

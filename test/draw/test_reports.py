@@ -84,7 +84,7 @@ def test_a_terminal_folds_and_cuts_nothing(lines_at: LinesAt, columns: int) -> N
 
 
 def test_a_table_without_rows_has_its_headings(capsys: pytest.CaptureFixture[str]) -> None:
-    """And nothing else."""
+    """A table without rows has headings and nothing else."""
     print_table(TextTable(("contact", "gap [m]"), []))
     assert capsys.readouterr().out.split() == ["contact", "gap", "[m]"]
 
@@ -125,7 +125,7 @@ def test_words_are_counted_and_listed() -> None:
 def test_values_are_shown_to_the_second_digit_of_their_deviation(
     value: float, deviation: float
 ) -> None:
-    """No digit that says something is cut off, and no other digit is shown."""
+    """Neither a significant digit is cut off nor another digit shown."""
     shown, sign, spread, unit = figure(value, "m", deviation).split()
     assert (sign, unit) == ("+-", "m")
     assert float(spread) == pytest.approx(deviation, rel=0.06)
@@ -138,7 +138,7 @@ def test_values_are_shown_to_the_second_digit_of_their_deviation(
 
 
 def test_values_without_a_deviation_are_shown_alone() -> None:
-    """For example those of parameters at their bounds."""
+    """Parameters at their bounds have no deviation."""
     assert figure(0.0) == "0"
     assert figure(2.88675135e-10, "s") == "2.89e-10 s"
     assert figure(0.70061256, deviation=0.0039) == "0.7006 +- 0.0039"

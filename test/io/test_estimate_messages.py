@@ -37,7 +37,7 @@ def estimates(size: int, n: int, *, closed: tuple[str, ...] = ()) -> Estimates:
 
 
 def test_an_estimate_has_two_messages_with_its_state() -> None:
-    """Both of the same stamp, names and numbers, at the topics of the node that is named."""
+    """Both messages have the same stamp, names and numbers, at the topics of the named node."""
     names = ("x1", "x2")
     for estimate in estimates(3, 2, closed=("stop",)):
         both = [*messages_of(estimate, names, serialize, "smoother")]
@@ -55,7 +55,7 @@ def test_an_estimate_has_two_messages_with_its_state() -> None:
 
 
 def test_state_that_is_not_finite_is_refused() -> None:
-    """With the name of the number."""
+    """The error names the number."""
     estimate = replace(estimates(1, 2).first, u=np.array([0.0, np.nan]))
     with pytest.raises(MessageError, match=r"ObserverState\.velocity\[1\] is nan"):
         list(messages_of(estimate, ("x1", "x2"), serialize))

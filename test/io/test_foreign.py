@@ -61,7 +61,7 @@ def test_every_command_takes_every_form(
     "form", ["humble_sqlite3", "humble_mcap_lz4", "sqlite3_file", "mcap_storage", "mcap_message"]
 )
 def test_every_form_can_be_salvaged_whole(recording: Path, tmp_path: Path, form: str) -> None:
-    """Without its metadata: all messages, their types and definitions are saved."""
+    """All messages, types and definitions of a bag without metadata are saved."""
     bag = FORMS[form](recording, tmp_path / form)
     if bag.is_dir():
         (bag / "metadata.yaml").unlink()

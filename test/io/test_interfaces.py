@@ -67,7 +67,7 @@ def test_depth_that_a_recorder_could_not_see_is_the_usual_one() -> None:
 
 
 def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
-    """As of a publisher with the system's defaults."""
+    """A publisher with the system's defaults is reliable and volatile."""
     offered = STATES.offered()._replace(
         reliability=QosReliability.SYSTEM_DEFAULT, durability=QosDurability.UNKNOWN
     )
@@ -76,7 +76,7 @@ def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
 
 @given(offers=st.lists(QUALITIES, min_size=1, max_size=4))
 def test_common_quality_connects_to_every_publisher(offers: list[Quality]) -> None:
-    """It requests from no publisher more than it offers, and has the largest depth."""
+    """The common quality requests no more than any publisher offers, at the largest depth."""
     common = Quality.common(offers)
     assert all(offer.reliable or not common.reliable for offer in offers)
     assert all(offer.transient_local or not common.transient_local for offer in offers)

@@ -104,7 +104,7 @@ def test_an_event_is_on_the_disk_though_no_message_follows(tmp_path: Path) -> No
 
 
 def test_flush_of_the_library_ends_a_chunk_with_a_message_and_no_other(tmp_path: Path) -> None:
-    """All that a killed recorder leaves rests on this method of ``mcap``."""
+    """The messages that a killed recorder leaves rest on this method of ``mcap``."""
     path = tmp_path / "file.mcap"
     with path.open("xb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
@@ -124,7 +124,7 @@ def test_flush_of_the_library_ends_a_chunk_with_a_message_and_no_other(tmp_path:
 
 @pytest.mark.slow
 def test_one_event_is_on_the_disk_without_another(tmp_path: Path) -> None:
-    """No chunk needs to be full: a copy of the open bag, as a kill would leave it, has it all."""
+    """A copy of the open bag has the event, although its chunk is not full."""
     file = tmp_path / "bag" / "bag_0.mcap"
     with BagWriter(tmp_path / "bag", flush=0.02) as writer:
         for stamp in (1, 2, 3):
@@ -176,7 +176,7 @@ def test_events_that_come_one_by_one_are_salvaged_wherever_the_file_ends(
 def test_what_is_flushed_is_on_the_disk_and_zeros_behind_it_do_no_harm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After a loss of power a file has what was synchronized, and perhaps blocks of zeros."""
+    """After a loss of power a file has its synchronized part, and perhaps blocks of zeros."""
     synchronized: dict[str, int] = {}
     fsync = os.fsync
 
@@ -234,7 +234,7 @@ def test_reindexing_finds_all_it_needs_in_the_chunks(tmp_path: Path) -> None:
 def test_a_disk_that_fills_up_between_two_messages_is_reported_by_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One line, though no further batch of messages is full."""
+    """The report is one line, though no further batch of messages is full."""
     failed = threading.Event()
 
     def full(_: int) -> None:
@@ -260,7 +260,7 @@ def test_a_disk_that_fills_up_between_two_messages_is_reported_by_the_next(
 
 @pytest.mark.parametrize("flush", [0.0, 1.5, float("nan"), float("inf")])
 def test_flushing_less_than_once_a_second_is_refused(tmp_path: Path, flush: float) -> None:
-    """And nothing is created."""
+    """A refused writer creates no file."""
     with pytest.raises(UsageError, match=r"flush is \S+; expected more than 0, at most 1 s"):
         BagWriter(tmp_path / "bag", flush=flush)
     assert list(tmp_path.iterdir()) == []

@@ -124,7 +124,7 @@ def test_event_survives_its_message(event: ImpactEvent) -> None:
 
 @given(verdict=VERDICTS, latency=FLOATS)
 def test_verdict_survives_its_message(verdict: Verdict, latency: float) -> None:
-    """With its latency."""
+    """A message keeps the verdict and its latency."""
     back = through_bytes(bag_messages().verdict(verdict, latency), interfaces.EVENT_VERDICT)
     assert m.read_verdict(back) == (verdict, latency)
 
@@ -138,7 +138,7 @@ def test_joint_state_survives_its_message(state: JointState) -> None:
 
 @given(both=estimates())
 def test_estimate_survives_its_message(both: tuple[Estimate, tuple[str, ...]]) -> None:
-    """With its covariance's shape and its names."""
+    """A message keeps the estimate, its names and the shape of its covariance."""
     back = through_bytes(bag_messages().estimate(*both), interfaces.OBSERVER_STATE)
     names, estimate = m.read_estimate(back)
     assert names == both[1]
@@ -185,7 +185,7 @@ MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
 def test_ros_and_bag_messages_are_the_same_bytes_but_for_padding(
     maker: tuple[str, Callable[[Messages], object]],
 ) -> None:
-    """So a bag made here has the same bytes as one recorded from nodes."""
+    """A bag made here has the same bytes as one recorded from nodes."""
     serialization = pytest.importorskip("rclpy.serialization")
     pytest.importorskip("impact_observer_msgs")
     from impact_observer.ros.message_classes import ros_messages
@@ -257,7 +257,7 @@ def test_stamp_that_no_message_can_carry_is_refused(stamp: int) -> None:
 
 
 def test_counter_that_does_not_fit_is_refused() -> None:
-    """By the name of its field."""
+    """The error names the field of the counter."""
     with pytest.raises(MessageError, match=r"ImpactEvent\.sequence is -1"):
         bag_messages().event(ImpactEvent(1, (), sequence=-1))
     with pytest.raises(MessageError, match=r"ImpactEvent\.episode is 4294967296"):
@@ -265,7 +265,7 @@ def test_counter_that_does_not_fit_is_refused() -> None:
 
 
 def test_arrays_that_do_not_fit_the_names_are_refused() -> None:
-    """There is one number for each name."""
+    """A message needs one number for each name."""
     with pytest.raises(MessageError, match=r"velocity has 1 numbers; expected 2, as named"):
         bag_messages().joint_state(replace(STATE, u=frozen([1.0])))
     with pytest.raises(MessageError, match=r"covariance has 4 numbers; expected 16"):
@@ -273,7 +273,7 @@ def test_arrays_that_do_not_fit_the_names_are_refused() -> None:
 
 
 def test_state_has_its_columns_by_name() -> None:
-    """In the order of the argument; other names, one too many or one twice, are refused."""
+    """Columns are in the order of the argument; other, missing or repeated names are refused."""
     state = JointState(7, ("a", "b"), np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     turned = state.ordered(("b", "a"))
     assert (turned.stamp, turned.names) == (7, ("b", "a"))
@@ -313,7 +313,7 @@ def test_received_constant_must_be_known() -> None:
 def test_an_event_beyond_the_limits_of_nodes_is_refused_by_their_name(
     limit: str, switches: tuple[Switch, ...]
 ) -> None:
-    """By all that reads bags, too."""
+    """The limits of observer nodes hold for readers of bags, too."""
     message = m.bag_messages().event(ImpactEvent(1, switches))
     with pytest.raises(m.MessageError, match=f"{limit} allows"):
         m.read_event(message)

@@ -49,7 +49,7 @@ def same(theirs: Any, ours: Any) -> bool:  # noqa: ANN401 (messages of two libra
 
 
 def test_mcap_ros2_reads_what_rosbags_reads(bags: list[Path]) -> None:
-    """Every message of every topic, field by field."""
+    """Both libraries read the same fields of every message of every topic."""
     for bag in bags:
         with file_of(bag).open("rb") as stream, BagReader(bag) as reader:
             ours: dict[str, Iterator[tuple[int, object]]] = {
@@ -66,7 +66,7 @@ def test_mcap_ros2_reads_what_rosbags_reads(bags: list[Path]) -> None:
 
 
 def test_log_times_never_go_back_in_a_file(bags: list[Path]) -> None:
-    """In the order of the file, for players that do not sort."""
+    """Log times ascend in the order of the file, for players that do not sort."""
     for bag in bags:
         with file_of(bag).open("rb") as stream:
             in_file = NonSeekingReader(stream).iter_messages(log_time_order=False)
@@ -76,7 +76,7 @@ def test_log_times_never_go_back_in_a_file(bags: list[Path]) -> None:
 
 @pytest.mark.skipif(shutil.which("mcap") is None, reason="the MCAP project's `mcap` is not here")
 def test_mcap_doctor_finds_nothing(bags: list[Path]) -> None:
-    """Not even a warning."""
+    """The doctor gives neither an error nor a warning."""
     for bag in bags:
         command = ["mcap", "doctor", "--strict-message-order", str(file_of(bag))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -124,7 +124,7 @@ def test_columns_are_ordered_by_name(bag: Path) -> None:
 
 
 def test_estimates_are_columns_with_their_last_event(bag: Path) -> None:
-    """And one law."""
+    """A block of estimates has one law and a column of last events."""
     with BagReader(bag) as reader:
         states = reader.observer_states("/observer_geometric/state", ["b", "a"])
     assert states.law == "geometric"
@@ -134,7 +134,7 @@ def test_estimates_are_columns_with_their_last_event(bag: Path) -> None:
 
 
 def test_observers_and_truth_are_found(bag: Path) -> None:
-    """Of any law and in any namespace."""
+    """A bag's observers of any law are found in any namespace."""
     with BagReader(bag) as reader:
         assert reader.observers() == ("/observer_geometric", "/rig/observer")
         assert reader.truth_topic() == "/plant/joint_states"
@@ -142,7 +142,7 @@ def test_observers_and_truth_are_found(bag: Path) -> None:
 
 
 def test_several_plants_are_ambiguous(tmp_path: Path) -> None:
-    """One at the top wins; two in namespaces are named."""
+    """A plant without a namespace wins; the error names two plants in namespaces."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/a/plant/joint_states")
         writer.declare("/b/plant/joint_states")
@@ -153,7 +153,7 @@ def test_several_plants_are_ambiguous(tmp_path: Path) -> None:
 
 
 def test_raw_messages_can_be_chosen(bag: Path) -> None:
-    """By topic and start, in the order of the bag."""
+    """Messages are chosen by topic and start, and are in the order of the bag."""
     with BagReader(bag) as reader:
         assert len(list(reader.raw())) == 44
         some = list(reader.raw(["/impacts", "/plant/model"], start=15))
@@ -162,7 +162,7 @@ def test_raw_messages_can_be_chosen(bag: Path) -> None:
 
 
 def test_a_missing_path_is_a_usage_error(tmp_path: Path) -> None:
-    """As opposed to a damaged bag."""
+    """A missing path is wrong use, unlike a damaged bag."""
     with pytest.raises(UsageError, match=r"absent: does not exist; expected a bag: a folder"):
         BagReader(tmp_path / "absent")
 
@@ -237,7 +237,7 @@ def break_empty(path: Path) -> Path:
     ],
 )
 def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expected: str) -> None:
-    """That names the bag, what is wrong, and what may help."""
+    """The error names the bag, its fault and a remedy."""
     with pytest.raises(BagError, match=expected) as caught:
         BagReader(damage(bag))
     assert "\n" not in str(caught.value)
@@ -280,7 +280,7 @@ def test_index_with_more_messages_than_the_file_is_an_error(bag: Path) -> None:
 
 
 def test_missing_topic_and_wrong_type_are_named(bag: Path) -> None:
-    """With the topics that are there."""
+    """The error lists the topics of the bag."""
     with BagReader(bag) as reader:
         with pytest.raises(BagError, match=r"no topic /rig/impacts; topics in the bag: /impacts,"):
             reader.events("/rig/impacts")
@@ -327,7 +327,7 @@ def test_coordinates_that_do_not_fit_are_named(
 def test_joint_states_that_are_none_are_named(
     tmp_path: Path, field: str, value: object, expected: str
 ) -> None:
-    """With their place in the topic."""
+    """The error names the place of the message in the topic."""
     bad = state(2, a=(1, 2), b=(3, 4))
     setattr(bad, field, value)
     with BagWriter(tmp_path / "bag") as writer:
@@ -338,7 +338,7 @@ def test_joint_states_that_are_none_are_named(
 
 
 def test_event_that_is_none_is_named(tmp_path: Path) -> None:
-    """With its place in the topic."""
+    """The error names the place of the message in the topic."""
     bad = MAKE.event(ImpactEvent(1, ()))
     bad.header.stamp.nanosec = 0
     with BagWriter(tmp_path / "bag") as writer:
@@ -352,7 +352,7 @@ def test_event_that_is_none_is_named(tmp_path: Path) -> None:
 
 
 def test_topic_with_estimates_of_two_laws_is_refused(tmp_path: Path) -> None:
-    """One topic is one observer."""
+    """All estimates of a topic are of one observer."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/observer/state", 1, estimate(5, "geometric"))
         writer.write("/observer/state", 2, estimate(6, "kinematic"))
@@ -364,7 +364,7 @@ def test_topic_with_estimates_of_two_laws_is_refused(tmp_path: Path) -> None:
 
 
 def test_bytes_that_are_no_message_are_an_error_with_their_place(tmp_path: Path) -> None:
-    """As is a message with more than a few bytes too many."""
+    """A message with more than a few surplus bytes is an error, too."""
     for k, data in enumerate((b"", b"\x07\x07\0\0", b"\x00\x01\0\0\1", b"\x00\x01" + b"\0" * 99)):
         with BagWriter(tmp_path / str(k)) as writer:
             writer.write_raw("/plant/model", 1, data)
@@ -376,7 +376,7 @@ def test_bytes_that_are_no_message_are_an_error_with_their_place(tmp_path: Path)
 
 
 def test_bag_with_another_definition_of_our_type_is_refused(tmp_path: Path) -> None:
-    """Its bytes would be read as something else."""
+    """The bytes of another definition would be misread."""
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection(
             "/impacts", interfaces.IMPACT_EVENT, msgdef="int32 data\n", rihs01="RIHS01_0"
@@ -409,7 +409,7 @@ def test_type_without_a_definition_can_only_be_copied(tmp_path: Path) -> None:
 
 
 def test_topic_with_two_types_is_not_used(tmp_path: Path) -> None:
-    """Two publishers disagreed."""
+    """A topic whose publishers disagree on the type is not used."""
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for type_name in (interfaces.STRING, interfaces.IMPACT_EVENT):
             writer.add_connection("/impacts", type_name, typestore=typestore())
@@ -420,7 +420,7 @@ def test_topic_with_two_types_is_not_used(tmp_path: Path) -> None:
 
 
 def test_publishers_of_different_quality_have_their_common_quality(tmp_path: Path) -> None:
-    """As a recorder stores them, one profile each."""
+    """A recorder stores one profile for each publisher."""
     offers = [interfaces.EVENTS.offered(), Quality(reliable=False, depth=7).offered()]
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         writer.add_connection(

@@ -74,7 +74,7 @@ def taken(type_name: str, block: list[bytes], *names: str) -> JointStates:
 
 
 def joint_block() -> Iterator[bytes]:
-    """Two orders of names, both byte orders, and bytes too many at an end."""
+    """Messages in two orders of names and both byte orders, some with surplus bytes at the end."""
     for stamp in range(1, 200):
         if stamp % 7 == 3:
             yield joint(stamp, "x2", "x1")
@@ -138,7 +138,7 @@ def test_covariances_follow_the_order_of_the_names() -> None:
     ],
 )
 def test_one_bad_message_of_many_is_named(bad: dict[str, object], said: str) -> None:
-    """As if each were read alone."""
+    """The error is the same as if the bad message were read alone."""
     block = [joint(stamp, "x1", "x2") for stamp in range(1, 100)]
     message = deserialize(typestore(), block[37], JOINT)
     for name, value in bad.items():
@@ -162,7 +162,7 @@ def test_places_are_counted_through_all_blocks() -> None:
 
 
 def test_joined_blocks_are_one() -> None:
-    """In the same order; estimates stay estimates."""
+    """Joined blocks keep their order; estimates stay estimates."""
     parts = (range(1, 4), range(4, 5), range(5, 9))
     whole = joined(taken(OBSERVER, [estimate(stamp) for stamp in part]) for part in parts)
     assert isinstance(whole, ObserverStates)

@@ -26,7 +26,7 @@ def test_new_typestore_is_its_callers_own() -> None:
 
 
 def test_another_definition_of_a_type_is_reported_and_not_used() -> None:
-    """Only fields count, not constants or remarks."""
+    """Definitions differ by their fields, not by constants or comments."""
     mine = typestores.new_typestore()
     same = "uint8 IMPACT=9  # another remark\nstring contact\nuint8 kind\n"
     assert typestores.add_definition(mine, same, interfaces.CONTACT_SWITCH) == set()
@@ -38,7 +38,7 @@ def test_another_definition_of_a_type_is_reported_and_not_used() -> None:
 
 
 def test_definition_in_idl_is_read() -> None:
-    """As some bags have it."""
+    """Some bags have definitions in IDL."""
     text = (
         "=" * 80 + "\nIDL: rig/msg/A\nmodule rig { module msg { struct A { int32 value; }; }; };\n"
     )
@@ -46,7 +46,7 @@ def test_definition_in_idl_is_read() -> None:
 
 
 def test_text_that_is_no_definition_is_one_line() -> None:
-    """With the name of the type."""
+    """The error names the type."""
     with pytest.raises(BagError, match=r"definition of rig/msg/A cannot be parsed"):
         typestores.parse_definition("?!", "rig/msg/A")
 
@@ -54,7 +54,7 @@ def test_text_that_is_no_definition_is_one_line() -> None:
 def test_installed_definition_brings_its_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the prefixes of a sourced workspace."""
+    """Definitions come from the prefixes of a sourced workspace."""
     texts = tmp_path / "share" / "rig" / "msg"
     texts.mkdir(parents=True)
     (texts / "A.msg").write_text("B[] parts\nB[3] three\nfloat64 x\n", "utf-8")

@@ -48,7 +48,7 @@ def test_folder_has_the_form_of_jazzy(tmp_path: Path) -> None:
 
 
 def test_mcap_is_of_profile_ros2_with_texts_of_its_messages(tmp_path: Path) -> None:
-    """As read by another library."""
+    """Another library reads the profile and the definitions."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(5))
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
@@ -64,7 +64,7 @@ def test_mcap_is_of_profile_ros2_with_texts_of_its_messages(tmp_path: Path) -> N
 
 
 def test_hash_of_our_messages_is_that_of_their_ros_classes(tmp_path: Path) -> None:
-    """So that ``ros2 bag play`` finds the types it recorded."""
+    """With the right hashes ``ros2 bag play`` recognises the recorded types."""
     messages = pytest.importorskip("impact_observer_msgs.msg")
     with BagWriter(tmp_path / "bag") as writer:
         for topic in interfaces.INTERFACES:
@@ -86,7 +86,7 @@ def test_hash_of_our_messages_is_that_of_their_ros_classes(tmp_path: Path) -> No
 
 
 def test_qualities_are_kept(tmp_path: Path) -> None:
-    """Those of the table, and those that are declared."""
+    """Known topics have the qualities of the table; other topics have their declared ones."""
     own = Quality(reliable=False, transient_local=True, depth=0)
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/plant/model")
@@ -124,7 +124,7 @@ def test_folder_that_may_not_be_made_is_one_line(tmp_path: Path) -> None:
 
 
 def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
-    """What was written before the exception is there, and the exception is not hidden."""
+    """Messages before the exception are in the bag, and the exception is not hidden."""
 
     def write_and_fail() -> None:
         with BagWriter(tmp_path / "bag") as writer:
@@ -143,7 +143,7 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
 def test_bag_is_whole_wherever_an_interrupt_strikes(
     request: pytest.FixtureRequest, tmp_path: Path, patience: float
 ) -> None:
-    """Also within a record: every message that was written before is read back."""
+    """Every message before an interrupt is read back, also if the interrupt is within a record."""
     gc.disable()  # an interrupt within a callback of it, such as hypothesis's, would be lost
     request.addfinalizer(gc.enable)
     timer = threading.Timer(patience, _thread.interrupt_main)
@@ -165,7 +165,7 @@ def test_bag_is_whole_wherever_an_interrupt_strikes(
 
 
 def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
-    """With topics and without."""
+    """A bag without messages can be read, with topics and without."""
     with BagWriter(tmp_path / "none"):
         pass
     with BagWriter(tmp_path / "silent") as writer:
@@ -188,7 +188,7 @@ def test_closed_bag_takes_nothing(tmp_path: Path) -> None:
 
 
 def test_topics_must_be_known_and_hold_their_type(tmp_path: Path) -> None:
-    """Each mistake is named."""
+    """The error names each mistake."""
     with BagWriter(tmp_path / "bag") as writer:
         with pytest.raises(UsageError, match=r"/torque is no topic of this package; name its"):
             writer.write("/torque", 1, MAKE.model("x"))
@@ -223,7 +223,7 @@ def test_foreign_type_is_written_and_copied_with_its_definition(tmp_path: Path) 
 
 
 def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
-    """In the order of the bag, with their quality of service."""
+    """A copy keeps the order of the bag and the quality of service of its topics."""
     state = JointState(3, ("a",), np.array([1.0]), np.array([2.0]))
     with BagWriter(tmp_path / "one") as writer:
         for log_time in range(1, 2001):
@@ -242,7 +242,7 @@ def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
 
 
 def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
-    """As ``ros2 bag record`` with chunk compression: it is not in the metadata."""
+    """As with ``ros2 bag record`` the metadata do not mention the compression of chunks."""
     for name, compressed in (("plain", False), ("zstd", True)):
         with BagWriter(tmp_path / name, compressed=compressed) as writer:
             for stamp in range(1, 2001):

@@ -39,7 +39,7 @@ def rig(*parts: tuple[PartKind, str]) -> NewRig:
 def test_the_model_has_the_numbers_that_were_given(
     name: str, numbers: tuple[float, ...], amplitude: float, restitution: float
 ) -> None:
-    """To the last bit, whatever they are called."""
+    """Numbers are equal to the last bit, whatever the names of the parts."""
     mass, stiffness, damping, frequency, limit = numbers
     try:
         MASS.parse(f"{name},1")
@@ -72,7 +72,7 @@ def test_the_model_has_the_numbers_that_were_given(
 
 @pytest.mark.parametrize("kind", [*MODEL_KINDS, SENSOR], ids=lambda kind: kind.name)
 def test_the_example_of_every_part_is_a_part(kind: PartKind) -> None:
-    """What help and errors show can be copied; so can what has one field too many not."""
+    """The examples in help and errors can be copied; a part with a surplus field is refused."""
     assert kind.parse(kind.example)
     with pytest.raises(UsageError, match=rf"--{kind.name} .*expected.*such as {kind.example}"):
         kind.parse(kind.example + ",x,y,z,1,2")
@@ -114,21 +114,21 @@ def test_every_stop_has_a_sensor() -> None:
     ],
 )
 def test_a_simulation_begins_just_outside_the_stops(stops: list[str], least: list[float]) -> None:
-    """At the least positions, which are known here, with 1 % of the depth as a gap."""
+    """The start is at the known least positions, with 1 % of the depth as a gap."""
     parts = [(MASS, "x1,1"), (MASS, "x2,1"), (GROUND, "table,0.05,3")]
     made = rig(*parts, *((STOP, each) for each in stops)).model()  # outside, else an error
     assert made.position == pytest.approx(least, rel=0.021)
 
 
 def test_stops_that_leave_no_room_are_refused() -> None:
-    """As nowhere is outside both."""
+    """No position is outside both stops."""
     squeezed = [(MASS, "x1,1"), (STOP, "right,x1,above,-0.1,0.5"), (STOP, "left,x1,below,0.1,0.5")]
     with pytest.raises(UsageError, match="no positions are outside all of right, left; expected"):
         rig(*squeezed)
 
 
 def test_files_of_a_small_rig_have_its_deviation() -> None:
-    """In the launch file; a rig of the size of a metre has the default."""
+    """The launch file has the deviation; a rig of the size of a metre has the default."""
     for limit, line in (("0.5", ""), ("0.001", '"initial_deviation": "0.003,0.03",')):
         made = rig((MASS, "x,0.1"), (SPRING, "ground,x,10"), (STOP, f"end,x,above,{limit},0.5"))
         launch = complete(made).launch_text()
@@ -140,7 +140,7 @@ def test_files_of_a_small_rig_have_its_deviation() -> None:
 
 @pytest.mark.parametrize("drive", ["x1,2", "x1,2,3"])
 def test_the_launch_file_names_the_epoch_where_it_is_needed(drive: str) -> None:
-    """And is Python in any case."""
+    """The launch file is valid Python with and without an epoch."""
     made = complete(rig((MASS, "x1,1"), (FORCE, drive), (STOP, "a,x1,above,1,0.5")))
     text = made.launch_text()
     assert "generate_launch_description" in compile(text, "launch", "exec").co_names
@@ -167,21 +167,21 @@ def test_the_launch_file_names_the_epoch_where_it_is_needed(drive: str) -> None:
     ],
 )
 def test_a_wrong_part_is_one_line(parts: list[tuple[PartKind, str]], words: str) -> None:
-    """What was found and what is expected."""
+    """The error says what was found and what is expected."""
     with pytest.raises(UsageError, match=words):
         rig(*parts)
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../a", "1"])
 def test_a_name_is_that_of_a_file(name: str) -> None:
-    """And of a model."""
+    """The name of a rig is also the name of a model."""
     with pytest.raises(UsageError, match=r"NAME: .*expected letters"):
         NewRig(name)
 
 
 @pytest.mark.parametrize("missing", [MASS, STOP], ids=lambda kind: kind.name)
 def test_what_moves_and_what_it_hits_are_needed(missing: PartKind) -> None:
-    """There is nothing to observe without."""
+    """A rig without bodies or without stops has nothing to observe."""
     made = NewRig("rig") if missing is MASS else rig((MASS, "x1,1"))
     with pytest.raises(UsageError, match=rf"--{missing.name}: none given; .*{missing.example}"):
         complete(made)

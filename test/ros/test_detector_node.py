@@ -338,7 +338,7 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
 
 
 def test_a_fast_sensor_does_not_outrun_the_node(rig: Rig) -> None:
-    """Two thousand messages that wait are taken a batch at a time."""
+    """Two thousand waiting messages are taken a batch at a time."""
     imu = rig.sensor(Imu, "imu", Quality(depth=5000))
     message = Imu()
     for k in range(2000):

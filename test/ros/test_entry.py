@@ -28,7 +28,7 @@ def test_every_executable_is_a_node_of_the_table() -> None:
 
 
 def test_an_unknown_node_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """With the names of those there are."""
+    """The error has the names of the known nodes."""
     with pytest.raises(SystemExit):
         entry.main(["planet"])
     assert "invalid choice: 'planet'" in capsys.readouterr().err

@@ -23,7 +23,7 @@ def test_every_stamp_of_the_grid_is_due_once(rate: float) -> None:
 
 
 def test_old_estimates_are_skipped_and_counted_but_never_the_first() -> None:
-    """After a jump of the clock."""
+    """Old estimates occur after a jump of the clock."""
     times = EstimateTimes(100.0)
     due = times.due(EPOCH, EPOCH, EPOCH + 3 * NS_PER_S)
     assert due.stamps[0] == EPOCH
@@ -36,7 +36,7 @@ def test_old_estimates_are_skipped_and_counted_but_never_the_first() -> None:
 
 
 def test_estimates_may_begin_before_the_epoch_and_another_rate_goes_on_ascending() -> None:
-    """From the first stamp of the grid that is not before the start."""
+    """Estimates begin at the first stamp of the grid that is not before the start."""
     times = EstimateTimes(10.0)
     due = times.due(EPOCH, EPOCH - 250_000_000, EPOCH)
     assert [stamp - EPOCH for stamp in due.stamps] == [-200_000_000, -100_000_000, 0]

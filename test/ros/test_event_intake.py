@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an observer node takes in more events than it can apply."""
+"""The intake of an observer node that receives more events than it can apply."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -40,14 +40,14 @@ class SlowObserver:
     now: int = NS_PER_S
 
     def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
-        """As ``Observer.receiving``."""
+        """Apply events as ``Observer.receiving`` does."""
         self.batches.append(len(events))
         for each in events:
             self.now += round(self.seconds * NS_PER_S)
             yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
 
     def monotonic_ns(self) -> int:
-        """As that of ``time``."""
+        """Time of this clock, as of ``time.monotonic_ns``."""
         return self.now
 
 
@@ -64,7 +64,7 @@ def message(number: int) -> AnyMessage:
 
 
 def taken(intake: EventIntake) -> list[Item]:
-    """All waiting events with their verdicts."""
+    """Take all waiting events, and return them with their verdicts."""
     found: list[Item] = []
     while intake.is_busy:
         found.extend(intake.apply_waiting())

@@ -16,7 +16,7 @@ from impact_observer.stamps import NS_PER_S
 
 
 def test_a_pulse_ahead_of_a_late_clock_is_given_when_the_clock_has_come() -> None:
-    """Each early pulse is reported; none counts as invalid."""
+    """Every early pulse is reported; no pulse counts as invalid."""
     now, pulses, lines = [10 * NS_PER_S], list[int](), list[str]()
     node = SimpleNamespace(create_subscription=lambda *_, **__: None)
     intake = LiveIntake(

@@ -13,7 +13,7 @@ class Logger:
     """Keeps the lines that are logged."""
 
     def __init__(self) -> None:
-        """No line so far."""
+        """Begin without a line."""
         self.lines: list[str] = []
 
     def warning(self, line: str) -> None:

@@ -93,7 +93,7 @@ class Rig:
         return {each.key: each.value for each in self.diagnostics[-1].values}
 
     def estimates(self) -> list[Estimate]:
-        """All estimates received so far."""
+        """The estimates received so far."""
         return [read_estimate(message)[1] for message in self.states]
 
 
@@ -399,7 +399,7 @@ def test_an_estimate_that_is_not_finite_is_not_published(
 def test_a_node_without_a_motion_says_so_and_goes_on(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As after an epoch of decades ago, whose motion takes too many steps."""
+    """The motion since an epoch of decades ago takes too many steps."""
 
     def fail(_: int) -> Estimate:
         raise DynamicsError("the motion takes too many steps")

@@ -39,7 +39,7 @@ MANY = qos_profile(Quality(depth=1000))
 
 
 def pulse_publisher(probe: Node) -> Publisher:
-    """Of pulses, as a sensor publishes them."""
+    """A publisher of pulses, as of a sensor."""
     interface = interfaces.PHASE_REFERENCE
     return probe.create_publisher(Header, interface.name, qos_profile(interface.quality))
 
@@ -47,7 +47,7 @@ def pulse_publisher(probe: Node) -> Publisher:
 def test_observer_node_estimates_what_observe_does_under_a_drive(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """With a lag longer than a period the states are equal to the bit."""
+    """The states are equal to the bit if the lag is longer than a period."""
     recorded, output = shared("bags/hammer"), tmp_path / "out"
     assert main(["observe", str(recorded), "--initial", "random:1", "-o", str(output)]) == 0
     with BagReader(output) as reader:

@@ -28,7 +28,7 @@ KNOWN = 2.0
 
 
 def stamp_of(message: JointState | ImpactEvent) -> int:
-    """Of its header, ns."""
+    """Stamp in the header of a message, ns."""
     return int(message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec)
 
 

@@ -98,7 +98,7 @@ def stamps(received: list[Received]) -> list[int]:
 
 
 def clock(received: list[Received]) -> list[int]:
-    """What the clock showed, ns."""
+    """Times that the clock showed, ns."""
     messages: list[AnyMessage] = [h.message for h in received if h.topic == "/clock"]
     return [read_stamp("clock", message.clock) for message in messages]
 
@@ -184,7 +184,7 @@ def test_start_skips_messages_but_not_latched_values(
 def test_late_listener_gets_events_and_model_until_the_end(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """They are published with the durability they were recorded with."""
+    """Events and model have the durability with which they were recorded."""
     assert ros_environment
     with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
         player = Player(node, reader, Playing(rate=10.0))
@@ -201,7 +201,7 @@ def test_late_listener_gets_events_and_model_until_the_end(
 def test_recorded_clock_is_replaced_by_that_of_the_player(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Two clocks would contradict each other."""
+    """The recorded clock is left out, since two clocks would contradict each other."""
     assert ros_environment
     make = bag_messages()
     with BagWriter(tmp_path / "bag") as writer:
@@ -215,7 +215,7 @@ def test_recorded_clock_is_replaced_by_that_of_the_player(
 def test_topic_with_another_publisher_gives_a_warning(
     sample_bag: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Such as that of a plant that still runs."""
+    """The other publisher may be a plant that still runs."""
     assert ros_environment
     with ros_node("plant") as (plant, _):
         plant.create_publisher(
@@ -228,7 +228,7 @@ def test_topic_with_another_publisher_gives_a_warning(
 def test_foreign_type_is_left_out_with_a_warning(
     tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """If the bag has no other topic it is an error."""
+    """A bag with foreign types alone is an error."""
     assert ros_environment
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/torque", type_name="rig/msg/Torque", definition="float64 torque\n")
@@ -244,7 +244,7 @@ def test_foreign_type_is_left_out_with_a_warning(
 def test_start_outside_the_bag_is_named(
     sample_bag: Path, ros_environment: dict[str, str], start: float
 ) -> None:
-    """With how long the bag is; and so is a delay that is none."""
+    """The error names the bag's length; a delay that is no number is an error, too."""
     assert ros_environment
     with pytest.raises(UsageError, match=rf"start is {start}; expected 0 to 0\.5 s"):
         play(sample_bag, Playing(start=start))
@@ -253,7 +253,7 @@ def test_start_outside_the_bag_is_named(
 
 
 def test_absent_topic_is_named(sample_bag: Path, ros_environment: dict[str, str]) -> None:
-    """With those in the bag."""
+    """The error lists the topics of the bag."""
     assert ros_environment
     with pytest.raises(UsageError, match=r"no topic /absent; in the bag: /impacts, /observer"):
         play(sample_bag, Playing(["/absent"]))
@@ -282,7 +282,7 @@ def test_signal_ends_a_loop_with_exit_code_0(
 
 
 def test_only_a_part_is_played(sample_bag: Path, ros_environment: dict[str, str]) -> None:
-    """From the start for the duration, once or in a loop."""
+    """The part begins at the start and has the duration, once or in a loop."""
     assert ros_environment
     how = Playing(["/impacts"], start=0.1, duration=0.22, loop=True)
     with listening("/impacts") as received, player_of(sample_bag, how) as player:

@@ -158,7 +158,7 @@ def test_best_effort_publishers_are_received_too(
 
 
 def test_burst_is_not_lost(tmp_path: Path, ros_environment: dict[str, str]) -> None:
-    """Two thousand events at once, and states between them."""
+    """Two thousand simultaneous events with states between them are recorded."""
     assert ros_environment
     state = MAKE.joint_state(JointState(1, ("a",), np.zeros(1), np.zeros(1)))
     with ros_node("plant") as (plant, _), recording(tmp_path / "bag") as (recorder, executor):
@@ -233,7 +233,7 @@ def test_a_signal_amid_a_burst_leaves_a_whole_bag(
 def test_log_times_follow_the_simulated_clock_and_never_go_back(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """What comes before that clock runs is recorded at its first instant."""
+    """Messages before the clock runs are recorded at its first instant."""
     assert ros_environment
     with (
         ros_node("plant") as (plant, _),
@@ -311,7 +311,7 @@ def test_type_that_cannot_be_described_is_left_out_with_one_warning(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """That names topic and type; the others are recorded."""
+    """The warning names topic and type; other topics are recorded."""
     assert ros_environment
     fields = dict(typestore().fielddefs)
     del fields[interfaces.STRING]
@@ -334,7 +334,7 @@ def test_type_that_cannot_be_described_is_left_out_with_one_warning(
 def test_later_publisher_of_less_quality_is_warned_of_once(
     tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Its messages cannot reach the subscription that the first one got."""
+    """The later publisher's messages cannot reach the subscription to the first."""
     assert ros_environment
     with (
         ros_node("plant") as (plant, _),

@@ -126,7 +126,7 @@ def rig_with(folder: Path, sensors: str = SENSORS, **parameters: object) -> Iter
 
 
 def run() -> Run:
-    """Two seconds of two_mass, with an impact."""
+    """A run of two_mass over two seconds, with an impact."""
     model = read_model("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + 2 * NS_PER_S, 40.0))
@@ -222,7 +222,7 @@ def test_a_sample_ahead_of_a_late_clock_is_used_when_that_has_come(
 def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """By default samples at 10 Hz get published verdicts, samples at 100 Hz do not."""
+    """By default verdicts on samples at 10 Hz are published, on samples at 100 Hz not."""
     assert ros_environment
     with rig_with(tmp_path, measurements_reliability="best_effort", history=10.0) as rig:
         rig.spinner.until(rig.laser.get_subscription_count)

@@ -41,7 +41,7 @@ def test_a_time_before_zero_on_the_clock_is_ignored(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """With a warning; the same error of other code is raised."""
+    """A warning is logged; the same error of other code is raised."""
     assert ros_environment
     of_clock: dict[str, object] = {"__name__": "rclpy.time_source"}
     source = "def spin_once(timeout_sec=None):\n    raise ValueError('must not be negative')\n"
@@ -80,7 +80,7 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """Where the middleware has no security libraries, as in the wheels, or there is no key."""
+    """The middleware of the wheels has no security libraries; another node has no key."""
     assert ros_environment
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
@@ -95,7 +95,7 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
 def test_a_node_that_has_the_name_of_another_one_says_so(
     ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Both nodes publish on the same topics, so that their messages would be merged unnoticed."""
+    """Messages of two nodes of one name would be merged unnoticed."""
     assert ros_environment
     with spinning() as spinner:
         node = BaseNode("observer", ())

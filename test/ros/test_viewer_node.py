@@ -160,7 +160,7 @@ def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
 
 
 def test_viewer_follows_another_run_of_the_sender_with_two_events(rig: Rig) -> None:
-    """One message of another episode changes nothing, as in an observer."""
+    """A single message of another episode changes nothing, as in an observer."""
     stamp = EPOCH + 9_000_000_000
     rig.hit(EPOCH + 2_000_000_000, Kind.CLOSE, 1)
     for sequence, lit in ((1, True), (2, False)):

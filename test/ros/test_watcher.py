@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``watch`` shows: of messages, of a bag, and of running processes."""
+"""The screen of ``watch``: of messages, of a bag, and of running processes."""
 
 import fcntl
 import io
@@ -140,7 +140,7 @@ def test_diagnostics_go_to_their_observer() -> None:
 
 
 def test_topics_of_several_nodes_are_a_warning_until_one_is_left() -> None:
-    """All nodes share the clock and the diagnostics."""
+    """The clock and the diagnostics, which all nodes share, give no warning."""
     listener = Listener()
     listener.note_publishers({"/observer/state": 2, "/diagnostics": 2, "/clock": 2})
     (warning,) = listener.view(EPOCH).warnings
@@ -168,7 +168,7 @@ def test_only_wanted_observers_are_received() -> None:
 
 
 def test_a_clock_that_jumps_back_restarts() -> None:
-    """Nothing of the first pass of a bag is left in the second."""
+    """The second pass of a bag shows nothing of the first pass."""
     listener = Listener(["observer"])
     for stamp in (EPOCH, EPOCH + 9 * NS_PER_S):
         listener.receive("/clock", MAKE.clock(stamp))
@@ -205,7 +205,7 @@ def test_a_message_without_sense_is_a_warning() -> None:
 
 
 def test_rigs_have_their_own_truth_and_epoch() -> None:
-    """There is no common epoch then."""
+    """Two rigs have no common epoch."""
     listener = Listener()
     for k, rig in enumerate(("/a", "/b")):
         epoch = EPOCH + k * NS_PER_S
@@ -345,7 +345,7 @@ def test_the_screen_names_what_is_missing(
 
 
 def test_a_line_says_the_same_in_short() -> None:
-    """One line holds V, agreement and warnings of every observer."""
+    """The line holds V, agreement and warnings of every observer."""
     assert line(BOTH) == (
         "t = 12.35 s, 8 impacts, last 0.3 s ago (stop);"
         " observer_geometric: V 2.00e-02 J, convergence 1.00e+00 J,"
@@ -428,7 +428,7 @@ class Keeping(Listener):
 
 @pytest.mark.ros
 def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
-    """In this process, in a terminal, as lines until Ctrl-C, and once as JSON."""
+    """Processes are shown in this process, in a terminal, as lines until Ctrl-C, and as JSON."""
     listener = Keeping()
     with system(ros_environment), ExitStack() as stack:
         lines = stack.enter_context(started([], ros_environment))

@@ -63,7 +63,7 @@ def model_of(found: System) -> Model:
 
 
 def shaken(hold: str) -> Model:
-    """Two masses under a sampled force."""
+    """A model of two masses under a sampled force."""
     found = sample("two_mass").system
     time = np.linspace(0.0, 20.0, 81)
     force = np.stack([np.zeros(81), 4 * np.sin(2.5 * time)], axis=1)
@@ -117,7 +117,7 @@ def assert_same_outcome(outcome: Outcome, alone: Outcome) -> None:
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 def test_a_batch_has_the_outcomes_of_its_cases(name: str) -> None:
-    """With the same counts and times; the plant hits, and starts settle at different times."""
+    """Counts and times are equal; the plant hits, and starts settle at different times."""
     found = assert_same_outcomes(swept(sample(name), runs=4, seconds=20.0, rate=20.0))
     assert len({each.settling_time for each in found}) >= 4
     assert not any(each.error for each in found)
@@ -138,7 +138,7 @@ def test_a_batch_has_the_outcomes_of_its_cases(name: str) -> None:
     ],
 )
 def test_a_batch_has_the_outcomes_of_its_cases_for_any_model(model: Model) -> None:
-    """Also where contacts close and open, or impacts accumulate."""
+    """Outcomes are equal also if contacts close and open, or impacts accumulate."""
     sweep = swept(model, runs=3, seconds=10.0)
     assert len(plant_run(sweep.plant).events) > 2
     assert_same_outcomes(sweep)
@@ -158,7 +158,7 @@ def test_a_batch_has_the_outcomes_of_its_cases_for_any_model(model: Model) -> No
 def test_samples_between_the_jumps_are_left_out_of_each_start(
     fault: str, value: float, rate: float
 ) -> None:
-    """They are others for each start, if stamps are wrong."""
+    """If stamps are wrong, each start has other samples between the jumps."""
     assert_same_outcomes(swept(sample("two_mass"), faults={fault: [value]}, rate=rate))
 
 
@@ -185,7 +185,7 @@ def test_random_events_and_laws_that_move_each_replica_have_no_batches() -> None
 
 
 def test_batches_are_the_same_whatever_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So the bits of outcomes do not depend on where a sweep was interrupted."""
+    """The bits of outcomes do not depend on the point of interruption of a sweep."""
     monkeypatch.setattr(plan, "BATCH", 3)
     sweep = swept(sample("two_mass"), "geometric", "unilateral", faults={"delay": [0.0, 0.1]})
     every = [*sweep.batches()]
@@ -196,7 +196,7 @@ def test_batches_are_the_same_whatever_is_done(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_batches_are_small_where_contacts_stay_closed() -> None:
-    """Each replica then moves by itself: a whole batch would take minutes."""
+    """A replica in contact moves by itself, so that a whole batch would take minutes."""
     faults: Values = {"impacts_only": [False, True]}
     model = sample("bouncing_ball")
     sweep = swept(model, "geometric", faults=faults, runs=20)
@@ -204,7 +204,7 @@ def test_batches_are_small_where_contacts_stay_closed() -> None:
 
 
 class Picky(Geometric):
-    """Has no solution for some states."""
+    """A law without a solution for some states."""
 
     name = "picky"
     impacts = ReplicaLaw.impacts
@@ -212,7 +212,7 @@ class Picky(Geometric):
     energy_removed = ReplicaLaw.energy_removed
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
-        """As ``Geometric``, where it has one."""
+        """State after an impact, as of ``Geometric``, if the law has a solution."""
         if abs(x[0]) > 1.2:
             raise ImpactLawError("no solution")
         return super().impact(x, active, closed)
@@ -230,7 +230,7 @@ def test_a_start_without_a_solution_fails_alone(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_observer_runs_the_replicas_that_it_is_given() -> None:
-    """Each as if it were alone; their states are those of an observer that starts there."""
+    """The states of each replica are those of an observer with the same start."""
     model = sample("two_mass").system
     starts = np.random.default_rng(3).normal(size=(4, 4))
     epoch = 3_000_000_000

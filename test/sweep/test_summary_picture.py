@@ -31,7 +31,7 @@ def swept(
 
 
 def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = None) -> Figure:
-    """Its picture, where the cases settle at ``times`` in turn."""
+    """Picture of a sweep whose cases settle at ``times`` in turn."""
     outcomes = [
         Outcome(k, settling_time=times[k % len(times)], V_ratio=0.1) for k in range(sweep.size)
     ]
@@ -40,7 +40,7 @@ def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = Non
 
 @pytest.mark.slow
 def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> None:
-    """In the order of the values, whatever they were given in; axes have units."""
+    """Points are in the order of the swept values, not of their input; axes have units."""
     sweep = swept({"jitter": [1e-2, 0.0, 1e-4]}, {})
     figure = drawn(sweep, [1.0, 3.0, 2.0, 4.0, 5.0, 7.0])
     upper, lower = figure.axes
@@ -60,7 +60,7 @@ def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> N
 
 
 def test_runs_that_never_settle_are_above_all_times() -> None:
-    """In a zone of its own, and as a share below."""
+    """Unsettled runs have a zone of their own above, and a share below."""
     upper, lower = drawn(swept({"missed": [0.0, 0.2]}, {}), [2.0, 4.0, None, None]).axes
     words = [label.get_text() for label in upper.get_yticklabels()]
     assert words[-1] == "never"
@@ -76,7 +76,7 @@ def test_runs_that_never_settle_are_above_all_times() -> None:
 
 @pytest.mark.slow
 def test_other_quantities_make_panels() -> None:
-    """One panel for each combination; --against selects the quantity on the axis."""
+    """Each combination has a panel; --against selects the quantity on the axis."""
     sweep = swept({"dead_time": [0.0, 0.1]}, {"gap": [0.4, 0.5, 0.6]})
     figure = drawn(sweep, [1.0])
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
@@ -100,13 +100,13 @@ def test_without_anything_swept_laws_are_side_by_side() -> None:
 
 
 def test_a_fault_that_is_there_or_not_has_words_on_its_axis() -> None:
-    """No and yes."""
+    """The words of the axis are no and yes."""
     lower = drawn(swept({"impacts_only": [False, True]}, {}), [1.0]).axes[1]
     assert [label.get_text() for label in lower.get_xticklabels()] == ["no", "yes"]
 
 
 def test_an_axis_that_is_not_swept_is_refused() -> None:
-    """And too many panels."""
+    """Too many panels are refused, too."""
     sweep = swept({"jitter": [0.0, 1e-3], "missed": [0.1]}, {})
     with pytest.raises(UsageError, match=r"--against missed: has not several values.*jitter"):
         against_of(sweep, "missed")

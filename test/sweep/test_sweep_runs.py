@@ -60,7 +60,7 @@ def swept(
 
 
 def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None:
-    """So laws, faults and models are compared on equal starts and equal draws."""
+    """Laws, faults and models are compared on equal starts and equal draws."""
     sweep = swept("geometric", "kinematic", faults={"jitter": [0.0, 1e-3]}, runs=3)
     cases = [*sweep.cases()]
     assert len(cases) == sweep.size == 2 * 2 * 3
@@ -137,7 +137,7 @@ def test_metrics_are_those_of_a_single_run(stiffness: float) -> None:
 
 
 def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For any exception; the other cases still run."""
+    """Any exception is an outcome; the other cases still run."""
     whole = replay_batches
     problems: list[Exception] = [DynamicsError("no solution"), TypeError("a mistake\nin a law")]
 
@@ -161,7 +161,7 @@ def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyP
 
 
 def test_groups_differ_in_law_and_in_what_is_swept() -> None:
-    """In the order of the sweep, whatever that of the outcomes."""
+    """Groups are in the order of the sweep, whatever the order of the outcomes."""
     sweep = swept("geometric", "kinematic", faults={"jitter": [0.0, 1e-3], "missed": [0.1]})
     outcomes = [
         Outcome(k, settling_time=None if k % 2 else float(k), V_ratio=0.5**k) for k in range(8)
@@ -183,7 +183,7 @@ def test_groups_differ_in_law_and_in_what_is_swept() -> None:
 @examples(100)
 @given(st.lists(st.floats(0, 1e3), min_size=1, max_size=30), st.integers(0, 30))
 def test_quartiles_of_runs_that_never_settle_are_infinite(times: list[float], never: int) -> None:
-    """Those of numpy where all are finite; infinite where they depend on an infinite one."""
+    """Quartiles of finite values are those of numpy; the others are infinite."""
     found = quartiles(times)
     assert found is not None
     np.testing.assert_allclose(found, np.quantile(times, [0.25, 0.5, 0.75]), rtol=1e-12)
@@ -203,7 +203,7 @@ def replicas(off: Mapping[str, Sequence[float]]) -> list[Model]:
 
 
 def test_model_variants_differ_in_the_given_parameters_only() -> None:
-    """All of a kind, or a single element; no variant has an initial state."""
+    """A parameter is of all elements of a kind or of one; no variant has an initial state."""
     true = parse_model(ELEMENTS, "elements").system
     (plain,) = replicas({})
     assert plain.position is None
@@ -231,7 +231,7 @@ def test_model_variants_differ_in_the_given_parameters_only() -> None:
 def test_values_that_a_model_cannot_have_are_refused(
     off: Mapping[str, Sequence[float]], problem: str
 ) -> None:
-    """In one line that names the parameter."""
+    """The error is one line that names the parameter."""
     with pytest.raises(UsageError, match=problem):
         replicas(off)
 
@@ -251,7 +251,7 @@ def test_values_that_a_model_cannot_have_are_refused(
 def test_what_no_case_could_run_is_refused_at_once(
     change: dict[str, object], problem: str
 ) -> None:
-    """Before anything runs."""
+    """The sweep is refused before anything runs."""
     with pytest.raises(UsageError, match=problem):
         replace(swept(), **change)  # type: ignore[arg-type]
 

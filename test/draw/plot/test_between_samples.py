@@ -70,7 +70,7 @@ def test_a_ball_has_its_kink_at_the_impact_between_two_samples() -> None:
 
 @pytest.mark.parametrize(("rate", "count"), [(40.0, 60), (1000.0, MOST + 1), (100.0, 2)])
 def test_samples_that_are_too_few_or_enough_stay_as_they_are(rate: float, count: int) -> None:
-    """Two samples a period do not determine the motion between them."""
+    """Two samples a period do not determine the motion between the samples."""
     stamps, x = sampled(rate, count)
     at, states = with_states_between(stamps, x, NO_JUMPS)
     np.testing.assert_array_equal(at, stamps)

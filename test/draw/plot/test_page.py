@@ -40,7 +40,7 @@ def test_page_has_the_numbers_of_each_quantity() -> None:
 
 
 def test_impacts_are_in_rows_by_their_verdict() -> None:
-    """One row a contact; each verdict is once in the legend."""
+    """Each contact has a row; each verdict is once in the legend."""
     marks = {**recording().marks, Mark("wall", "minimum-variance"): np.array([0.75])}
     applied, inserted, reported = traces(recording(marks=marks), 1)
     assert (applied.name, inserted.name) == ("impact, applied", "inserted, as missed")

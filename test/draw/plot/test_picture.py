@@ -43,7 +43,7 @@ def test_range_is_that_of_the_lines_and_not_of_the_bands() -> None:
 
 
 def test_legend_has_what_is_drawn_and_nothing_else() -> None:
-    """Without deviations no band, without insertions no such mark."""
+    """A plot without deviations has no band, a plot without insertions no such mark."""
     drawn = labels(recording_picture(recording()))
     assert drawn == [
         "truth",
@@ -57,7 +57,7 @@ def test_legend_has_what_is_drawn_and_nothing_else() -> None:
 
 
 def test_truth_with_few_samples_is_dots_as_lines_between_them_would_be_wrong() -> None:
-    """As in a bag with true states at 2 Hz and estimates at 50 Hz."""
+    """The bag has true states at 2 Hz and estimates at 50 Hz."""
     dense = recording()
     line, *_ = recording_picture(dense).axes[0].get_lines()
     assert line.get_linestyle() == "-"
@@ -129,6 +129,6 @@ def test_long_names_of_rows_leave_a_narrow_picture_its_width() -> None:
 
 
 def test_what_is_left_out_is_said() -> None:
-    """How many coordinates."""
+    """The picture says how many coordinates are left out."""
     drawn = recording_picture(recording(left_out=12))
     assert "12 coordinates" in drawn.get_supxlabel()

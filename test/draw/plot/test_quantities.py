@@ -36,7 +36,7 @@ def test_values_are_coordinates_velocities_and_gaps() -> None:
 
 
 def test_deviation_of_a_gap_between_bodies_contains_their_correlation() -> None:
-    """Two coordinates that move together leave their gap certain; alone each is uncertain."""
+    """The gap of two uncertain coordinates that move together is certain."""
     system = parse_model(PAIR, "pair.yaml").system
     root = np.random.default_rng(3).normal(size=(4, 4))
     common = root @ root.T
@@ -84,7 +84,7 @@ def test_deviation_without_covariance_is_none() -> None:
     ],
 )
 def test_words_select_quantities(words: tuple[str, ...], names: list[str]) -> None:
-    """In their order, each once."""
+    """Quantities are selected in the order of the words, each once."""
     every = quantities_of(SYSTEM.coordinates, SYSTEM)
     assert [each.name for each in selected(every, words)] == names
 

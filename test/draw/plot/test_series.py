@@ -84,7 +84,7 @@ def test_every_sample_of_a_short_recording_is_drawn(sample_bag: Path) -> None:
 
 
 def test_deviations_are_those_of_the_covariance(tmp_path: Path) -> None:
-    """Of coordinates, velocities and gaps."""
+    """Coordinates, velocities and gaps have the deviations of the covariance."""
     (estimate,) = recording(bag(tmp_path, [estimated(0), estimated(1)]), "x1", "stop").series
     np.testing.assert_allclose(estimate.deviations, [[1.0, 3.0, 2.0]] * 2)
 
@@ -98,7 +98,7 @@ def test_other_order_of_names_reorders_the_covariance(tmp_path: Path) -> None:
 
 
 def test_only_the_part_that_is_asked_for(tmp_path: Path) -> None:
-    """From its start to its end, both included; a part without states is one line."""
+    """The part includes its start and its end; a part without states is an error of one line."""
     path = bag(tmp_path, [estimated(k) for k in range(100)])
     found = recording(path, "q_x1", start=0.2, duration=0.3)
     assert found.series[0].values[:, 0].tolist() == list(range(20, 51))

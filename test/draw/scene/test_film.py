@@ -53,7 +53,7 @@ def test_sample_at_the_stamp_of_an_impact_is_after_it() -> None:
 
 
 def test_track_of_two_impacts_between_samples_waits_for_the_last() -> None:
-    """No sample lies between the impacts."""
+    """A track holds its sample until the last of two impacts without a sample between them."""
     moving = track([100, 200], [0.0, 5.0], jumps=[120, 180])
     assert [place(moving, t) for t in (119, 150, 179, 180)] == [0.0, 0.0, 0.0, 5.0]
 

@@ -112,13 +112,13 @@ def still(model: System, q: Array, **changes: object) -> Film:
 
 
 def is_colour(picture: Picture, colour: str) -> NDArray[np.bool_]:
-    """Which pixels have a colour."""
+    """Mask of the pixels with a colour."""
     wanted = np.rint(np.array(to_rgb(colour)) * 255)
     return np.asarray(np.all(np.abs(picture[..., :3] - wanted) <= 3, axis=-1))
 
 
 def lit(picture: Picture) -> int:
-    """How many pixels are of a stop that is hit."""
+    """Number of pixels of a stop that is hit."""
     return int(is_colour(picture, LIT).sum())
 
 
@@ -129,7 +129,7 @@ def test_pictures_have_an_even_number_of_pixels() -> None:
 
 
 def test_a_picture_depends_on_its_stamp_only() -> None:
-    """Not on the pictures that were taken before it."""
+    """Earlier pictures do not change a picture."""
     shown = shown_film()
     first = shown.picture(EPOCH + 900 * MS)
     assert not np.array_equal(shown.picture(EPOCH + 2500 * MS), first)
@@ -153,7 +153,7 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
 
 @pytest.mark.slow
 def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
-    """In every row, and as long in a slow film."""
+    """The highlight is in every row, and lasts as long in a slow film."""
     shown = shown_film()
     hit = int(film().contacts.hits[0][0])
     before, during = lit(shown.picture(hit - 10 * MS)), lit(shown.picture(hit + MS))
@@ -166,7 +166,7 @@ def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
 
 
 def test_stop_is_highlighted_during_persistent_contact() -> None:
-    """From CLOSE to OPEN, without fading."""
+    """The highlight lasts from CLOSE to OPEN, without fading."""
     model = sample("two_mass").system
     switches = [(EPOCH + 100 * MS, Kind.CLOSE), (EPOCH + 800 * MS, Kind.OPEN)]
     events = [
@@ -212,7 +212,7 @@ def test_rows_have_one_scale_and_names() -> None:
 
 
 def test_estimate_without_a_state_says_so() -> None:
-    """Before its first state, while the plant moves on."""
+    """The row says so before the estimate's first state, while the plant moves on."""
     late = film().estimates[0]
     kept = late.stamps >= EPOCH + NS_PER_S
     late = Track.of_states(
@@ -228,7 +228,7 @@ def test_estimate_without_a_state_says_so() -> None:
 
 
 def test_estimates_alone_make_a_film() -> None:
-    """Without truth there is no V and no ghost."""
+    """A film without truth has no V and no ghost."""
     shown = Shown(replace(film(), truth=None, distances=()))
     assert len(shown.axes) == len(LAWS)
     assert shown.picture(EPOCH).min() == 0

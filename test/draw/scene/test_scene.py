@@ -152,7 +152,7 @@ def test_matrix_model_shows_the_springs_that_its_elements_would() -> None:
 
 
 def test_ball_is_free() -> None:
-    """No stiffness, no spring; the floor is on the side of the smaller coordinates."""
+    """A model without stiffness has no spring; the floor is on the side of smaller coordinates."""
     scene = Scene.of_system(sample("bouncing_ball").system, [[1.0]])
     assert scene.couplings == ()
     (floor,) = scene.walls

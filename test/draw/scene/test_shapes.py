@@ -73,7 +73,7 @@ def test_lanes_are_above_and_bars_below_the_bodies() -> None:
 
 
 def test_scene_without_springs_has_no_strokes() -> None:
-    """But arrays of the right shape."""
+    """Strokes of a scene without springs are empty arrays of the right shape."""
     scene = Scene.of_system(sample("bouncing_ball").system)
     frame = scene.frame(np.zeros(1))
     for empty in (couplings(scene, frame), rods(frame), rails(scene)):
