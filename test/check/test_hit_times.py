@@ -75,7 +75,7 @@ def test_commands_name_a_wrong_unit_before_they_work(capsys: pytest.CaptureFixtu
 def test_filters_are_not_begun_where_milliseconds_were_taken_for_seconds(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """They would insert thousands of impacts; a replica takes them, with the warning."""
+    """A filter, which would insert thousands of impacts, is refused; a replica gets a warning."""
     times = np.cumsum(2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(12))
     Path("ball.csv").write_text("\n".join(f"{1e3 * t:.3f}" for t in times), encoding="utf-8")
     assert main(["import", "ball.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0

@@ -211,7 +211,7 @@ def test_what_cannot_be_filmed_is_one_line(
     capsys: pytest.CaptureFixture[str],
     case: tuple[list[str], str],
 ) -> None:
-    """And leaves no file."""
+    """The failed command leaves no file."""
     (*rest, name), problem = case
     arguments = [*rest, str(tmp_path / name)]
     code, line = refusal([str(sample_bag), "--duration", "0.45", *arguments], capsys)

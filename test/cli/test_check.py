@@ -33,13 +33,13 @@ def test_a_valid_bag_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("sample", ["two_mass", "three_mass", "clock_offset", "quantisation"])
 def test_sample_bags_have_no_findings(sample: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nor have the bags with sensor faults."""
+    """The bags with sensor faults have no findings, either."""
     assert main(["check", str(shared(f"bags/{sample}"))]) == 0
     assert capsys.readouterr().out.endswith("an observer can use it (no findings)\n")
 
 
 def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) -> None:
-    """And the line, as it would be printed."""
+    """The JSON has the printed line, too."""
     write(LATER[:1])
     assert main(["check", "bag", "--json"]) == 0
     results = json.loads(capsys.readouterr().out)
@@ -64,7 +64,7 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
 def test_on_a_terminal_lines_are_folded_beside_their_severity(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is cut off, and the column below the severity is empty."""
+    """No word is cut off, and the column below the severity is empty."""
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "50")
     monkeypatch.setenv("TERM", "xterm")
@@ -79,7 +79,7 @@ def test_on_a_terminal_lines_are_folded_beside_their_severity(
 
 
 def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
-    """No bag, half of --salvage, a model that does not exist."""
+    """The cases are no bag, half of --salvage, and an unknown model."""
     write()
     for given, expected in (
         (["nowhere"], "nowhere: does not exist"),
@@ -99,7 +99,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str
 
 @pytest.mark.slow
 def test_salvage_prints_the_messages_of_each_topic(capsys: pytest.CaptureFixture[str]) -> None:
-    """In words and as figures; the new bag has all of it."""
+    """Counts are printed in words and as figures; the new bag has every message."""
     write()
     Path("bag/metadata.yaml").unlink()
     assert main(["check", "bag", "--salvage", "-o", "new"]) == 0

@@ -37,7 +37,7 @@ def parsed(*words: str) -> argparse.Namespace:
 
 
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """What the command prints, without line ends."""
+    """Output of the command without line ends."""
     assert check_model.run(parsed(*words)) == 0
     return " ".join(capsys.readouterr().out.split())
 
@@ -119,7 +119,7 @@ def test_numbers_of_another_unit_are_named_by_what_follows_from_them(
 def test_a_table_in_millimetres_or_hertz_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One shakes too little to lift the ball, the other faster than any machine."""
+    """One table shakes too little to lift the ball, the other faster than any machine."""
     text = Path(shared("config") / "ball_on_table.yaml").read_text(encoding="utf-8")
     slow = text.replace("62.83185307179586", "10")
     assert slow != text
@@ -136,7 +136,7 @@ def test_a_table_in_millimetres_or_hertz_is_named(
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
 def test_no_sample_has_a_warning(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """No impact of theirs raises V."""
+    """No impact of a sample model raises V."""
     output = printed(capsys, name)
     assert "ok No impact raises V" in output
     assert "warning" not in output
@@ -180,7 +180,7 @@ def test_warnings_name_their_consequence_and_the_model_stays_valid(
 
 
 def test_json_has_all_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And nothing else is printed; contacts are called by their names."""
+    """The command prints nothing but JSON; contacts are called by their names."""
     assert check_model.run(parsed(written(tmp_path, CORNER), "--json")) == 0
     found = json.loads(capsys.readouterr().out)
     (raising,) = found.pop("expansive")
@@ -219,7 +219,7 @@ def test_json_has_all_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_a_long_table_shows_its_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And how many rows are left out and where they are; JSON has everything."""
+    """A line tells the number and place of the rows that are left out; JSON has every row."""
     path = written(tmp_path, rows(30))
     output = printed(capsys, path)
     assert output.count("... 22 more in --json") == 3
@@ -257,7 +257,7 @@ def test_a_mode_that_no_contact_sees_is_a_warning(
 def test_stops_without_clearance_are_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two stops that are always closed, and two that contradict each other."""
+    """Two stops are always closed, and two others contradict each other."""
     without_room = CORNER.replace("[0.9, 0.436], gap: 1", "[-1, 0], gap: -1")
     position = without_room.replace("position: [0, 0]", "position: [-1, 0]")
     assert "No position is clear of all stops" in printed(capsys, written(tmp_path, position))
@@ -269,7 +269,7 @@ def test_stops_without_clearance_are_a_warning(
 def test_an_undecided_question_is_a_warning(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is not passed silently."""
+    """No undecided question is passed silently."""
     from impact_observer.check import model_check
     from impact_observer.check.closing_sets import SearchResult
 
@@ -283,7 +283,7 @@ def test_an_undecided_question_is_a_warning(
 
 
 def test_a_file_that_is_no_model_is_wrong_use(tmp_path: Path) -> None:
-    """As everywhere: one line, exit code 2."""
+    """The error is one line, with exit code 2."""
     with pytest.raises(UsageError, match="no such file") as absent:
         check_model.run(parsed(str(tmp_path / "absent.yaml")))
     with pytest.raises(ModelError, match="restitution: is 7") as broken:

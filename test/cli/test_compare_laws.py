@@ -42,7 +42,7 @@ def compared(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, d
 def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every error of every law, bit for bit, and every figure that is printed."""
+    """Every error of every law is equal to the bit, and every printed figure too."""
     bags = [observed(plant_bag, tmp_path / law, law) for law in law_names()]
     with BagReader(plant_bag) as reader:
         system = model_of(reader).system

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``compare`` writes: figures, a picture, a page; which topics it can compare."""
+"""The output of ``compare``: figures, a picture, a page; and the topics it accepts."""
 
 import csv
 import json
@@ -34,7 +34,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def metrics(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, Any]]:
-    """What ``compare --json`` prints."""
+    """Output of ``compare --json``."""
     capsys.readouterr()
     assert main(["compare", *arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -62,7 +62,7 @@ def test_only_samples_from_a_time_on_count(
 
 
 class Page(HTMLParser):
-    """What a browser would load, and what it would show."""
+    """The files that a browser would load, and the text it would show."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -133,7 +133,7 @@ def test_the_csv_has_every_metric_of_the_json(
 def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two samples of 4 ms lie between the jumps, at each impact."""
+    """At each impact two samples of 4 ms lie between the jumps."""
     found = metrics(capsys, str(bag))["geometric"]
     assert found["mismatch_windows"] == found["impacts_used"]
     assert found["mismatch_samples"] == 2 * found["impacts_used"]
@@ -147,7 +147,7 @@ def test_a_late_sensor_does_not_count_as_a_bad_estimate(
 def test_a_topic_of_another_package_can_be_compared(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By its name, and beside an observer; the truth too may have another name."""
+    """The topic is given by name, beside an observer; the truth too may have another name."""
     other = tmp_path / "other"
     with BagReader(bag) as reader, BagWriter(other) as writer:
         copy_topics(reader, writer)
@@ -189,7 +189,7 @@ def test_a_topic_of_another_package_can_be_compared(
 def test_what_cannot_be_compared_or_written_is_one_line(
     bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
 ) -> None:
-    """Before any work is done."""
+    """The error comes before any work is done."""
     code = main(["compare", str(bag), *arguments])
     error = capsys.readouterr().err
     assert code in {1, 2}
@@ -199,7 +199,7 @@ def test_what_cannot_be_compared_or_written_is_one_line(
 
 @pytest.mark.slow
 def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: Path) -> None:
-    """One curve each from 0 on; impacts are labelled by bag where the runs differ."""
+    """Each bag is a curve from 0 on; impacts are labelled by bag if the runs differ."""
     plant, later = tmp_path / "plant", tmp_path / "later"
     simulated = ["simulate", "two_mass", "--duration", "4", "--epoch", "1000"]
     assert main([*simulated, "-o", str(plant)]) == 0
@@ -228,6 +228,6 @@ def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:
 
 
 def compared(bag: Path) -> BagComparison:
-    """All estimates of a bag against its truth."""
+    """Comparison of all estimates of a bag with its truth."""
     with BagReader(bag) as reader:
         return compare_bag(reader, model_of(reader).system)

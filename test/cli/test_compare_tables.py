@@ -14,7 +14,7 @@ from impact_observer.resources import shared
 
 @pytest.fixture(scope="module")
 def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three seconds of a plant, with an estimate."""
+    """A bag with three seconds of a plant and an estimate."""
     folder = tmp_path_factory.mktemp("tables")
     plant, estimates = folder / "plant", folder / "estimates"
     assert main(["simulate", "two_mass", "--duration", "3", "-o", str(plant)]) == 0
@@ -38,7 +38,7 @@ def test_names_of_bags_are_printed_literally(
 def test_impacts_of_a_contact_that_is_not_the_models_are_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As of check: a law cannot use them."""
+    """The warning is that of check: a law cannot use such impacts."""
     words = ["simulate", "three_mass", "--duration", "3", "-o", str(tmp_path / "plant")]
     assert main(words) == 0
     other = shared("config").joinpath("three_mass.yaml").read_text(encoding="utf-8")

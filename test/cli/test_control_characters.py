@@ -22,7 +22,7 @@ from impact_observer.resources import shared
 
 
 def shown(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """What a command prints on both streams."""
+    """Output of a command on both streams."""
     main(arguments)
     return "".join(capsys.readouterr())
 
@@ -31,7 +31,7 @@ def shown(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_names_in_a_bag_do_not_control_the_terminal(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of contacts, and of the bag itself."""
+    """The names are those of contacts and of the bag itself."""
     make, bag = bag_messages(), tmp_path / f"bag{HOSTILE}"
     with BagWriter(bag) as writer:
         text = shared("config/two_mass.yaml").read_text("utf-8")
@@ -52,7 +52,7 @@ def test_names_in_a_bag_do_not_control_the_terminal(
 def test_a_model_with_a_name_that_cannot_be_printed_is_refused(
     key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """So no log, XML or HTML gets one."""
+    """No log, XML or HTML gets an unprintable name."""
     text = shared("config/two_mass.yaml").read_text("utf-8")
     assert key in text
     hostile = key.replace("two_mass", '"a\\eb"').replace("x1", '"a\\eb"')
@@ -65,7 +65,7 @@ def test_a_model_with_a_name_that_cannot_be_printed_is_refused(
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What the commands read, in a folder with a hostile name."""
+    """Inputs of the commands, in a folder with a hostile name."""
     return make_inputs(tmp_path_factory.mktemp(f"inputs{HOSTILE}"))
 
 
@@ -78,7 +78,7 @@ def test_no_command_shows_or_writes_control_characters(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of the names of files, on the terminal and in what is made of text."""
+    """Names of files are escaped on the terminal and in written text."""
     monkeypatch.chdir(tmp_path)
     given = [each.format(**inputs) for each in OFFLINE[command]]
     given = [HOSTILE + each if each.startswith("out") else each for each in given]
@@ -92,7 +92,7 @@ def test_no_command_shows_or_writes_control_characters(
 
 
 def test_nodes_log_nothing_but_what_can_be_printed() -> None:
-    """Each line that is logged is a constant, or goes through ``printable``."""
+    """Each logged line is a constant, or goes through ``printable``."""
     found = []
     for file in (Path(impact_observer.__file__).parent / "ros").rglob("*.py"):
         for call in ast.walk(ast.parse(file.read_text("utf-8"))):

@@ -53,7 +53,7 @@ class Recording:
     messages: list[tuple[int, str, object]] = field(default_factory=list)
 
     def add(self, topic: str, type_name: str, log_time: int, message: object) -> None:
-        """One more message, of any time."""
+        """Add a message; messages may come in any order of time."""
         self.types[topic] = type_name
         self.messages.append((log_time, topic, message))
 
@@ -194,7 +194,7 @@ def test_a_file_declares_several_sensors_and_missing_ones_are_one_line(
 def test_impacts_of_the_bag_make_way_for_those_that_are_found(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Any message may be an impact: here each true state, except in the dead time."""
+    """Any message may be an impact: here each true state outside the dead time is one."""
     given = ["--contact", "stop", "--topic", "/plant/joint_states", "--kind", "arrival"]
     events = detected(sample_bag, tmp_path / "out", *given, "--dead-time", "0.1")
     assert [(e.stamp - EPOCH) // MS for e in events] == [0, 100, 200, 300, 400, 500]
@@ -239,7 +239,7 @@ def test_a_failed_detection_is_one_line_and_leaves_no_bag(
     code: int,
     expected: str,
 ) -> None:
-    """What was found, and what is expected."""
+    """The error says what was found and what is expected."""
     output = tmp_path / "out"
     assert main(["detect", str(rig_bag), *arguments, "-o", str(output)]) == code
     errors = capsys.readouterr().err.strip().splitlines()
@@ -251,7 +251,7 @@ def test_a_failed_detection_is_one_line_and_leaves_no_bag(
 def test_times_in_another_unit_and_a_missing_epoch_are_warnings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line each: 2 ms given as 2, an epoch in ms, and none for a force that needs one."""
+    """The warnings: 2 ms given as 2, an epoch in ms, and no epoch for a force that needs one."""
     recording = Recording()
     for t, value in ((0, 0.0), (3100, 1.0), (3110, 0.0)):
         recording.add("/switch", BOOL, EPOCH + t * MS, scalar(BOOL, value))

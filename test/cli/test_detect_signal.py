@@ -66,7 +66,7 @@ def found(path: Path, *arguments: str) -> Vector:
 def test_a_table_of_a_signal_gives_its_impacts(
     tmp_path: Path, name: str, text: str, arguments: tuple[str, ...]
 ) -> None:
-    """To a twentieth of a sample, as loggers and phones write it; the model's only contact."""
+    """Stamps are exact to a twentieth of a sample; the contact is the model's only one."""
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     if name == "ms.tsv":
@@ -102,7 +102,7 @@ def test_a_sound_gives_its_impacts(
 
 
 def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
-    """Two contacts, each with a column; characters of names that no topic has are one ``_``."""
+    """Two contacts have a column each; each run of characters that no topic has becomes ``_``."""
     path = tmp_path / "acc.csv"
     path.write_text(
         table("time,a [g],b\n", lambda t, a: f"{t:.6f},{a:.5f},{-a if t > 0.2 else 0}"),
@@ -162,7 +162,7 @@ def test_a_signal_that_cannot_be_used_is_one_line(
     code: int,
     expected: str,
 ) -> None:
-    """What was found and the remedy; no bag is left."""
+    """The error says what was found, and the remedy; no bag is left."""
     path, output = tmp_path / "acc.csv", tmp_path / "bag"
     path.write_text(text, encoding="utf-8")
     given = ["--threshold", "30", *arguments, "-o", str(output)]

@@ -69,7 +69,7 @@ def same(column: Sequence[object], wanted: NDArray[np.float64]) -> bool:
 def test_states_are_those_of_the_bag_bit_by_bit(
     observed: Path, tmp_path: Path, suffix: str
 ) -> None:
-    """With stamps as integers and seconds since the epoch."""
+    """Rows have stamps as integers, and seconds since the epoch."""
     table = exported(observed, tmp_path / f"states{suffix}")
     head = ["topic", "stamp_ns", "time_s", "q_x1", "q_x2", "u_x1", "u_x2"]
     assert list(table) == head
@@ -120,7 +120,7 @@ def test_errors_are_what_compare_counts(observed: Path, tmp_path: Path, suffix: 
 
 
 def test_estimates_before_their_events_are_left_out(tmp_path: Path, sample_bag: Path) -> None:
-    """As of a live observer: here no estimate contains any event."""
+    """Here no estimate contains any event, as of a live observer."""
     file = tmp_path / "errors.csv"
     assert main(["export", str(sample_bag), "-o", str(file), "--what", "errors"]) == 1
     assert not file.exists()
@@ -128,7 +128,7 @@ def test_estimates_before_their_events_are_left_out(tmp_path: Path, sample_bag: 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
-    """One row for each contact, with stamps to the nanosecond."""
+    """The table has a row for each contact, with stamps to the nanosecond."""
     make, bag = bag_messages(), tmp_path / "bag"
     events = [
         ImpactEvent(5_000_000_001, (Switch("a"), Switch("b", Kind.CLOSE)), 1, 2, 4_000_000_000),
@@ -154,7 +154,7 @@ def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
 def test_only_the_topics_asked_for_are_exported(
     observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By topic or by observer; the epoch may be another."""
+    """A topic is chosen by its name or its observer; the epoch can be given."""
     file = tmp_path / "states.csv"
     table = exported(observed, file, "--topics", "observer", "--epoch", "0.5")
     assert set(table["topic"]) == {ESTIMATE}
@@ -165,7 +165,7 @@ def test_only_the_topics_asked_for_are_exported(
 
 
 def test_long_bags_are_written_in_row_groups(observed: Path, tmp_path: Path) -> None:
-    """So that memory stays constant."""
+    """Row groups keep the memory constant."""
     pq = pytest.importorskip("pyarrow.parquet")
     exported(observed, tmp_path / "states.parquet")
     found = pq.ParquetFile(tmp_path / "states.parquet")
@@ -180,7 +180,7 @@ def test_without_pyarrow_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In one line; CSV needs nothing."""
+    """The error is one line; CSV needs no extra."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert main(["export", str(observed), "-o", str(tmp_path / "states.parquet")]) == 2
     error = capsys.readouterr().err
@@ -225,7 +225,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 def test_a_bag_without_states_or_events_is_an_error_with_its_topics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line for each kind of table."""
+    """Each kind of table has an error of one line."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/impacts")
         writer.declare("/plant/joint_states")

@@ -97,7 +97,7 @@ def test_metrics_in_json_are_those_of_a_simulated_bag(
 def test_what_cannot_be_drawn_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is simulated."""
+    """The error comes before any simulation."""
     model = tmp_path / "startless.yaml"
     lines = shared("config/two_mass.yaml").read_text("utf-8").splitlines()
     kept = [line for line in lines if not line.startswith("initial_state")]

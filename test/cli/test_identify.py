@@ -91,7 +91,7 @@ def test_a_start_inside_a_stop_is_named_with_its_remedy(
 
 
 def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And nothing else on standard output."""
+    """Standard output has nothing but the JSON."""
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
     assert main(words) == 0
     results = json.loads(capsys.readouterr().out)
@@ -122,7 +122,7 @@ def test_a_check_on_the_last_impacts_is_printed(
 def test_a_clock_error_that_makes_outliers_is_named(
     model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With what the shifts say of it, and how far standard errors are widened.
+    """The output shows the shifts of the clock, and the factor that widens standard errors.
 
     A millisecond may well be the error of a clock, so nothing else is doubted.
     """
@@ -185,7 +185,7 @@ def test_samples_of_sensors_make_standard_errors_smaller(
 
 @pytest.mark.usefixtures("in_tmp_path")
 def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixture[str]) -> None:
-    """Without it wrong use, in the words of observe."""
+    """A missing epoch is wrong use, in the words of observe."""
     with BagReader(Path(bag(BAG))) as reader:
         events = events_in(reader)
     rows = [f"{each.stamp / NS_PER_S:.9f},stop" for each in events]
@@ -221,7 +221,7 @@ def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixture[str]) -> None:
-    """As in a table whose first time is 0."""
+    """The first time of the table is 0."""
     rows = "0.0\n0.812\n1.462\n1.982\n2.398\n2.731\n"
     Path("bounces.csv").write_text(rows, encoding="utf-8")
     assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
@@ -237,7 +237,7 @@ def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixtur
 def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of instants at random, which no ball makes: they say nothing of the restitution."""
+    """No ball makes random instants, which say nothing of the restitution."""
     flights = np.random.default_rng(1).uniform(0.2, 1.5, 14)
     times = 1 + np.append(0.0, np.cumsum(flights))
     Path("random.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
@@ -286,7 +286,7 @@ def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
 def test_check_ends_with_1_where_the_model_does_not_fit(
     model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And with 0 where it does; the bag carries the right one."""
+    """The exit code is 0 if the model fits; the bag carries the right model."""
     assert main(["identify", bag(BAG), "--check", "--clock-error", "1e-6"]) == 0
     assert "The model fits." in capsys.readouterr().out
     words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-3"]
@@ -307,7 +307,7 @@ def test_check_ends_with_1_where_the_model_does_not_fit(
 def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
     words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """That names it; 2 for wrong use, 1 for what the impacts do not determine."""
+    """The error names the parameter; the code is 2 for wrong use, 1 for undetermined ones."""
     assert main(["identify", bag(BAG), *words]) in {1, 2}
     error = capsys.readouterr().err
     assert problem in error

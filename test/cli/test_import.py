@@ -54,7 +54,7 @@ def refused(
 def test_observe_runs_on_an_imported_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the model in the bag; without truth ``observe`` asks for a rate."""
+    """The bag has its model; without truth ``observe`` asks for a rate."""
     events = imported(tmp_path, "0.53\n2.7\n3.1\n", "--model", "two_mass")
     assert [event.stamp for event in events] == [1_530_000_000, 3_700_000_000, 4_100_000_000]
     assert all(event.switches == STOP for event in events)
@@ -135,7 +135,7 @@ def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
 
 
 def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And only then; ignored columns are named."""
+    """Without the option unsorted rows are an error; ignored columns are named."""
     text = "time,contact,peak,note\n2.5,stop,1,a\n0.5,stop,2,b\n"
     said = refused(tmp_path, text, capsys)
     assert said == (
@@ -191,7 +191,7 @@ def test_a_mistake_is_one_line_with_its_number(
     options: tuple[str, ...],
     said: str,
 ) -> None:
-    """What was found and what is expected; exit code 2 and no bag."""
+    """The error has the value and the expectation; the exit code is 2, and no bag is left."""
     assert said in refused(tmp_path, text, capsys, *options)
 
 
@@ -222,7 +222,7 @@ STATES = "time,q_x1,u_x1,x2,u_x2\n0.25,1,2,3,4\n0.5,5,6,7,8\n"
 
 
 def test_true_states_of_a_file_are_those_of_the_bag(tmp_path: Path) -> None:
-    """What export wrote of a run is imported again to equal states and events."""
+    """The exported states and events of a run are equal after their import."""
     plant, again = tmp_path / "plant", tmp_path / "again"
     assert main(["simulate", "two_mass", "--duration", "3", "--rate", "20", "-o", str(plant)]) == 0
     for what in ("states", "events"):
@@ -239,7 +239,7 @@ def test_true_states_of_a_file_are_those_of_the_bag(tmp_path: Path) -> None:
 
 
 def test_positions_may_be_called_as_their_coordinates(tmp_path: Path) -> None:
-    """At an impact the event is first, as the state is the one after it."""
+    """At an impact the event comes first, as the state is the one after the impact."""
     (tmp_path / "truth.csv").write_text(STATES)
     options = ("--model", "two_mass", "--truth", str(tmp_path / "truth.csv"))
     imported(tmp_path, "0.5,stop\n", *options)
@@ -264,7 +264,7 @@ def test_positions_may_be_called_as_their_coordinates(tmp_path: Path) -> None:
 def test_a_mistake_in_true_states_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
 ) -> None:
-    """With the file and the line; no bag is left."""
+    """The error names file and line; no bag is left."""
     truth, path = tmp_path / "truth.csv", written(tmp_path, "0.5,stop\n")
     truth.write_text(text)
     options = ["--model", "two_mass", "--truth", str(truth), "-o", str(tmp_path / "bag")]
@@ -276,7 +276,7 @@ def test_a_mistake_in_true_states_is_one_line(
 
 
 def test_true_states_need_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It names the coordinates."""
+    """The model names the coordinates."""
     truth, path = tmp_path / "truth.csv", written(tmp_path, "0.5,stop\n")
     truth.write_text(STATES)
     assert main(["import", str(path), "--truth", str(truth), "-o", str(tmp_path / "bag")]) == 2
@@ -287,7 +287,7 @@ def test_true_states_need_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[
     ("header", "column", "stamp"), [("t", "t", 10**9), ("hit [ms]", "hit [ms]", 10**6)]
 )
 def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, stamp: int) -> None:
-    """With its unit, or in seconds."""
+    """Times have a unit in the header, or are in seconds."""
     events = imported(tmp_path, f"{header},contact\n1,stop\n", "--time-column", column)
     assert [event.stamp - EPOCH for event in events] == [stamp]
 
@@ -296,7 +296,7 @@ def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, st
 def test_a_unit_in_the_header_is_read_and_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], header: str
 ) -> None:
-    """As an oscilloscope writes it; the summary says which unit it was."""
+    """An oscilloscope writes such headers; the summary names the unit."""
     (event,) = imported(tmp_path, f"{header},contact\n250,stop\n")
     assert event.stamp == EPOCH + 250_000_000
     assert "1 event of 1 row, times in ms, stamps" in capsys.readouterr().out
@@ -320,7 +320,7 @@ def test_a_signal_is_not_taken_for_impacts(
 def test_a_column_that_may_be_the_time_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the option that reads it."""
+    """The error names the option that reads the column."""
     said = refused(tmp_path, "az,t\n1,2\n", capsys)
     assert "'az' found; expected a header with a column time" in said
     assert "--time-column t" in said
@@ -329,6 +329,6 @@ def test_a_column_that_may_be_the_time_is_named(
 def test_a_column_of_time_that_is_not_there_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It names the columns that are."""
+    """The error names the columns of the file."""
     said = refused(tmp_path, "time,contact\n1,stop\n", capsys, "--time-column", "t")
     assert said == ", line 1: time, contact found; expected a header with a column t"

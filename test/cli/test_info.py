@@ -25,7 +25,7 @@ def parsed(*words: str) -> argparse.Namespace:
 
 
 def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And nothing else is printed."""
+    """The command prints nothing but JSON."""
     assert info.run(parsed(str(sample_bag), "--json")) == 0
     results = json.loads(capsys.readouterr().out)
     topics = results.pop("topics")
@@ -69,7 +69,7 @@ def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[st
 def test_text_has_the_contents_of_the_json(
     sample_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One line a fact and one a topic, whole names however narrow."""
+    """Each fact and each topic has a line with whole names on any width."""
     assert info.run(parsed(str(sample_bag))) == 0
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert "time 1.000000000 to 1.500000000 s" in lines
@@ -87,7 +87,7 @@ def test_text_has_the_contents_of_the_json(
 def test_chunks_are_listed_with_their_compression(
     tmp_path: Path, sample_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With their bytes before and after; a database has none."""
+    """Chunks have bytes before and after compression; a database has no chunks."""
     zstd = mcap_folder(sample_bag, tmp_path / "zstd", distro="jazzy", compression="zstd")
     database = humble_sqlite(sample_bag, tmp_path / "database")
     assert info.info(zstd) == info.info(database) == 0
@@ -99,7 +99,7 @@ def test_chunks_are_listed_with_their_compression(
 def test_sensor_faults_of_a_simulated_bag_are_listed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the names and values in the bag's model."""
+    """Faults have the names and values in the bag's model."""
     bag = tmp_path / "bag"
     given = ["--missed", "0.2", "--impacts-only", "--duration", "1", "-o", str(bag)]
     assert main(["simulate", "two_mass", *given]) == 0
@@ -132,7 +132,7 @@ def test_bags_of_other_packages_and_empty_bags_are_described(
 
 
 def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
-    """No bag is wrong use, a damaged one a failure."""
+    """No bag is wrong use; a damaged bag is a failure."""
     with pytest.raises(UsageError, match="does not exist") as absent:
         info.run(parsed(str(tmp_path / "absent")))
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")

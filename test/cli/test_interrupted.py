@@ -38,7 +38,7 @@ class Profile:
         self._counted: dict[CodeType, bool] = {}
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
-        """As ``sys.setprofile`` calls it."""
+        """Handle a profiling event, as ``sys.setprofile`` passes it."""
         if event != "call":
             return
         code = frame.f_code
@@ -65,17 +65,17 @@ def profiling(at: int | None = None) -> Iterator[Profile]:
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What the commands read."""
+    """Inputs of the commands."""
     return make_inputs(tmp_path_factory.mktemp(f"inputs{HOSTILE}"))
 
 
 def names(folder: Path) -> set[str]:
-    """What is in a folder and those in it."""
+    """Names of the files below a folder."""
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
 def test_every_command_is_here() -> None:
-    """A new one needs what is run of it."""
+    """A new command must be added to one of the two tables."""
     assert OFFLINE.keys() | WITH_ROS.keys() == COMMANDS.keys()
 
 
@@ -129,7 +129,7 @@ def is_up(command: str, process: int, folder: Path) -> bool:
 def test_sigterm_ends_a_command_with_ros_in_order(
     command: str, inputs: dict[str, str], tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """No process is left, a bag can be read; only the demonstration was cut short.
+    """No process is left, bags are readable, and only the demonstration was cut short.
 
     Control characters of names are escaped.
     """
@@ -175,7 +175,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_an_observer_that_is_interrupted_leaves_a_whole_bag(
     plant: Path, tmp_path: Path, number: int, code: int, how: str
 ) -> None:
-    """One line; the estimates in the bag are the first of the run."""
+    """The command prints one line; the bag has the first estimates of the run."""
     output = tmp_path / "estimates"
     command = [sys.executable, "-m", "impact_observer", "observe", str(plant), "-o", str(output)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -224,7 +224,10 @@ def computes(process: int) -> bool:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_a_sweep_leaves_no_process_behind(tmp_path: Path, number: int, code: int) -> None:
-    """After SIGKILL too, where the unfinished file stays; after SIGTERM it has what was done."""
+    """No worker survives.
+
+    After SIGKILL the unfinished file stays. After SIGTERM the file has the finished cases.
+    """
     pytest.importorskip("pyarrow")
     path = tmp_path / "sweep.parquet"
     command = [sys.executable, "-m", "impact_observer", "sweep", "three_mass", "-o", str(path)]

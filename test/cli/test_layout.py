@@ -14,7 +14,7 @@ from impact_observer.io import BagReader, BagWriter, copy_topics
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two observers of one plant."""
+    """A bag with two observers of one plant."""
     laws = {"observer_geometric": "geometric", "observer_kinematic": "kinematic"}
     return everything(tmp_path_factory.mktemp("layout") / "bag", laws, duration=2.0)
 
@@ -87,7 +87,7 @@ def test_a_bag_must_have_what_is_asked_of_it(
 
 
 def test_an_observer_that_is_named_twice_is_drawn_once(tmp_path: Path) -> None:
-    """With or without the first slash."""
+    """A name counts as the same with and without the first slash."""
     once, twice = tmp_path / "once.json", tmp_path / "twice.json"
     assert main(["layout", "two_mass", "--observers", "observer", "-o", str(once)]) == 0
     assert main(["layout", "two_mass", "--observers", "observer,/observer", "-o", str(twice)]) == 0

@@ -28,7 +28,7 @@ def model_file(folder: Path, old: str, new: str) -> Path:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_subcommand_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """It says what the subcommand does and names its options."""
+    """The help says what the subcommand does, and names its options."""
     with pytest.raises(SystemExit) as end:
         main([command, "--help"])
     assert end.value.code == 0
@@ -138,7 +138,7 @@ def test_what_does_not_exist_is_one_line_and_exit_code_2(
 
 @pytest.mark.parametrize("value", ["-1e-3", "-.001", "-0.001"])
 def test_negative_number_is_accepted_behind_its_option(tmp_path: Path, value: str) -> None:
-    """In any notation."""
+    """Negative numbers are accepted in any notation."""
     bag = tmp_path / "bag"
     given = ["--clock-offset", value, "--duration", "1", "-o", str(bag)]
     assert main(["simulate", "two_mass", *given]) == 0
@@ -149,7 +149,7 @@ def test_negative_number_is_accepted_behind_its_option(tmp_path: Path, value: st
 def test_negative_number_after_a_flag_is_an_error_of_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It is not taken for an option."""
+    """The number is not taken for an option."""
     with pytest.raises(SystemExit):
         main(["simulate", "two_mass", "--impacts-only", "-1e-3", "-o", "x"])
     assert "--impacts-only: ignored explicit argument '-1e-3'" in capsys.readouterr().err
@@ -158,7 +158,7 @@ def test_negative_number_after_a_flag_is_an_error_of_one_line(
 def test_a_demo_checks_its_parameters_before_it_makes_anything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the table of the nodes' parameters: one line, exit code 2, no folder."""
+    """A value outside the nodes' table is one line with exit code 2; no folder is made."""
     pytest.importorskip("rclpy")
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--realtime-factor", "1e9", "-o", "x"]) == 2
@@ -197,7 +197,7 @@ def test_step_without_time_stepping_is_one_line_and_exit_code_2(
 def test_impact_without_a_solution_is_one_line_and_exit_code_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two stops without play between them: the line names both and the time."""
+    """The line names the time and both stops, which have no play between them."""
     model = tmp_path / "jammed.yaml"
     model.write_text(jammed(0.8, 0.5, velocity=1), encoding="utf-8")
     assert main(["simulate", str(model), "-o", str(tmp_path / "bag")]) == 1
@@ -234,7 +234,7 @@ def test_help_imports_nothing_heavy() -> None:
 def test_matrices_have_one_thread_unless_the_environment_has_more(
     monkeypatch: pytest.MonkeyPatch, given: str | None, wanted: str
 ) -> None:
-    """As in the nodes, so that both have equal bits; several threads wait on a busy machine."""
+    """Commands and nodes have equal bits; several threads would wait on a busy machine."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
     if given is None:
         monkeypatch.delenv("OPENBLAS_NUM_THREADS")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two rigs in one bag, selected by ``--namespace``."""
+"""Commands on a bag with two rigs, selected by ``--namespace``."""
 
 import json
 import re
@@ -72,7 +72,7 @@ def test_identify_takes_model_and_impacts_of_the_selected_rig(
 def test_without_a_namespace_the_error_names_the_option(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a namespace that the bag does not have is an error."""
+    """An unknown namespace is an error, too."""
     for arguments, said in (
         ([], r"both fit /plant/model; name the one meant with --namespace\n"),
         (["--namespace", "x"], r"no topic in /x; in the bag: /three_mass/impacts, "),
@@ -84,7 +84,7 @@ def test_without_a_namespace_the_error_names_the_option(
 
 
 def test_info_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No namespace is needed."""
+    """The command info needs no namespace."""
     assert main(["info", str(rigs)]) == 0
     out = capsys.readouterr().out
     assert "/two_mass/observer: geometric" in out

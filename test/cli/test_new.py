@@ -83,7 +83,7 @@ def test_what_is_written_is_checked_and_explained(capsys: pytest.CaptureFixture[
 )
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_new_rig_moves_and_hits(name: str, parts: str, impacts: int) -> None:
-    """What is written can be simulated as it is."""
+    """The written model can be simulated without a change."""
     assert main(["new", name, *parts.split()]) == 0
     model = read_model(f"{name}.yaml")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
@@ -95,7 +95,7 @@ def test_a_new_rig_moves_and_hits(name: str, parts: str, impacts: int) -> None:
 def test_a_drive_has_an_order_and_its_pulses_are_simulated(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One pulse a revolution from the epoch on, which an observer uses; no epoch is asked for."""
+    """An observer takes the epoch from the pulses, one a revolution; no epoch is asked for."""
     parts = "--mass h,2 --spring ground,h,2000,8 --force h,60,28,0,2 --stop a,h,above,0.01,0.6"
     assert main(["new", "drill", *parts.split()]) == 0
     assert "epoch" not in capsys.readouterr().out
@@ -128,7 +128,7 @@ def test_the_files_go_all_the_way_to_an_estimate(capsys: pytest.CaptureFixture[s
 def test_the_commands_that_come_next_run_as_they_are_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of a rig of millimetres, whose deviation they have."""
+    """The rig is one of millimetres, and the commands have its deviation."""
     parts = (
         "--mass a,0.05 --mass b,0.02 --spring ground,a,2000,0.3 --spring a,b,1500,0.2"
         " --force b,3,180 --stop anvil,b,above,0.001,0.6"
@@ -209,7 +209,7 @@ def test_without_a_terminal_parts_are_needed(
 
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_rig_may_lie_in_a_folder_that_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    """One that is not there is named."""
+    """The error names a missing folder."""
     assert main(["new", "rigs/hammer", *HAMMER]) == 2
     assert "rigs/hammer.yaml: cannot be written: No such file" in capsys.readouterr().err
     Path("rigs").mkdir()

@@ -29,7 +29,7 @@ stops: [{name: stop, body: x1, limit: 0.3, side: above, restitution: 0.7}]
 
 
 def printed(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> str:
-    """What the command prints, without line ends."""
+    """Output of the command without line ends."""
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     assert command.run(parser.parse_args([str(bag), *words])) == 0
@@ -64,7 +64,7 @@ def decoupled(tmp_path: Path) -> str:
 
 
 def test_two_mass_is_determined_by_four_impacts(capsys: pytest.CaptureFixture[str]) -> None:
-    """By the model in the bag: a row for each rise and the end, then the conclusions."""
+    """A table by the bag's model has a row for each rise and the end, then the conclusions."""
     output = printed(capsys, TWO_MASS)
     assert output.startswith("two_mass: 22 impacts in 28.189 s, 4 unknown numbers event s contact")
     for row in ("1 0.537 stop 1/4 0.723 0 -", "4 5.695 stop 4/4 1.34 0.0826 16.2", "22 28.189"):
@@ -78,7 +78,7 @@ def test_two_mass_is_determined_by_four_impacts(capsys: pytest.CaptureFixture[st
 def test_undetermined_combinations_are_named(
     tmp_path: Path, decoupled: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In plain words; contacts the model does not have and other episodes are counted."""
+    """Combinations are plain words; unknown contacts and other episodes are counted."""
     bag = bag_of(
         tmp_path / "bag",
         impact(9, "stop"),
@@ -101,7 +101,7 @@ def test_undetermined_combinations_are_named(
 
 
 def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Per impact too; what has no meaning is null."""
+    """The JSON has results per impact; a value without meaning is null."""
     found = json.loads(
         printed(capsys, TWO_MASS, "--json", "--model", decoupled, "--deviation", "0.5")
     )
@@ -121,7 +121,7 @@ def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]
 
 
 def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
-    """With a coarse one the direction of least singular value counts as undetermined."""
+    """A coarse tolerance makes the direction of least singular value undetermined."""
     output = printed(capsys, TWO_MASS, "--tolerance", "0.1")
     assert "The rank is 3 of 4: 1 combination of the initial state is not determined" in output
 
@@ -133,7 +133,7 @@ def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> No
 def test_picture_is_written(
     tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And its name is printed."""
+    """The command prints the name of the picture."""
     picture = tmp_path / f"rank.{ending}"
     assert printed(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
     assert picture.stat().st_size > 5000
@@ -142,7 +142,7 @@ def test_picture_is_written(
 def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It names both sides, and the command ends with 1."""
+    """The error names both sides, and the exit code is 1."""
     bag = bag_of(tmp_path / "bag", impact(3, "bell"))
     assert main(["observability", str(bag), "--model", "two_mass"]) == 1
     error = capsys.readouterr().err
@@ -158,7 +158,7 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
 
 
 def test_combination_shows_its_largest_terms() -> None:
-    """In SI units; what is small in deviations is left out, and so is all but six."""
+    """At most six terms are shown, in SI units, without terms that are small in deviations."""
     model = system(np.eye(4), np.eye(4), np.eye(4), contacts=[([1, 0, 0, 0], 0.0, 0.5)])
     found = observability(model, [impact(3, "c1")])
     assert rank_report.remaining(found, np.ones(8), np.full(8, 1e-12)) == "gone at the end"

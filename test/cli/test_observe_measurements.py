@@ -31,7 +31,7 @@ MINIMUM = ("--law", "minimum-variance", "--clock-error", "0.001")
 
 
 def simulated(folder: Path, name: str, *arguments: str, sensors: str = RIG) -> Path:
-    """Three seconds of two_mass with the sensors of ``rig.yaml`` beside it."""
+    """A bag with three seconds of two_mass and the sensors of ``rig.yaml``."""
     (folder / "rig.yaml").write_text(sensors)
     bag = folder / name
     given = ["--measurements", str(folder / "rig.yaml"), "--duration", "3", "--seed", "3"]
@@ -41,7 +41,7 @@ def simulated(folder: Path, name: str, *arguments: str, sensors: str = RIG) -> P
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three seconds, 50 Hz."""
+    """A bag with three seconds at 50 Hz."""
     return simulated(tmp_path_factory.mktemp("measured"), "plant", "--measurement-rate", "50")
 
 
@@ -107,7 +107,7 @@ def test_observe_uses_them_copies_them_and_says_what_became_of_them(
 
 @pytest.mark.slow
 def test_verdicts_of_fast_sensors_are_written_on_request(tmp_path: Path) -> None:
-    """None beyond 50 Hz by default, all or none where that is asked for."""
+    """Beyond 50 Hz no verdicts are written by default; all or none on request."""
     short = "measurements:\n" + RIG.splitlines()[1] + "\n"
     bag = simulated(tmp_path, "plant", "--measurement-rate", "60", sensors=short)
     for which, count in (("auto", 0), ("all", 181), ("none", 0)):
@@ -202,7 +202,7 @@ def test_a_clock_that_is_off_by_an_hour_is_one_warning_and_nothing_else_is_lost(
 def test_one_stamp_that_is_far_off_is_left_out(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Or all history before it would be forgotten."""
+    """A sample with such a stamp would make the observer forget all earlier history."""
     source, sensors = tmp_path / "odd", str(bag.parent / "rig.yaml")
     with BagReader(bag) as reader, BagWriter(source) as writer:
         for topic, info in reader.topics.items():
@@ -225,7 +225,7 @@ def test_one_stamp_that_is_far_off_is_left_out(
 def test_a_number_that_is_none_is_left_out(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One of the encoder's; all others are used."""
+    """One sample of the encoder is left out; all others are used."""
     source, sensors = shifted(bag, tmp_path / "nan", 0, nan=True), str(bag.parent / "rig.yaml")
     output = str(tmp_path / "out")
     assert main(["observe", str(source), "--measurements", sensors, "-o", output]) == 0
@@ -236,7 +236,7 @@ def test_a_number_that_is_none_is_left_out(
 def test_open_loop_says_that_it_uses_no_measurements(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One warning."""
+    """The command prints one warning."""
     given = ["--law", "open-loop", "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
     line = "warning: open-loop uses no measurements: nothing is made of encoder, laser, imu, probe"
@@ -265,7 +265,7 @@ def test_what_cannot_be_simulated_is_one_line(
 
 
 def test_samples_are_dots_of_the_quantity_that_they_measure(bag: Path) -> None:
-    """Those of one coordinate or gap, in its unit; an acceleration has no panel."""
+    """Samples of a coordinate or gap are dots in its panel; an acceleration has no panel."""
     sensors = read_measurements(bag.parent / "rig.yaml")
     system = read_model("two_mass").system
     with BagReader(bag) as reader:
@@ -289,7 +289,7 @@ def test_samples_are_dots_of_the_quantity_that_they_measure(bag: Path) -> None:
 def test_compare_shows_how_many_samples_were_used(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As the observer says; other tables have no such columns."""
+    """Counts are those of the observer; tables of bags without sensors have no such columns."""
     output, plain = str(tmp_path / "estimate"), str(tmp_path / "plain")
     given = ["--measurements", str(bag.parent / "rig.yaml"), "--measurement-verdicts", "all"]
     assert main(["observe", str(bag), *given, "-o", output]) == 0
@@ -310,7 +310,7 @@ def test_compare_shows_how_many_samples_were_used(
 
 @pytest.mark.slow
 def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
-    """With an encoder the estimate of least variance is better; cases differ by their noise."""
+    """With an encoder the minimum-variance estimate is better; cases differ by their noise."""
     parquet = pytest.importorskip("pyarrow.parquet")
     ends = []
     for given in ([], ["--measurements", "encoder"]):
@@ -326,7 +326,7 @@ def test_a_sweep_measures_in_every_case(tmp_path: Path) -> None:
 def test_smooth_takes_samples_beside_the_impacts(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From zero, the start is known to millimetres, where two impacts alone say little."""
+    """The start is known to millimetres, which two impacts alone do not determine."""
     output = tmp_path / "out"
     given = ["--measurements", str(bag.parent / "rig.yaml"), "-o", str(output)]
     assert main(["smooth", str(bag), "--clock-error", "0.001", *given]) == 0

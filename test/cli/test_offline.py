@@ -55,7 +55,7 @@ def observed(bag: Path, name: str, *arguments: str) -> Path:
 def test_a_plant_that_hits_nothing_says_how_near_it_came(
     model: str, seconds: float, gap: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """To the nearest stop, which may move; a ball falls in closed form."""
+    """The line names the nearest stop, which may move; a ball falls in closed form."""
     words = ["simulate", model, "--duration", str(seconds), "--rate", "20"]
     assert main([*words, "-o", str(tmp_path / "bag")]) == 0
     assert f"no contact closed: smallest gap {gap:.3g} m, at " in capsys.readouterr().out
@@ -115,7 +115,7 @@ def test_end_of_a_recorded_force_is_one_warning(
 def test_observe_writes_the_parameters_that_it_estimates(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By name, in the order of the messages, with deviations that decrease."""
+    """Parameters have names, the order of the messages, and deviations that decrease."""
     bag = observed(
         run_bag, "estimated", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
     )
@@ -148,7 +148,7 @@ def test_laws_without_parameters_are_compared_with_one_that_estimates_them(
 
 
 def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path) -> None:
-    """Every sample is the plant's state; at equal stamps it is the one after the impact."""
+    """Every sample is the plant's state; at an impact's stamp it is the state after the impact."""
     model = read_model("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     wanted = simulate(plant, grid(EPOCH, 16 * 1_000_000_000, 100.0))
@@ -273,7 +273,7 @@ def test_observe_takes_another_rate_and_model(
 def test_a_bag_of_which_no_impact_is_applied_leaves_no_estimates(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its epoch is after them; the line says what became of the first."""
+    """The epoch is after the events; the error names the verdict on the first event."""
     bag, output = tmp_path / "bag", tmp_path / "out"
     with BagWriter(bag) as writer:
         for k in range(3):
@@ -301,7 +301,7 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
 def test_a_random_start_far_outside_a_small_rig_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the deviation that suits it, and the start that is drawn with it."""
+    """The warning has a deviation that suits the rig, and a start drawn with it."""
     text = shared("config").joinpath("two_mass.yaml").read_text(encoding="utf-8")
     small = text.replace("gap: 0.5", "gap: 0.005").replace("[0.1, -0.2]", "[0, 0]")
     model, bag = tmp_path / "small.yaml", str(tmp_path / "bag")
@@ -341,7 +341,7 @@ def test_observation_that_fails_leaves_no_bag(
 def test_events_after_the_true_states_are_warned_of(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At a rate there are estimates up to the last event."""
+    """With a rate the estimates go on up to the last event."""
     flights = 2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(1, 5)
     bounces = 0.45152 + np.append(0.0, np.cumsum(flights))
     Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in bounces.tolist()))

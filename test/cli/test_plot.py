@@ -40,7 +40,7 @@ def test_wrong_use_is_one_line(
     arguments: list[str],
     expected: str,
 ) -> None:
-    """And no file is made."""
+    """The failed command leaves no file."""
     _, name, *others = arguments
     output = tmp_path / name
     assert main(["plot", str(sample_bag), "-o", str(output), *others]) != 0

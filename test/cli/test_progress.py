@@ -46,7 +46,7 @@ def on_terminal(script: str, **variables: str) -> tuple[int, str]:
 
 
 def lines(written: str) -> list[str]:
-    """All lines that were written, without colours and cursor movements."""
+    """The written lines, without colours and cursor movements."""
     return [line.rstrip() for line in re.split(r"[\r\n]+", CONTROL.sub("\r", written))]
 
 

@@ -33,7 +33,7 @@ FAULTS: dict[str, Any] = {
 
 
 def options(faults: dict[str, Any]) -> list[str]:
-    """As on the command line."""
+    """Options from arguments of the command line."""
     given = []
     for name, value in faults.items():
         option = f"--{name.replace('_', '-')}"
@@ -69,7 +69,7 @@ def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
 
 
 def test_ideal_sensor_is_not_mentioned(tmp_path: Path) -> None:
-    """No fault by default; provenance names those that were chosen."""
+    """No fault is on by default; provenance names the chosen faults."""
     bag = tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "5", "-o", str(bag)]) == 0
     with BagReader(bag) as reader:
@@ -82,7 +82,7 @@ def test_ideal_sensor_is_not_mentioned(tmp_path: Path) -> None:
 
 
 def test_help_lists_every_fault_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
-    """Under "sensor", with the meaning of each."""
+    """The group "sensor" has the meaning of each fault."""
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
     group = " ".join(capsys.readouterr().out.partition("\nsensor:\n")[2].split())

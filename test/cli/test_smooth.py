@@ -64,7 +64,7 @@ def test_a_wrong_restitution_is_warned_of(
 
 @pytest.mark.slow
 def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
-    """From the same events, with other options."""
+    """The second run uses the same events, with other options."""
     first, second = tmp_path / "first", tmp_path / "second"
     assert main(["smooth", str(shared("bags/jitter")), "-o", str(first)]) == 0
     again = ["smooth", str(first), "--rate", "10", "--clock-error", "0.001", "-o", str(second)]
@@ -89,7 +89,7 @@ def test_wrong_use_is_one_line(
     arguments: list[str],
     expected: str,
 ) -> None:
-    """And no bag is left."""
+    """The failed command leaves no bag."""
     table, bag = tmp_path / "times.csv", tmp_path / "bag"
     table.write_text("time,contact\n1.0,stop\n1.5,stop\n12.0,stop\n")
     assert main(["import", str(table), "--model", "two_mass", "-o", str(bag)]) == 0

@@ -40,7 +40,7 @@ Table = dict[str, list[object]]
 
 
 def table_of(path: Path) -> Table:
-    """What is in a file, as another program reads it."""
+    """Contents of a file, as another program reads them."""
     table = pq.read_table(path)
     return {name: table[name].to_pylist() for name in table.column_names}
 
@@ -56,7 +56,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_options_of_observers_that_have_the_name_of_a_fault_have_a_flag_of_their_own(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """As docs/sweep.md writes them; and an epoch is in seconds, also where it is refused."""
+    """The flags are those of docs/sweep.md; an epoch is in seconds, also in an error."""
     with pytest.raises(SystemExit):
         main(["sweep", "--help"])
     said = capsys.readouterr().out
@@ -69,7 +69,7 @@ def test_options_of_observers_that_have_the_name_of_a_fault_have_a_flag_of_their
 
 @pytest.mark.slow
 def test_rows_have_labels_and_metrics_of_the_cases(serial: Path) -> None:
-    """In the order of the cases."""
+    """Rows are in the order of the cases."""
     table = table_of(serial)
     assert table["case"] == [*range(SIZE)]
     assert table["law"] == ["geometric"] * 8 + ["minimum-variance"] * 8
@@ -106,7 +106,7 @@ def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Pa
 def test_a_cluster_without_workers_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And exit code 2; nothing is written."""
+    """The exit code is 2, and no file is written."""
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(engines, "_PATIENCE", 0.5)
     with distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs=50) as cluster:
@@ -128,7 +128,7 @@ class Engine:
     def __call__(
         self, batches: Sequence[tuple[Case, ...]], *, jobs: int | None, scheduler: str | None
     ) -> Iterator[Outcome]:
-        """As ``run_batches``."""
+        """Run batches, as ``run_batches`` does."""
         del jobs, scheduler
         for batch in reversed(batches):
             for outcome in case_runs.run_batch(batch)[::-1]:
@@ -185,7 +185,7 @@ def test_the_file_is_written_from_time_to_time(
 def test_the_file_of_another_sweep_is_never_overwritten(
     serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor is any other file."""
+    """No other file is overwritten, either."""
     path = tmp_path / "sweep.parquet"
     path.write_bytes(serial.read_bytes())
     assert main(["sweep", *SMALL, "--seed", "1", "-o", str(path)]) == 2
@@ -327,7 +327,7 @@ def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
     words: list[str],
     problem: str,
 ) -> None:
-    """Before anything runs."""
+    """The error comes before anything runs."""
     if "--scheduler" in words:
         pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)

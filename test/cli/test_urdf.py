@@ -24,7 +24,7 @@ def test_the_model_is_printed_with_its_initial_state(capsys: pytest.CaptureFixtu
 def test_file_is_written_and_what_is_left_out_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On standard error, so that the URDF can be piped."""
+    """Omissions are on standard error, so that the URDF can be piped."""
     model = chain(30)
     lines = [f"bodies: [{', '.join(f'{{name: {c}, mass: 1}}' for c in model.coordinates)}]"]
     path = tmp_path / "long.yaml"

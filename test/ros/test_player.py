@@ -244,7 +244,7 @@ def test_foreign_type_is_left_out_with_a_warning(
 def test_start_outside_the_bag_is_named(
     sample_bag: Path, ros_environment: dict[str, str], start: float
 ) -> None:
-    """The error names the bag's length; a delay that is no number is an error, too."""
+    """The error names the length of the bag; a negative delay is an error, too."""
     assert ros_environment
     with pytest.raises(UsageError, match=rf"start is {start}; expected 0 to 0\.5 s"):
         play(sample_bag, Playing(start=start))

@@ -80,7 +80,7 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """The middleware of the wheels has no security libraries; another node has no key."""
+    """The middleware has no security libraries, as in the wheels, or the node has no key."""
     assert ros_environment
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
