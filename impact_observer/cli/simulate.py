@@ -105,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
             step=step,
         )
         done = plant.simulate(master, np.union1d(stamps, sampled), progress=show)
-        samples = simulated_samples(simulation, done.at(sampled)) if sensors else []
-        done = done.at(stamps)
+        samples = simulated_samples(simulation, done.sampled_at(sampled)) if sensors else []
+        done = done.sampled_at(stamps)
         progress.show(f"writing {args.output}")
         how = described(args.integrator, step)
         events = write_run(

@@ -10,7 +10,7 @@ from impact_observer.states import Matrix, Vector
 
 
 def is_seminorm(system: System) -> bool:
-    """Whether ``V`` is zero for some displacement: ``K`` is singular, a rigid-body mode."""
+    """Whether ``V`` is zero for some displacement: whether ``K`` is singular."""
     eigenvalues = linalg.eigvalsh(system.K)
     return bool(eigenvalues[0] <= 1e-12 * max(float(eigenvalues[-1]), 0.0))
 
@@ -18,7 +18,8 @@ def is_seminorm(system: System) -> bool:
 def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
     """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J, of differences ``q`` and ``u``, shape (..., n).
 
-    A seminorm where ``K`` is singular: it is zero for rigid-body displacements. Shape (...).
+    Returns shape (...). ``V`` is a seminorm if ``K`` is singular: zero for rigid-body
+    displacements.
     """
     q, u = np.moveaxis(q, -1, 0), np.moveaxis(u, -1, 0)  # sums over a first axis are fast
     kinetic = np.einsum("i...,i...->...", np.tensordot(system.M, u, 1), u)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is watched along a motion: functions that end a phase when they fall below zero.
+"""Guard functions along a motion: a phase ends when a guard function falls below zero.
 
-The kernel finds the first root of any of them, and misses none: ``RootSearch``.
+``RootSearch`` of the kernel finds the first root of all guard functions and misses none.
 """
 
 from collections import defaultdict
@@ -18,11 +18,11 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 DEPTH = 1e-13
-"""Depth below zero that may be passed over, relative to what a function is rounded against."""
+"""Depth below zero that may be missed, relative to the terms of a function."""
 
 
 class End(IntEnum):
-    """How a phase ends, by what a function is of."""
+    """The kinds of guard functions: how a phase ends."""
 
     GAP = auto()
     STOP = auto()
@@ -36,19 +36,19 @@ class Watch(NamedTuple):
     """Watched functions of the motions of one phase.
 
     Attributes:
-        guards: the functions, as the kernel has them.
-        ends: what each is of: a contact, or one of ``Rubbing.ends``, by its index.
+        guards: the functions in the kernel.
+        ends: kind of each function, and index of the contact or of the entry of ``Rubbing.ends``.
     """
 
     guards: Guards
     ends: tuple[tuple[End, int], ...]
 
     def crossed(self, which: Iterable[int]) -> dict[End, set[int]]:
-        """Indices of the contacts, or of ``Rubbing.ends``, whose functions are ``which``."""
-        found: dict[End, set[int]] = defaultdict(set)
+        """Indices of contacts or of ``Rubbing.ends`` of the functions ``which``, by kind."""
+        indices: dict[End, set[int]] = defaultdict(set)
         for end, i in map(self.ends.__getitem__, which):
-            found[end].add(i)
-        return found
+            indices[end].add(i)
+        return indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class Watched:
     """Functions ``h = a p + b u + c f(t) + d`` of a motion (p, u), a row each.
 
     Attributes:
-        ends: what each is of; see ``Watch``.
+        ends: kind and index of each function; see ``Watch``.
         position: ``a``, shape (w, n).
         velocity: ``b``, shape (w, n).
         force: ``c``, shape (w, n).
@@ -73,12 +73,12 @@ class Watched:
     def gaps(
         cls, system: System, contacts: Iterable[int], phase: Phase | None = None
     ) -> "Watched":
-        """The gaps of ``contacts``: below zero they are penetrated.
+        """The gaps of ``contacts``: a gap below zero is a penetration.
 
         Args:
-            system: whose contacts.
+            system: the system of the contacts.
             contacts: indices.
-            phase: in whose coordinates; None where these are the system's.
+            phase: the phase with the coordinates ``p``; None for coordinates of the system.
         """
         which = list(contacts)
         a, d = system.W[:, which].T, system.q_r[which]
@@ -88,21 +88,21 @@ class Watched:
 
     @classmethod
     def within(cls, system: System, contacts: Iterable[int]) -> "Watched":
-        """The gaps of ``contacts`` with the other sign: below zero their stops are left."""
+        """The gaps of ``contacts`` with the other sign: below zero a stop is left."""
         gaps = cls.gaps(system, contacts)
         ends = _each(End.STOP, contacts)
         return cls(ends, -gaps.position, gaps.velocity, gaps.force, -gaps.constant)
 
     @classmethod
     def speeds(cls, system: System, contacts: Iterable[int]) -> "Watched":
-        """The contact speeds of ``contacts``: at zero a slipping one is held."""
+        """The contact speeds of ``contacts``: at zero a slipping contact is held."""
         return cls._of_velocity(_each(End.SPEED, contacts), system.W[:, list(contacts)].T)
 
     @classmethod
     def reactions(cls, system: System, phase: Phase, R: Matrix, stopped: int) -> "Watched":
         """The reactions ``sigma`` of the last ``stopped`` contacts fixed in ``phase``.
 
-        ``R`` gives those of all fixed ones by their gaps, shape (fixed, fixed).
+        ``R`` gives the reactions of all fixed contacts by their gaps, shape (fixed, fixed).
         """
         first, fixed = len(phase.fixed) - stopped, list(phase.fixed)
         ends = _each(End.REACTION, fixed[first:])
@@ -110,27 +110,27 @@ class Watched:
 
     @classmethod
     def loads(cls, phase: Phase) -> "Watched":
-        """The loads ``lambda`` of the held contacts: below zero they are released."""
+        """The loads ``lambda`` of the held contacts: below zero a contact is released."""
         which = [phase.held.index(i) for i in phase.pressed]
         ends = _each(End.LOAD, phase.pressed)
         return cls._of_loads(ends, phase, phase.loads[which], np.zeros(len(which)))
 
     @classmethod
     def guides(cls, system: System, phase: Phase) -> "Watched":
-        """What ends the guides' part in ``phase``, in the order of ``Rubbing.ends``.
+        """The guard functions of guides in ``phase``, in the order of ``Rubbing.ends``.
 
-        The load of one that sticks is at most its force in size, one that slips does not turn.
+        The load of a sticking guide is at most the friction force. A slipping guide does not turn.
         """
-        found = []
+        parts = []
         for k, (j, side) in enumerate(phase.rubbing.ends):
             ends = _each(End.GUIDE, [k])
             if side:
                 row = -side * phase.loads[[phase.held.index(system.m + j)]]
-                found.append(cls._of_loads(ends, phase, row, system.friction[[j]]))
+                parts.append(cls._of_loads(ends, phase, row, system.friction[[j]]))
             else:
                 slip = -np.sign(phase.rubbing.loads[j]) * system.W_T[:, [j]].T
-                found.append(cls._of_velocity(ends, slip))
-        return cls._of_velocity((), np.zeros((0, system.n))).and_also(*found)
+                parts.append(cls._of_velocity(ends, slip))
+        return cls._of_velocity((), np.zeros((0, system.n))).and_also(*parts)
 
     @classmethod
     def _of_velocity(cls, ends: tuple[tuple[End, int], ...], b: Matrix) -> "Watched":
@@ -145,7 +145,7 @@ class Watched:
         return cls(ends, H @ equations.K, H @ equations.C, -H, constant)
 
     def and_also(self, *others: "Watched") -> "Watched":
-        """The functions of all of them, in this order."""
+        """These functions, then the functions of ``others``."""
         every = [each for each in (self, *others) if each.ends] or [self]
         return Watched(
             sum((each.ends for each in every), ()),

@@ -71,7 +71,7 @@ class MovingSystem:
     @cached_property
     def scales(self) -> Scales:
         """Of its motions while nothing is held."""
-        return self.phases.scales if self._inverse is None else Scales.of(self.system)
+        return self.phases.scales if self._inverse is None else Scales.of_equations(self.system)
 
     @cached_property
     def newton(self) -> ImpactLaw:

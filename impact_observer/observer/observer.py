@@ -146,7 +146,7 @@ class Observer:
         self._others = others
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
-        self._scales = Scales.of(system)
+        self._scales = Scales.of_equations(system)
         self._lasts = from_seconds(float(np.max(system.contact_time, initial=0.0)))
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}

@@ -62,7 +62,7 @@ class RunHistory:
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
         self._system = update.law.system
-        self._scales = Scales.of(self._system)
+        self._scales = Scales.of_equations(self._system)
         self._soft = np.flatnonzero(self._system.contact_time).tolist()
         self._names = self._system.contact_names
         self._issued = IssuedVerdicts(self._names)

@@ -28,7 +28,7 @@ from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text, whole_stam
 from impact_observer.states import Stamps, Vector
 
 _INSTANT = 1e-4
-"""Length of a phase that counts as none, relative to the shortest flight."""
+"""Longest phase that counts as an instant, relative to the shortest flight."""
 _MOST = 1_000
 """Contact changes at one instant that count as endless."""
 
@@ -37,10 +37,10 @@ class Plant:
     """The master system with ordinary unilateral contacts, one phase at a time.
 
     Attributes:
-        system: what moves.
+        system: the simulated system.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
         closed: indices of the contacts that are closed in the present phase.
-        impacts: those of one open contact, ahead.
+        impacts: impacts of one open contact each, computed ahead.
     """
 
     _crossing: tuple[float, tuple[int, ...]] | None
@@ -98,13 +98,13 @@ class Plant:
             closing = np.any(system.contact_speed(u)[list(initially_closed)] < 0)
             if closing or switching.closed:
                 self._next = switching
-            else:  # they separate; only rounding in the gaps is removed
+            else:  # the contacts separate; only rounding in the gaps is removed
                 self._begin(start, switching.after, grip)
 
     def next_switching(self, limit: int) -> Switching | None:
         """What the contacts do next, if its stamp is not after ``limit`` (ns).
 
-        What has been searched is kept: asking again, with any limit, costs nothing.
+        A second call before ``cross`` costs nothing.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -118,9 +118,9 @@ class Plant:
 
     @property
     def known_until(self) -> int:
-        """Before which stamp all live signals are known, ns: so far it may go.
+        """The last stamp up to which all live signals are known, ns; the plant stops there.
 
-        Samples that have come are used.
+        Reading this value uses the samples that have arrived.
         """
         if self._live is None:
             return MAX_STAMP
@@ -195,7 +195,7 @@ class Plant:
 
     @property
     def _motion(self) -> PhaseMotion:
-        """In the present phase."""
+        """The motion of the present phase."""
         if self._moving is None:
             self._moving = self._phase.start(self._time(self._start), self._state)
         return self._moving
@@ -204,9 +204,9 @@ class Plant:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
     def _watched(self, phase: Phase, opened: tuple[int, ...], inside: tuple[int, ...]) -> Watch:
-        """What ends a phase: gaps of the contacts ``opened``, loads, guides.
+        """The guard functions of a phase: gaps of the contacts ``opened``, loads and guides.
 
-        Of contacts ``inside`` their stops also the gaps, which open again, and the speeds.
+        Contacts ``inside`` their stops add gaps, which open again, and speeds.
         """
         system = self.system
         watched = [Watched.loads(phase), Watched.guides(system, phase)]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impacts of one open contact after the other, computed ahead by the kernel.
 
-They are nearly all that a plant does. The kernel leaves anything else to the plant: several
-contacts at once, one that may come to rest or has no restitution, impacts that last or depend on
-their speed, and flights so short that impacts might accumulate.
+Nearly all events of a plant are such impacts. The kernel leaves all other events to the plant:
+impacts of several contacts at once, of a contact that may come to rest, and of a contact without
+restitution; impacts of finite duration or of speed-dependent restitution; and flights so short
+that impacts might accumulate.
 """
 
 from collections import deque
@@ -17,7 +18,7 @@ from impact_observer.stamps import Elapsed
 from impact_observer.states import Vector
 
 _NUMBERS = 1 << 20
-"""Most numbers of states that are computed ahead."""
+"""Largest count of numbers in the states that are computed ahead."""
 
 
 Hit: TypeAlias = tuple[int, float, int, float, Vector, Vector]
@@ -29,8 +30,8 @@ class PlainImpacts:
     """Flights of one plant while no contact is closed.
 
     Attributes:
-        arena: what all flights share.
-        left: the crossing that the kernel leaves to the plant, if there is one.
+        arena: the constants that all flights share.
+        left: the crossing that the kernel leaves to the plant; None without one.
     """
 
     def __init__(
@@ -39,10 +40,10 @@ class PlainImpacts:
         """Prepare the flights.
 
         Args:
-            phases: of the plant's system.
-            law: of its impacts.
-            gaps: all of them while no contact is closed.
-            shortest: flight that counts as none, s.
+            phases: the phases of the plant's system.
+            law: the impact law of the system.
+            gaps: the guard functions of all gaps while no contact is closed.
+            shortest: longest flight that counts as zero, s.
             lowest: height of a flight that counts as none, relative to what gaps are rounded
                 against.
         """
@@ -75,7 +76,7 @@ class PlainImpacts:
     def next(self, limit: int) -> Hit | None:
         """The next impact, if it is computed or not later than ``limit``, ns since the epoch.
 
-        Without any, ``left`` is the crossing that the plant has to deal with, if there is one.
+        After the last impact ``left`` is the crossing that the plant handles, if any.
         """
         assert self._flights is not None, "not started"
         if not self._hits and self.left is None:
@@ -87,7 +88,7 @@ class PlainImpacts:
         return self._hits.popleft() if self._hits else None
 
     def _learn(self, contacts: tuple[int, ...]) -> bool:
-        """Prepare the impact of a single contact for the kernel, unless it knows it."""
+        """Prepare the impact of a single contact for the kernel, unless the kernel has it."""
         if len(contacts) > 1 or contacts[0] not in self._unknown:
             return False
         self._unknown.discard(contacts[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plant, and the choice of how it is integrated."""
+"""A plant, and the choice of the integrator."""
 
 from typing import TypeAlias
 
@@ -12,7 +12,7 @@ from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.states import Vector
 
 Master: TypeAlias = Plant | TimeSteppingPlant
-"""A plant, however it is integrated."""
+"""A plant of either integrator."""
 
 
 def make_plant(
@@ -27,7 +27,7 @@ def make_plant(
 ) -> Master:
     """A plant at ``epoch`` (ns), from ``position`` and ``velocity``, shape (n,) each.
 
-    ``live`` are the signals of ``system`` where it has live ones.
+    ``live`` are the live signals of ``system``, if any.
     ``integrator`` is one of ``INTEGRATORS``; ``step`` is the length of the steps of ``moreau``, s.
 
     Raises:

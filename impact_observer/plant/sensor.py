@@ -26,15 +26,15 @@ class SensorModel:
     """The faults of a sensor of impacts; none by default.
 
     Attributes:
-        delay: latency of detection, part of stamp and arrival, s.
-        jitter: standard deviation of its stamps, s; normal.
-        quantisation: its stamps are multiples of this, s, in whole nanoseconds; 0 for 1 ns.
+        delay: latency of detection, in stamp and arrival, s.
+        jitter: standard deviation of the normal error of stamps, s.
+        quantisation: step of the stamps, s, in whole nanoseconds; 0 for 1 ns.
         dead_time: time after a detected impact without another at the same contact, s.
         missed: probability that an impact, also one that stays closed, is not detected.
         spurious: rate of false positives, 1/s; Poisson, of any contact.
         mislabelled: probability that another contact is reported.
-        clock_offset: by which its clock is ahead of the plant's at the epoch, s.
-        clock_drift: by which its clock is too fast, s/s.
+        clock_offset: lead of the sensor's clock over the plant's clock at the epoch, s.
+        clock_drift: rate error of the sensor's clock, positive if too fast, s/s.
         threshold: approach speed below which an impact is not detected, m/s.
         impacts_only: whether CLOSE is reported as IMPACT, and OPEN never.
         transport: mean of the exponential time from sender to receiver, s.
@@ -57,7 +57,7 @@ class SensorModel:
         """Check every value.
 
         Raises:
-            UsageError: one is not a number, or out of its range in ``SENSOR_FAULTS``.
+            UsageError: a value is not a number, or out of the range in ``SENSOR_FAULTS``.
         """
         for fault in SENSOR_FAULTS:
             fault.check(getattr(self, fault.name), "sensor")
@@ -70,7 +70,7 @@ class SensorModel:
 
     @property
     def is_random(self) -> bool:
-        """Whether its events depend on a seed; the transport time changes their arrival only."""
+        """Whether events depend on a seed; the transport time changes arrivals only."""
         return bool(self.jitter or self.missed or self.spurious or self.mislabelled)
 
     def check(self, system: System) -> None:
@@ -95,8 +95,8 @@ class SensorMessage(NamedTuple):
     """A message of a sensor.
 
     Attributes:
-        event: what it reports.
-        arrival: when it is received, ns, by the plant's clock; not before the event's instant.
+        event: the reported event.
+        arrival: time of reception by the plant's clock, ns; not before the event's instant.
     """
 
     event: ImpactEvent
@@ -157,7 +157,7 @@ class SensorSimulation:
     def next_stamp(self) -> int | None:
         """Stamp of the next arrival or spurious impact, if the plant does not switch first, ns.
 
-        None where there is neither.
+        None without an arrival or spurious impact ahead.
         """
         arrival = self._in_transport[0][0] if self._in_transport else math.inf
         soonest = min(arrival, self._next_spurious)

@@ -17,14 +17,15 @@ from impact_observer.states import Stamps, Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What a plant did.
+    """The recorded motion of a plant.
 
     Attributes:
         epoch: stamp of ``t = 0``, ns.
         stamps: ns, shape (samples,).
-        states: true states (q, u), shape (samples, 2n); at a switching's stamp after it.
-        switchings: everything that its contacts did up to the last stamp.
-        events: those of an ideal sensor; ``simulate_sensor`` gives those of a real one.
+        states: true states (q, u), shape (samples, 2n); at the stamp of a switching, the state
+            after the switching.
+        switchings: all changes of contacts up to the last stamp.
+        events: events of an ideal sensor; ``simulate_sensor`` gives those of a real sensor.
     """
 
     epoch: int
@@ -33,13 +34,13 @@ class Run:
     switchings: tuple[Switching, ...]
     events: tuple[ImpactEvent, ...]
 
-    def at(self, stamps: Stamps) -> "Run":
-        """The run with only the states at ``stamps``, which are some of its own."""
+    def sampled_at(self, stamps: Stamps) -> "Run":
+        """The run with only the states at ``stamps``, a part of the stamps of the run."""
         which = np.searchsorted(self.stamps, stamps)
         return replace(self, stamps=stamps, states=self.states[which])
 
     def nearest(self, system: System) -> tuple[float, str]:
-        """The smallest gap of the states, m, and the name of its contact; of at least one."""
+        """The smallest gap of the states, m, and the name of the contact; needs a contact."""
         q, t = self.states[:, : system.n], self.stamps - self.epoch
         gaps = q @ system.W + system.q_r + system.gap_motion(t)
         least = np.min(gaps, axis=0)
@@ -48,7 +49,7 @@ class Run:
 
     @property
     def impacts(self) -> tuple[Switching, ...]:
-        """Those switchings that are impacts."""
+        """The switchings with an impact."""
         return tuple(each for each in self.switchings if each.contacts)
 
 

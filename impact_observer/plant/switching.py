@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the contacts of a plant do at one instant."""
+"""Changes of the contacts of a plant at one instant."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,18 @@ from impact_observer.states import Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Switching:
-    """Everything that switches at one instant.
+    """All changes of contacts and guides at one instant.
 
     Attributes:
-        instant: when.
+        instant: the instant of the changes.
         contacts: indices of the contacts that take part in an impact: all that are closed at the
-            instant; none where contacts only open.
-        closed: indices of those that stay closed from this instant on.
-        held: indices of those that take the loads, independent of each other.
+            instant; empty if contacts only open.
+        closed: indices of the contacts that are closed after the instant.
+        held: indices of the contacts and guides that take the loads, independent of each other.
         before: state (q, u-) in the system's frame, shape (2n,).
-        after: state (q, u+) in it, shape (2n,).
-        switches: how ``chi`` switches; none where only loads move, or guides stick or slip.
-        loads: of guides that are not held, N.
+        after: state (q, u+) in the system's frame, shape (2n,).
+        switches: the changes of ``chi``; empty if only loads move, or guides stick or slip.
+        loads: loads of guides that are not held, N.
     """
 
     instant: Instant
@@ -41,11 +41,11 @@ def switches(
     contacts: tuple[int, ...],
     closed: tuple[int, ...],
 ) -> tuple[Switch, ...]:
-    """How ``chi`` switches, in the order of the contacts, given as indices.
+    """The changes of ``chi``, in the order of the contacts. Arguments are indices.
 
     Contacts ``was_closed`` before, ``contacts`` impact, and ``closed`` are closed afterwards.
     """
-    found = []
+    changes = []
     for i in sorted({*was_closed, *contacts}):
         kind = {
             (False, False): Kind.IMPACT,
@@ -54,5 +54,5 @@ def switches(
             (True, True): None,
         }[i in was_closed, i in closed]
         if kind is not None:
-            found.append(Switch(system.contact_names[i], kind))
-    return tuple(found)
+            changes.append(Switch(system.contact_names[i], kind))
+    return tuple(changes)

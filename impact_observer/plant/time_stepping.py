@@ -25,8 +25,8 @@ class _Place:
 
     Attributes:
         k: number of steps done since the epoch.
-        done: the last of them; before the first, a step without any motion.
-        coming: the next.
+        done: the last step done; before the first step, a step without motion.
+        coming: the next step.
     """
 
     k: int
@@ -34,7 +34,7 @@ class _Place:
     coming: TimeStep
 
     def next(self, scheme: MoreauScheme) -> "_Place":
-        """One step further."""
+        """The place one step later."""
         after = scheme.step(self.k + 1, self.coming.q, self.coming.u)
         return _Place(self.k + 1, self.coming, after)
 
@@ -42,10 +42,10 @@ class _Place:
 class TimeSteppingPlant:
     """The master system with ordinary unilateral contacts, one step at a time.
 
-    It has the interface of ``Plant``. Memory does not grow: states are stepped a second time.
+    The interface is that of ``Plant``. Memory does not grow: ``states`` repeats the steps.
 
     Attributes:
-        system: what moves.
+        system: the simulated system.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
         step: length of the steps, ns; step ``k`` ends at ``epoch + k step`` exactly.
         closed: contacts that are closed in the present phase, as indices.
@@ -89,13 +89,13 @@ class TimeSteppingPlant:
 
     @property
     def known_until(self) -> int:
-        """How far it may go: nothing arrives live."""
+        """The latest stamp: this plant has no live signals."""
         return MAX_STAMP
 
     def next_switching(self, limit: int) -> Switching | None:
         """The next switching if its stamp is not after ``limit`` (ns).
 
-        What has been searched is kept: asking again, with any limit, costs nothing.
+        A second call before ``cross`` costs nothing.
 
         Raises:
             ImpactLawError: the law has no solution in a step that begins up to ``limit``.
@@ -103,8 +103,8 @@ class TimeSteppingPlant:
         while self._next is None and self._stamp(self._ahead.k + 1) <= limit:
             self._ahead = self._ahead.next(self._scheme)
             self._next = self._switching(self._ahead)
-        found = self._next
-        return found if found is not None and found.instant.stamp <= limit else None
+        coming = self._next
+        return coming if coming is not None and coming.instant.stamp <= limit else None
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""

@@ -16,9 +16,9 @@ from impact_observer.stamps import Instant
 from impact_observer.states import Matrix, Vector
 
 SHORT = 1e-8
-"""Flight that counts as none, relative to the model's time scale."""
+"""Longest flight that counts as zero, relative to the model's time scale."""
 LOW = 4 * DEPTH
-"""Height of a flight that counts as none, relative to what the gap is rounded against."""
+"""Largest height of a flight that counts as zero, relative to the terms of the gap."""
 OFTEN = 32
 """Impacts of one contact within ``SHORT`` that count as accumulation."""
 NEGLIGIBLE = 1e-14
@@ -30,11 +30,11 @@ class ZenoCutoff:
     """Decides which contacts of one system rest on their stops after an impact.
 
     Attributes:
-        shortest: flight that counts as none, s.
+        shortest: longest flight that counts as zero, s.
     """
 
     def __init__(self, phases: Phases) -> None:
-        """Prepare the scales that flights are compared with."""
+        """Prepare the scales for the comparison of flights."""
         self._phases = phases
         self._length = phases.length
         self.shortest = SHORT * phases.scales.timescale
@@ -48,8 +48,8 @@ class ZenoCutoff:
         Args:
             t: s since the epoch.
             x: state (q, u+), shape (2n,).
-            contacts: those that took part, as indices.
-            before: velocities u-, shape (n,): what contact speeds are rounded against.
+            contacts: indices of the contacts that took part.
+            before: velocities u-, shape (n,), the scale of rounding of contact speeds.
         """
         system = self._phases.system
         q, u = x[: system.n], x[system.n :]
@@ -69,22 +69,22 @@ class ZenoCutoff:
 
         # A contact that still closes hits again at once: Newton's law allows it after separating.
         # No contact comes back faster than with the whole acceleration: this mostly decides.
-        found = [
+        resting = [
             i
             for i in contacts
             if gamma[i] >= -rounding[i] and flight(i, float(self._length[i]) * size) <= 1.0
         ]
-        while found:
-            flights = list(map(flight, found, self._fall(free, found, slow).tolist()))
+        while resting:
+            flights = list(map(flight, resting, self._fall(free, resting, slow).tolist()))
             if max(flights) <= 1.0:
                 break
             # Remove one at a time: without its load the others may rest or separate.
-            found.pop(flights.index(max(flights)))
+            resting.pop(flights.index(max(flights)))
         # A contact that depends on the others rests with them, even without load.
-        if not found:
+        if not resting:
             return ()
         independent = self._phases.independent
-        return tuple(i for i in contacts if i in found or not independent((i,), tuple(found)))
+        return tuple(i for i in contacts if i in resting or not independent((i,), tuple(resting)))
 
     def _flight(self, speed: float, fall: float, lowest: float) -> float:
         """Next flight, relative to the longest that counts as none.

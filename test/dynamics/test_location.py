@@ -67,7 +67,7 @@ def first_crossing(
 ) -> Crossing | None:
     """The first crossing of the functions along ``motion`` in [start, horizon]."""
     hunt = RootSearch(
-        watched.along(phase).guards, motion, Scales.of(phase.equations).window, start
+        watched.along(phase).guards, motion, Scales.of_equations(phase.equations).window, start
     )
     found = hunt.first(horizon)
     return None if found is None or found[0] > horizon else Crossing(*found)

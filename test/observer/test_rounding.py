@@ -11,7 +11,7 @@ from systems import EPOCH, PRESSED, observer, run, sample, without_faults
 from impact_observer.model import Forcing, System
 from impact_observer.model.angles import Angles
 from impact_observer.plant import Plant, simulate
-from impact_observer.stamps import NS_PER_S, Elapsed, grid
+from impact_observer.stamps import NS_PER_S, grid
 
 Array = NDArray[np.float64]
 EPS = float(np.finfo(np.float64).eps)
@@ -19,7 +19,7 @@ EPS = float(np.finfo(np.float64).eps)
 
 def advanced(forcing: Forcing, seconds: int) -> Forcing:
     """The same harmonics ``seconds`` later; their angles are exact but for whole turns."""
-    angles = np.array(Angles(forcing.frequency).at(Elapsed(seconds * NS_PER_S)))[:, None]
+    angles = Angles(forcing.frequency).at_stamps(np.array([seconds * NS_PER_S])).T
     c, s, cosine, sine = np.cos(angles), np.sin(angles), forcing.cosine, forcing.sine
     return replace(forcing, cosine=c * cosine + s * sine, sine=c * sine - s * cosine)
 

@@ -28,7 +28,7 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _INSTANT = 1e-12
-"""Length of a phase that counts as none, relative to the model's time scale."""
+"""Longest phase that counts as an instant, relative to the model's time scale."""
 _PATIENCE = 30
 """Most doublings of the least length of a phase after that."""
 _MOST = 8
@@ -41,7 +41,7 @@ class Clutches:
     """Motions of one system whose closed contacts are sprag clutches."""
 
     def __init__(self, system: System, phases: Phases | None = None) -> None:
-        """Prepare the ``phases``, or take them."""
+        """Prepare the phases of ``system``, or use the given ``phases``."""
         self.system = system
         self.phases = Phases(system) if phases is None else phases
         self.window = self.phases.scales.window
@@ -85,7 +85,7 @@ class Part:
     Attributes:
         start: s since the start of the motion.
         phase: the phase.
-        motion: in it, of (p, u).
+        motion: the motion of (p, u) in the phase.
         slipping: contacts with ``chi = 1`` that slip, as indices.
         stopped: open contacts whose gaps are held at zero, as indices; see ``sweeping.py``.
     """
@@ -98,7 +98,7 @@ class Part:
 
     @property
     def kind(self) -> tuple[object, ...]:
-        """What its contacts do; parts of the same kind obey the same equations."""
+        """The state of the contacts; parts of the same kind obey the same equations."""
         return self.phase.held, self.phase.rubbing, self.slipping, self.stopped
 
 
@@ -136,11 +136,11 @@ class Piecewise(Motion):
         """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
         self._extend(float(np.max(s, initial=0.0)))
         which = np.searchsorted([part.start for part in self._parts], s, side="right") - 1
-        found = np.empty((s.size, 2 * self._clutches.system.n))
+        states = np.empty((s.size, 2 * self._clutches.system.n))
         for k in np.unique(which):
             part, mine = self._parts[k], which == k
-            found[mine] = part.motion.states(s[mine] - part.start)
-        return found
+            states[mine] = part.motion.states(s[mine] - part.start)
+        return states
 
     def transition(self, s: float) -> Matrix:
         """Propagation of a small difference of two states by ``s`` seconds, shape (2n, 2n).
@@ -160,10 +160,10 @@ class Piecewise(Motion):
     def _across(self, part: Part, later: Part) -> Matrix:
         """``I + (F+ - F-) grad h / (dh/dt)-`` for the slip ``h`` that vanishes between parts."""
         system, n = self._clutches.system, self._clutches.system.n
-        found = np.eye(2 * n)
+        saltation = np.eye(2 * n)
         slips = [j for j, side in part.phase.rubbing.ends if not side]
         if not slips:
-            return found
+            return saltation
         t, x = self.t + later.start, part.motion.state(later.start - part.start)
         before = part.phase.acceleration(t, x)
         jump = later.phase.acceleration(t, x) - before
@@ -172,9 +172,9 @@ class Piecewise(Motion):
         for j in sorted(slips, key=lambda j: abs(float(speeds[j]))):
             rate = float(system.W_T[:, j] @ before)
             if now[j] != loads[j] and rate:
-                found[n:, n:] += np.outer(jump, system.W_T[:, j]) / rate
+                saltation[n:, n:] += np.outer(jump, system.W_T[:, j]) / rate
                 break
-        return found
+        return saltation
 
     def _extend(self, until: float) -> None:
         clutches = self._clutches
@@ -205,11 +205,11 @@ class Piecewise(Motion):
         return self._clutches.instant * 2.0 ** min(self._short_phases - _MOST, _PATIENCE)
 
     def _watch(self, part: Part) -> Watch:
-        """What ends ``part``."""
+        """The guard functions that end ``part``."""
         return self._clutches.watch(part.phase, part.slipping, part.stopped, self._opened(part))
 
     def _opened(self, _: Part) -> tuple[int, ...]:
-        """Contacts whose gaps may not become negative, and can change."""
+        """Contacts whose gaps can change and must stay nonnegative."""
         return ()
 
     def _next(self, part: Part, s: float, which: tuple[int, ...]) -> Part:
@@ -218,9 +218,9 @@ class Piecewise(Motion):
         crossed = self._watch(part).crossed(which)
         slow = tuple(i for i in self._closed if i not in part.slipping or i in crossed[End.SPEED])
         stopped = {*part.stopped, *crossed[End.GAP]}
-        found = self._part(start, x, slow, tuple(stopped))
-        if found.kind != part.kind:
-            return found
+        following = self._part(start, x, slow, tuple(stopped))
+        if following.kind != part.kind:
+            return following
         # A load that falls too slowly to see its sign may not become negative either.
         phases = self._clutches.phases
         grip = ended(phases, phase, slow, crossed[End.LOAD], crossed[End.GUIDE])

@@ -29,23 +29,23 @@ def complementary(B: Matrix, b: Vector) -> Vector | None:
         b: shape (m,).
 
     Returns:
-        Shape (m,); None where there is no solution. Its residual has been checked.
+        Shape (m,); None without a solution. The residual of the solution is checked.
     """
     length = np.linalg.norm(B, axis=0)
     scale = float(np.max(-b / length, initial=0.0))
     if scale <= np.finfo(np.float64).tiny / _RESIDUAL:
         return np.zeros(b.size)
     B, b = B / length, b / (length * scale)
-    for found in _candidates(B, b):
-        separation = B.T @ (B @ found) + b
+    for impulses in _candidates(B, b):
+        separation = B.T @ (B @ impulses) + b
         # Both are nonnegative, and one of the two is zero.
-        if np.all(np.abs(np.minimum(found, separation)) <= _RESIDUAL):
-            return np.asarray(np.maximum(found, 0.0) * (scale / length))
+        if np.all(np.abs(np.minimum(impulses, separation)) <= _RESIDUAL):
+            return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
     return None
 
 
 def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
-    """Vectors that solve the problem if anything does, the most accurate first.
+    """Candidates for the solution, the most accurate first; one is right if a solution exists.
 
     Where ``b = -B^T v`` for some ``v`` (contacts independent, or with a common restitution) the
     problem is the optimality condition of ``min |B Lambda - v|``. Otherwise, with ``y >= 0`` the
@@ -79,16 +79,16 @@ def nonnegative(A: Matrix, target: Vector) -> Vector | None:
 def bounded(D: Matrix, target: Vector, low: Vector, high: Vector) -> Vector:
     """The least squares solution ``low <= y <= high`` of ``D y = target``.
 
-    Those at a bound are exactly there.
+    Values at a bound equal the bound exactly.
     """
     size = float(np.linalg.norm(target))
     if size == 0.0:
         return np.clip(np.zeros(low.size), low, high)
     # Bounds beyond any load do not count, and equal units keep the method's tolerance relative.
-    found = scipy.optimize.lsq_linear(
+    solution = scipy.optimize.lsq_linear(
         D, target / size, (low / size, high / size), method="bvls", tol=1e-15
     )
-    return np.clip(np.asarray(found.x) * size, low, high)
+    return np.clip(np.asarray(solution.x) * size, low, high)
 
 
 def vertex(D: Matrix, y: Vector, low: Vector, high: Vector, zero: float) -> Vector:
@@ -120,6 +120,6 @@ def vertex(D: Matrix, y: Vector, low: Vector, high: Vector, zero: float) -> Vect
 def _refined(B: Matrix, b: Vector, y: Vector) -> Vector:
     """The solution from the equations of those rows that are pressed in ``y``."""
     pressed = y > 0
-    found = np.zeros(b.size)
-    found[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
-    return found
+    refined = np.zeros(b.size)
+    refined[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
+    return refined

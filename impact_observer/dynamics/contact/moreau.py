@@ -61,7 +61,7 @@ class MoreauScheme:
     """The scheme for one system and one length of step.
 
     Attributes:
-        system: what moves.
+        system: the simulated system.
         h: length of the steps, s.
     """
 
@@ -127,10 +127,10 @@ class MoreauScheme:
         length = np.sqrt(np.diag(A))
         scale = float(np.max(lacking / length))
         A, d = A / np.outer(length, length), lacking / (length * scale)
-        for found in self._candidates(A, self._B[:, active] / length, d):
+        for impulses in self._candidates(A, self._B[:, active] / length, d):
             # Both are nonnegative, and one of the two is zero.
-            if np.all(np.abs(np.minimum(found, A @ found - d)) <= _RESIDUAL):
-                return np.asarray(np.maximum(found, 0.0) * (scale / length))
+            if np.all(np.abs(np.minimum(impulses, A @ impulses - d)) <= _RESIDUAL):
+                return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
         raise ImpactLawError.of(
             [self.system.contact_names[i] for i in active],
             f"the step at t = {k * self.h:.9f} s finds no impulses",
@@ -148,9 +148,9 @@ class MoreauScheme:
             if multipliers is None:
                 return
             pressed = multipliers > 0
-            found = np.zeros(d.size)
-            found[pressed] = linalg.lstsq(A[np.ix_(pressed, pressed)], d[pressed])[0]
-            yield found
+            impulses = np.zeros(d.size)
+            impulses[pressed] = linalg.lstsq(A[np.ix_(pressed, pressed)], d[pressed])[0]
+            yield impulses
             yield multipliers / self._relaxation
             if self._relaxation == 1.0:
                 return

@@ -24,7 +24,7 @@ from impact_observer.states import Vector
 _ORDERS = 6
 """Derivatives that are examined before a gap counts as neither stopped nor opening."""
 _ZERO = 1e-11
-"""Rate of a gap that counts as none, relative to the largest term of its sum."""
+"""Largest rate of a gap that counts as zero, relative to the largest term."""
 _CLOSED = 1e-12
 """Gap that counts as zero, relative to the terms of its sum."""
 

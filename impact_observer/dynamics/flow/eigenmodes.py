@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Undamped modes, the slow ones as exact as the fast ones.
+"""Undamped modes; slow modes are as exact as fast modes.
 
-LAPACK finds each ``omega^2`` to about 1e-16 of the largest. Where that is 1e8 times the smallest,
-a slow mode would be wrong by a part in 1e8. One step of the refinement of Ogita and Aishima
-(Japan J. Indust. Appl. Math. 35, 2018) corrects it. It needs ``M x`` and ``K x`` of shapes in
-twice the digits (``kernel/doubled.hpp``), because ``K x - omega^2 M x`` cancels. That difference
-is small, and products with it need only the usual digits.
+LAPACK finds each ``omega^2`` to about 1e-16 of the largest ``omega^2``. If the largest is 1e8
+times the smallest, the smallest has a relative error of 1e-8. One step of the refinement of Ogita
+and Aishima (Japan J. Indust. Appl. Math. 35, 2018) corrects the slow modes. The step needs ``M x``
+and ``K x`` of shapes ``x`` in twice the digits (``kernel/doubled.hpp``), because
+``K x - omega^2 M x`` cancels. This difference is small, so products with the difference need only
+the usual digits.
 """
 
 import numpy as np
@@ -15,11 +16,11 @@ from impact_observer.kernel import difference, dots, product
 from impact_observer.states import Matrix, Vector
 
 Double = tuple[Matrix, Matrix]
-"""Numbers as sums of two, of one shape."""
+"""Numbers in twice the digits: sums of two arrays of the same shape."""
 _SEPARATION = 1e3
 """Least distance of two ``omega^2``, over their coupling, for the coupling to be removed."""
 _LARGE = 1e-9
-"""A correction whose square is not small against rounding."""
+"""Largest correction whose square is small against rounding."""
 
 
 def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector, Matrix]:
@@ -28,7 +29,7 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
     Args:
         M: shape (n, n).
         K: shape (n, n).
-        shapes: as a routine of LAPACK finds them, if available.
+        shapes: shapes of the modes by LAPACK, if available.
     """
     if shapes is None:
         _, shapes = linalg.eigh(K, M)
@@ -41,7 +42,7 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
     np.fill_diagonal(removable, val=False)
     turn = np.where(removable, coupling / np.where(removable, differences, 1.0), excess / 2)
     shapes = shapes + shapes @ turn
-    if np.max(np.abs(turn)) > _LARGE:  # its square is an error of the lengths
+    if np.max(np.abs(turn)) > _LARGE:  # the square of turn is an error of the lengths
         shapes = shapes + shapes @ (_excess(shapes, product(M, shapes)) / 2)
     order = np.argsort(squares)
     return squares[order], shapes[:, order]
@@ -56,20 +57,20 @@ def _excess(shapes: Matrix, inertia: Double) -> Matrix:
 
 
 def congruence(X: Matrix, seen: Double) -> Matrix:
-    """``X' A X`` of ``seen``, ``A X``, in twice the digits: small entries are not lost."""
+    """``X' A X`` for ``seen = A X`` in twice the digits, so that small entries are exact."""
     high, low = product(X.T, seen[0])
     return np.asarray(high + (low + X.T @ seen[1]))
 
 
 def diagonal(X: Matrix, seen: Double, within: float) -> Vector | None:
-    """The diagonal of ``X' A X``, shape (n,), in twice the digits, where there is little else.
+    """The diagonal of ``X' A X``, shape (n,), in twice the digits; None with large others.
 
     Args:
         X: shape (n, n).
         seen: ``A X``, shape (n, n).
-        within: how large other entries may be, relative to the largest of all.
+        within: largest size of the other entries, relative to the largest entry.
     """
-    found, entries = np.add(*dots(X, seen))[0], np.abs(X.T @ seen[0])
+    values, entries = np.add(*dots(X, seen))[0], np.abs(X.T @ seen[0])
     np.fill_diagonal(entries, 0.0)
     others = float(entries.max())
-    return found if others <= within * max(others, float(np.abs(found).max())) else None
+    return values if others <= within * max(others, float(np.abs(values).max())) else None

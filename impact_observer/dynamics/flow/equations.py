@@ -11,7 +11,7 @@ from impact_observer.states import Matrix, Vector
 
 
 class Equations(Protocol):
-    """What a flow is made from: a ``System``, or one reduced to fewer coordinates.
+    """Equations of motion for a flow: a ``System``, or a system reduced to fewer coordinates.
 
     ``M`` symmetric positive definite, ``K`` symmetric positive semidefinite, the symmetric part
     of ``C`` positive semidefinite, shape (n, n) each; SI units.
@@ -49,10 +49,10 @@ def state_matrix(system: Equations) -> Matrix:
 
 
 def balanced(A: Matrix) -> tuple[Matrix, Vector]:
-    """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
+    """The state matrix of ``x unit`` with positions in units of velocity, and ``unit``.
 
-    Then its entries are rates, and its norm is about the fastest: a matrix exponential needs no
-    more squarings than the motion has oscillations. Shapes (2n, 2n) and (2n,).
+    The entries of the matrix are rates, and the norm is about the fastest rate. So a matrix
+    exponential needs no more squarings than the motion has oscillations. Shapes: (2n, 2n), (2n,).
     """
     n = len(A) // 2
     rate = max(np.sqrt(np.linalg.norm(A[n:, :n], 1)), np.linalg.norm(A[n:, n:], 1)) or 1.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Products with matrices that have few numbers in a row, as those of chains and finite elements.
+"""Products with matrices of few entries in a row, such as those of chains and finite elements.
 
-With many coordinates a full matrix does not stay in a processor's cache, and reading it is what
-its product with a vector costs.
+A full matrix of many coordinates does not fit into the cache of a processor. Then the product with
+a vector costs the time to read the matrix.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,8 @@ def product_with(A: Matrix) -> Product:
     """``A x``, shape (n,), as a function of ``x``, shape (n,); ``A`` has shape (n, n)."""
     n = len(A)
     few = n >= MANY and np.count_nonzero(A) <= _FEW * n
-    found: Product = scipy.sparse.csr_array(A).dot if few else A.dot
-    return found
+    product: Product = scipy.sparse.csr_array(A).dot if few else A.dot
+    return product
 
 
 class Factor:
@@ -36,7 +36,7 @@ class Factor:
         """Factorise ``M``, shape (n, n).
 
         Raises:
-            LinAlgError: it is not positive definite.
+            LinAlgError: ``M`` is not positive definite.
         """
         self._lower, failed = linalg.lapack.dpotrf(M, lower=1)
         if failed:
@@ -57,23 +57,23 @@ class Factor:
         return self._solved(B, trans=0)
 
     def solved_transposed(self, B: Matrix) -> Matrix:
-        """``L^-T B``, of the same shape."""
+        """``L^-T B``, of the shape of ``B``."""
         return self._solved(B, trans=1)
 
     def _solved(self, B: Matrix, trans: int) -> Matrix:
-        # LAPACK's routines themselves: on the path of every impact, where checks cost more.
+        # Every impact needs these products. The checks of scipy would cost more than the products.
         if not B.size:
             return B
         if self._band is None:
             return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1, trans=trans)[0])
-        found = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="NT"[trans])[0]
-        return np.reshape(found, B.shape)
+        solution = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="NT"[trans])[0]
+        return np.reshape(solution, B.shape)
 
 
 def _band_of(A: Matrix) -> Matrix | None:
     """The diagonal of ``A``, shape (n, n), and those below it, shape (b + 1, n).
 
-    None where ``A`` is small, or more than ``_FEW`` diagonals are not zero.
+    None if ``A`` is small, or if more than ``_FEW`` diagonals are not zero.
     """
     n = len(A)
     # A copy, as scipy 1.11 refuses read-only arrays.

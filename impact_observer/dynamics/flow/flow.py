@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact flow of a linear phase ``M du/dt = -C u - K q + f(t)``, ``dq/dt = u``.
 
-Two ways lead to it, both in the kernel. ``spectral.py`` splits the motion into ``n`` pairs of
-modes, each in closed form. ``strides.py`` goes on in strides, by Taylor polynomials: where that
-splitting is ill-conditioned (eigenvectors of a non-proportionally damped system that almost
-coincide), and under a sampled forcing.
+The kernel has two methods. ``spectral.py`` splits the motion into ``n`` pairs of modes, each in
+closed form. ``strides.py`` computes the motion in strides by Taylor polynomials. Strides are used
+under a sampled forcing, and if the splitting is ill-conditioned: if eigenvectors of a
+non-proportionally damped system almost coincide.
 """
 
 from abc import abstractmethod
@@ -30,7 +30,7 @@ class Motion(Protocol):
     """One solution of a linear phase, from its initial state.
 
     Attributes:
-        t: when the phase starts, s since the epoch.
+        t: start of the phase, s since the epoch.
     """
 
     t: float
@@ -55,7 +55,7 @@ class Flow:
     """The flow of one linear phase.
 
     Attributes:
-        modes: in which it is computed.
+        modes: the modes of the phase.
     """
 
     def __init__(
@@ -66,13 +66,13 @@ class Flow:
         *,
         strides: bool = False,
     ) -> None:
-        """Prepare what is the same for all motions.
+        """Prepare the constants of all motions.
 
         Args:
-            system: what moves.
-            modes: its splitting.
-            frame: in which its coordinates lie; None where they are all that there are.
-            strides: whether also motions with a closed form go on in strides.
+            system: the equations of motion.
+            modes: the splitting of ``system``.
+            frame: the coordinates of the phase; None if no contact is held or fixed.
+            strides: whether strides also replace a closed form.
         """
         self._system, self._frame, self.modes = system, frame, modes
         forcing = system.forcing
@@ -93,28 +93,28 @@ class Flow:
 
     @property
     def is_in_closed_form(self) -> bool:
-        """Whether motions are, and do not go on in strides."""
+        """Whether motions are computed in closed form and not in strides."""
         return self._kernel is self._modal
 
     def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch.
 
         Raises:
-            DynamicsError: there is no sample of the forcing at ``t``; so also where states are
-                asked for beyond the samples.
+            DynamicsError: the forcing has no sample at ``t``. States beyond the samples raise the
+                same error.
         """
         return self._kernel.start(t, x)
 
     def guards(self, rows: Matrix, waves: Matrix, force: Matrix) -> Guards:
         """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of this flow's motions.
 
-        They are rounded against all that moves, also against what pulls at it within the inverse
-        of the fastest rate: a body may rest while others move.
+        The scale of rounding of each function counts the motion of all coordinates, and the motion
+        by all forces within the inverse of the fastest rate: a body may rest while others move.
 
         Args:
             rows: shape (w, 2n).
-            waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
-            force: of its samples, shape (w, n).
+            waves: factors of 1 and of the harmonics of the forcing, shape (w, 1 + 2h).
+            force: factors of the sampled forces, shape (w, n).
         """
         position, velocity = np.split(rows, 2, axis=1)
         q, u, time = position.T, velocity.T, 1 / self._rate if self._rate > 0 else 0.0
@@ -135,17 +135,17 @@ class Flow:
         Returns:
             ``e^{As}``, shape (2n, 2n).
         """
-        found, frame = self._moving(s), self._frame
+        transition, frame = self._moving(s), self._frame
         if frame is not None and frame.held.size:
             n = len(frame.held)
-            found[:, :n] -= found[:, :n] @ frame.held
-            found[:n, :n] += frame.held
+            transition[:, :n] -= transition[:, :n] @ frame.held
+            transition[:n, :n] += frame.held
         if frame is not None and frame.Q.size:
-            found[: len(frame.Q)] = frame.Q @ found[: len(frame.Q)]
-        return found
+            transition[: len(frame.Q)] = frame.Q @ transition[: len(frame.Q)]
+        return transition
 
     def _moving(self, s: float) -> Matrix:
-        """``transition`` without what is at rest: ``T e^{Js} T^{-1}``."""
+        """The part of ``transition`` by the modes: ``T e^{Js} T^{-1}``."""
         if self._modal is not None:
             return np.asarray(self._modal.propagated(s).T.dot(self._inverse))
         T, T_inverse, *_ = self.modes.coordinates(self._frame)
@@ -153,14 +153,14 @@ class Flow:
 
     @cached_property
     def _inverse(self) -> Matrix:
-        """``T^{-1}`` of states in their frame, shape (2r, 2n)."""
+        """``T^{-1}`` for states in ``frame``, shape (2r, 2n)."""
         inverse = self.modes.coordinates(self._frame)[1]
         if not self.modes.proportional:
             return inverse
         r, n = inverse.shape
-        found = np.zeros((2 * r, 2 * n))
-        found[0::2, :n] = found[1::2, n:] = inverse
-        return found
+        whole = np.zeros((2 * r, 2 * n))
+        whole[0::2, :n] = whole[1::2, n:] = inverse
+        return whole
 
     def _load(self, forces: Matrix) -> Matrix:
         """Loads of the modes, shape (2r, k), by forces on all coordinates, shape (n, k)."""
@@ -181,11 +181,11 @@ class Flow:
 def flow_of(
     system: Equations, shapes: Matrix | None = None, frame: PhaseFrame | None = None
 ) -> Flow:
-    """The flow of ``system`` without contact: in closed form where there is one.
+    """The flow of ``system`` without contact: in closed form if possible.
 
     Args:
-        system: what moves.
-        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
-        frame: in which its coordinates lie; None where they are all that there are.
+        system: the equations of motion.
+        shapes: shapes of the undamped modes by LAPACK, shape (n, n), if available.
+        frame: the coordinates of the phase; None if no contact is held or fixed.
     """
     return Flow(system, split(system, shapes), frame)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splitting of the state into ``n`` real 2 x 2 blocks, where that is safe."""
+"""Splitting of the state into ``n`` real 2 x 2 blocks, if well-conditioned."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,16 +26,16 @@ _WORST_CONDITION = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``, or into nothing.
+    """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``, or no splitting.
 
     Attributes:
         T: columns of block ``k`` one after the other, those of pairs at ``2k`` and ``2k + 1``,
-            shape (2n, 2n). Where ``proportional``, the shapes, of (n, n).
-        T_inverse: of the same shape.
-        J: blocks, shape (n, 2, 2), 1/s; one block, shape (1, 2n, 2n), in units of energy, where no
+            shape (2n, 2n). If ``proportional``, the shapes, (n, n).
+        T_inverse: the inverse of ``T``.
+        J: blocks, shape (n, 2, 2), 1/s; one block, shape (1, 2n, 2n), in units of energy, if no
             splitting is well-conditioned.
-        proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
-            velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
+        proportional: whether a pair is the amplitude and velocity of an ``M``-orthonormal shape;
+            otherwise a pair is the two parts of an eigenvector, or two real eigenvectors.
     """
 
     T: Matrix
@@ -50,11 +50,12 @@ class Modes:
 
     @cached_property
     def rates(self) -> tuple[Matrix, NDArray[np.bool_]]:
-        """How pairs go on by themselves, with eigenvalues ``a +- d``, in 1/s.
+        """The eigenvalues ``a +- d`` of the pairs, 1/s.
 
         Returns:
-            ``a``, ``d`` and the slow one, ``a + d`` or, of those that oscillate, ``a``, shape
-            (n, 3); and whether a pair oscillates, so that ``d`` is imaginary, shape (n,).
+            ``a``, ``d`` and the slow eigenvalue, shape (n, 3), then whether each pair oscillates,
+            shape (n,). The slow eigenvalue is ``a + d``, or ``a`` of a pair that oscillates. ``d``
+            is imaginary if the pair oscillates.
         """
         J = self.J
         a = (J[:, 0, 0] + J[:, 1, 1]) / 2
@@ -62,7 +63,7 @@ class Modes:
         d, oscillates = np.sqrt(np.abs(d2)), d2 < 0
         determinant = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
         fast = a - np.where(oscillates, 0.0, d)
-        # The slow eigenvalue a + d would cancel; the product of both is the determinant.
+        # a + d would cancel; the product of both eigenvalues is the determinant.
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
         return np.stack([a, d, slow], axis=1), oscillates
 
@@ -76,7 +77,7 @@ class Modes:
     def coordinates(
         self, frame: PhaseFrame | None
     ) -> tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool]:
-        """What the kernel needs: ``T`` and its inverse in ``frame``, or shapes, and the frame."""
+        """The arguments of the kernel: ``T``, inverse or shapes, and the ``frame``."""
         T, T_inverse = self.T, self.T_inverse
         if frame is None:
             none = np.zeros((0, 0))
@@ -88,20 +89,20 @@ class Modes:
 
     @property
     def energy(self) -> Matrix:
-        """Twice the energy of a pair's unit values, shape (n, 2), to its condition at worst."""
-        found = np.ones((len(self.J), 2))
+        """Twice the energy of unit values of pairs, shape (n, 2), up to the condition."""
+        values = np.ones((len(self.J), 2))
         if self.proportional:
-            found[:, 0] = -self.J[:, 1, 0]
-        return found
+            values[:, 0] = -self.J[:, 1, 0]
+        return values
 
     def pushed(self, acceleration: Matrix) -> NDArray[np.float64]:
         """Loads of the pairs, shape (n, 2, k), under accelerations, shape (n, k)."""
         n, k = acceleration.shape
         if not self.proportional:
             return np.reshape(self.T_inverse[:, n:] @ acceleration, (n, 2, k))
-        found = np.zeros((n, 2, k))
-        found[:, 1] = self.T_inverse @ acceleration
-        return found
+        values = np.zeros((n, 2, k))
+        values[:, 1] = self.T_inverse @ acceleration
+        return values
 
     def seen(self, rows: Matrix, sizes: Matrix) -> tuple[Matrix, Matrix]:
         """``rows`` of states as rows of pairs, ``rows T``, and ``sizes`` as ``sizes |T|``.
@@ -117,7 +118,7 @@ class Modes:
 
     @cached_property
     def eigenvalues(self) -> tuple[Complex, Complex]:
-        """Both of each pair, the one with positive imaginary part or the slow one first."""
+        """Eigenvalues of each pair; that of positive imaginary part, or the slow one, first."""
         rates, oscillates = self.rates
         a, d, slow = rates.T
         imaginary = np.where(oscillates, 1j * d, 0.0)
@@ -125,11 +126,11 @@ class Modes:
 
 
 def split(system: Equations, shapes: Matrix | None = None) -> Modes:
-    """Split ``system`` into pairs of modes, where that is well-conditioned.
+    """Split ``system`` into pairs of modes, if well-conditioned.
 
     Args:
-        system: what is split.
-        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
+        system: the equations of motion.
+        shapes: shapes of the undamped modes by LAPACK, shape (n, n), if available.
     """
     if not system.n:
         return Modes(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 2, 2)), proportional=True)
@@ -137,7 +138,7 @@ def split(system: Equations, shapes: Matrix | None = None) -> Modes:
     rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))
     stiffness = np.where(rigid, 0.0, stiffness)
     if np.count_nonzero(rigid) > 1:
-        # Any basis of the rigid motions will do: the one whose damping is not coupled.
+        # Any basis of the rigid motions is valid. Damping does not couple this basis.
         free = shapes[:, rigid]
         within = free.T @ system.C @ free
         shapes[:, rigid] = free @ linalg.eigh(within + within.T)[1]
@@ -149,7 +150,7 @@ def split(system: Equations, shapes: Matrix | None = None) -> Modes:
 
 
 def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes: Matrix) -> Modes:
-    """``M``-orthonormal shapes carry their own coordinate and velocity."""
+    """The modes of proportional damping: ``M``-orthonormal ``shapes``."""
     n = system.n
     J = np.zeros((n, 2, 2))
     J[:, 0, 1] = 1.0
@@ -159,10 +160,10 @@ def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes:
 
 
 def _general(system: Equations, stiffness: Vector, damping: Matrix, shapes: Matrix) -> Modes:
-    """Eigenvectors, complex ones as real and imaginary part, real ones two by two.
+    """The modes of general damping: real and imaginary parts, or two real eigenvectors.
 
-    They are sought in ``(omega y, y')`` of the undamped modes ``y``, whose square is the energy,
-    the fast modes first: the slow ones then keep their digits.
+    The eigenvectors are computed in ``(omega y, y')`` of the undamped modes ``y``, whose square is
+    the energy. Fast modes come first, so that slow modes keep their digits.
     """
     n = system.n
     omega = np.sqrt(stiffness)

@@ -8,13 +8,14 @@ The substitution ::
 
     dp/dt = u,    q = Q p - Z q_r,A
 
-makes that a mechanical system again, ``M du/dt = -C u - Q^T K Q p + f + K Z q_r,A + W_H lambda``:
-its stiffness is what the fixed contacts leave of ``K``. So every phase is an ordinary linear
-system in ``p`` whose velocities stay in the null space of ``W_H^T``; there it is reduced to the
-coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = q``.
+turns the equations into those of a mechanical system,
+``M du/dt = -C u - Q^T K Q p + f + K Z q_r,A + W_H lambda``, of stiffness ``Q^T K Q``. So every
+phase is a linear system in ``p``, and its velocities stay in the null space of ``W_H^T``. The
+system is reduced to the free coordinates of this null space and has an exact flow. Without fixed
+contacts, ``p = q``.
 
-Guides that stick are held like contacts; their indices follow those of the contacts. All others
-have a constant load: a force of the phase.
+Guides that stick are held like contacts; their indices follow those of the contacts. A guide that
+slips has a constant load, which is part of the force of the phase.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +37,7 @@ from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
 RANK = 1e-8
-"""What others leave of a contact's direction, relative to its length, that counts as nothing."""
+"""Part of a direction orthogonal to others that counts as zero, relative to its length."""
 _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _CANCELLED = 1e-14
@@ -59,16 +60,16 @@ class Reduced:
 
 
 class Unloaded(NamedTuple):
-    """How a system moves in the coordinates ``p`` where no contact takes a load.
+    """The motion of a system in the coordinates ``p`` without loads of contacts.
 
     Attributes:
-        equations: of ``p``.
+        equations: equations of motion of ``p``.
         damped: ``C u`` as a function of ``u``.
         sprung: ``K p`` as a function of ``p``.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
         load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
-        scales: of the equations.
+        scales: scales of the equations.
     """
 
     equations: Equations
@@ -81,13 +82,13 @@ class Unloaded(NamedTuple):
 
 
 class Rubbing(NamedTuple):
-    """What the guides do in a phase.
+    """The state of the guides in a phase.
 
     Attributes:
-        loads: those of guides that are not held, constant, and 0 for the others, N; empty where
-            there are none.
-        ends: guide and side of each way in which that ends: the load of a held one reaches its
-            upper or its lower bound, 1 or -1; the speed of one that slips vanishes, 0.
+        loads: constant loads of guides that are not held, 0 for held guides, N; empty without
+            guides.
+        ends: guide and side of each possible end: side 1 or -1 if the load of a held guide reaches
+            the upper or lower bound, 0 if the speed of a slipping guide vanishes.
     """
 
     loads: tuple[float, ...]
@@ -100,13 +101,13 @@ class Phase:
 
     Attributes:
         held: contacts and guides with ``gamma = 0``, independent of each other, as indices.
-        pressed: the contacts among them.
-        rubbing: what guides can do in the phase.
-        fixed: contacts whose gaps stay closed though they may slip, as indices.
-        equations: of ``p``, without the loads of the held contacts.
-        inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
+        pressed: the contacts in ``held``.
+        rubbing: the state of the guides.
+        fixed: contacts whose gaps stay closed, held or slipping, as indices.
+        equations: equations of motion of ``p`` without the loads of the held contacts.
+        inverse: ``M^-1`` restricted to motions that the held contacts allow, shape (n, n).
         loads: ``lambda = -loads (f - C u - K p)``, shape (len(held), n).
-        flow: of states (q, u), from such with ``p = q`` on.
+        flow: flow of states (q, u) that begin with ``p = q``.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
     """
@@ -157,12 +158,12 @@ class Phases:
 
     Attributes:
         system: the system.
-        projection: its position jumps.
+        projection: the position jumps of the system.
         B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, of contacts and guides, shape (n, m + k).
-        length: of the columns of contacts, shape (m,).
-        lengths: of all columns, shape (m + k,).
+        length: lengths of the columns of contacts, shape (m,).
+        lengths: lengths of all columns, shape (m + k,).
         inertia: ``M u`` as a function of ``u``.
-        scales: of the system where nothing is held or fixed.
+        scales: scales of the system without held or fixed contacts.
     """
 
     def __init__(self, system: System) -> None:
@@ -187,15 +188,15 @@ class Phases:
     ) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.
 
-        Where the held contacts determine the gaps of all ``fixed`` ones these do not slip, and it
-        is the same phase without them. ``loads`` are those of guides, if there are any.
+        If the held contacts determine the gaps of all ``fixed`` contacts, no fixed contact slips,
+        and the phase is the phase without ``fixed``. ``loads`` are the loads of guides, if any.
         """
         return self._prepared(held, fixed, loads)
 
     def independent(
         self, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
     ) -> tuple[int, ...]:
-        """Those of ``contacts`` whose direction depends neither on ``fixed`` nor ones before."""
+        """The ``contacts`` whose directions are independent of ``fixed`` and of earlier ones."""
         if len(contacts) < 2 and not fixed:
             return contacts
         chosen: list[int] = []
@@ -224,12 +225,12 @@ class Phases:
     ) -> Vector:
         """The state (q, u) nearest to ``x`` with ``g = 0`` and ``gamma = 0`` on ``contacts``.
 
-        Nearest in elastic and in kinetic energy.
+        The distance is elastic energy for positions and kinetic energy for velocities.
 
         Args:
             x: state (q, u), shape (2n,).
             contacts: indices.
-            projection: of a system that differs by its gaps only; None for this one.
+            projection: position jumps of a system with other gaps; None for this system.
         """
         n = self.system.n
         basis = orthonormal(self.B[:, list(self.independent(contacts))])
@@ -241,8 +242,9 @@ class Phases:
     def guides(self, x: Vector) -> tuple[tuple[int, ...], Vector]:
         """Guides whose speed counts as zero at the state ``x``, shape (2n,), and loads.
 
-        Relative to all motion, to its springs and to what friction makes of it in the time scale.
-        The loads are those of guides that slip, 0 of the others, shape (k,), N.
+        Speeds are compared with the energy of the whole system, and with the effect of friction
+        within the time scale. The loads are those of slipping guides, and 0 for the others, shape
+        (k,), N.
         """
         system, q, u = self.system, x[: self.system.n], x[self.system.n :]
         if not system.guides:
@@ -257,7 +259,8 @@ class Phases:
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
 
-        Relative to all velocities, as impulses spread rounding errors over all bodies.
+        The tolerance is relative to all velocities, as impulses spread rounding errors over all
+        bodies.
         """
         return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
 
@@ -269,12 +272,12 @@ class Phases:
         return self._laws(fixed, loads)
 
     def free(self, law: "Unloaded", t: float, motion: Sequence[Vector]) -> tuple[Vector, float]:
-        """The next derivative of a motion without loads, and what it is rounded against.
+        """The next derivative of a motion without loads, and the size of the largest term.
 
-        As ``white`` gives it, shape (n,); the largest of its terms counts.
+        The derivative has shape (n,) and unit mass matrix, as by ``white``.
 
         Args:
-            law: of the motion.
+            law: equations of the motion.
             t: s since the epoch.
             motion: ``p`` and its derivatives up to the last one, shape (n,) each.
         """
@@ -301,7 +304,9 @@ class Phases:
             equations = Reduced(system.M, system.C, stiffness, forcing)
         load = equations.forcing.bound(self._inverse)
         pulls = product_with(equations.C), product_with(equations.K)
-        return Unloaded(equations, *pulls, frozen(Q), frozen(rest), load, Scales.of(equations))
+        return Unloaded(
+            equations, *pulls, frozen(Q), frozen(rest), load, Scales.of_equations(equations)
+        )
 
     def _prepare(
         self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
@@ -331,7 +336,7 @@ class Phases:
         )
 
     def _rubbing(self, held: tuple[int, ...], loads: tuple[float, ...]) -> Rubbing:
-        """What guides with the ``loads`` can do."""
+        """The state of guides with the ``loads``, and its possible ends."""
         m, most, ends = self.system.m, self.system.friction, []
         for j, load in enumerate(loads):
             if m + j in held:
@@ -353,7 +358,7 @@ class Phases:
                 equations, whole.scales.shapes, PhaseFrame(free, np.eye(n), none, Q, rest)
             )
         W = self.system.directions[:, list(held)]
-        free = ReducedCoordinates.of(W, equations.M)
+        free = ReducedCoordinates.of_directions(W, equations.M)
         # Deflections of held contacts that load no other contact.
         static = self._deflections(held, fixed, equations.K) @ W.T
         M = _symmetric(free.restricted(equations.M))
@@ -378,11 +383,11 @@ class Phases:
         n, k = self.system.n, len(held)
         W, size = self.system.directions[:, list(held)], float(np.max(np.abs(K))) or 1.0
         balance = np.block([[K / size, W], [W.T, np.zeros((k, k))]])
-        found = linalg.lstsq(balance, np.vstack([np.zeros((n, k)), np.eye(k)]))[0]
-        return np.asarray(found[:n])
+        solution = linalg.lstsq(balance, np.vstack([np.zeros((n, k)), np.eye(k)]))[0]
+        return np.asarray(solution[:n])
 
     def _left(self, orthogonal: Matrix) -> Matrix:
-        """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""
+        """``M^-1`` restricted to motions along ``orthogonal``."""
         shapes = self.unwhite(orthogonal)
         return frozen(shapes @ shapes.T)
 
@@ -396,8 +401,8 @@ class Phases:
 
         Args:
             restricted: shape (r, r).
-            mass: what each coordinate moves, shape (r,), kg.
-            whole: size of what was restricted, over mass.
+            mass: diagonal of the mass matrix, shape (r,), kg.
+            whole: size of the whole matrix over mass.
         """
         size = np.sqrt(mass)
         nothing = _CANCELLED * self.system.n * whole * np.outer(size, size)
@@ -409,7 +414,7 @@ def _symmetric(matrix: Matrix) -> Matrix:
 
 
 def orthonormal(vectors: Matrix) -> Matrix:
-    """A basis of what ``vectors`` span, independent columns, shape (n, k), of the same shape."""
+    """An orthonormal basis of the span of independent ``vectors``, shape (n, k)."""
     if vectors.shape[1] < 2:  # nearly always
         return np.asarray(vectors / np.linalg.norm(vectors, axis=0))
     return np.linalg.qr(vectors)[0]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The coordinates that held contacts leave free.
 
-One coordinate per contact is determined by the others, which remain as they are: so most zeros in
-the matrices of a system are kept.
+Each contact makes one coordinate a function of the free coordinates. The free coordinates are not
+transformed, so most zeros in the matrices of a system are kept.
 """
 
 from typing import NamedTuple
@@ -18,8 +18,8 @@ class ReducedCoordinates(NamedTuple):
     """Coordinates of the motions with ``W^T u = 0``.
 
     Attributes:
-        free: coordinates that are free, ascending, shape (r,).
-        following: the others, which the free ones determine, shape (n - r,).
+        free: indices of the free coordinates, ascending, shape (r,).
+        following: indices of the coordinates that the free ones determine, shape (n - r,).
         ties: ``q_following = ties q_free``, shape (n - r, r).
     """
 
@@ -28,7 +28,7 @@ class ReducedCoordinates(NamedTuple):
     ties: Matrix
 
     @classmethod
-    def of(cls, W: Matrix, M: Matrix) -> "ReducedCoordinates":
+    def of_directions(cls, W: Matrix, M: Matrix) -> "ReducedCoordinates":
         """The coordinates for ``p`` independent contacts.
 
         The lightest coordinates are chosen to follow.
@@ -55,20 +55,20 @@ class ReducedCoordinates(NamedTuple):
 
     def all(self, y: Matrix) -> Matrix:
         """All coordinates, shape (rows, n), from the free ones, shape (rows, r)."""
-        found = np.empty((len(y), self.free.size + self.following.size))
-        found[:, self.free] = y
-        found[:, self.following] = y @ self.ties.T
-        return found
+        coordinates = np.empty((len(y), self.free.size + self.following.size))
+        coordinates[:, self.free] = y
+        coordinates[:, self.following] = y @ self.ties.T
+        return coordinates
 
 
 class PhaseFrame(NamedTuple):
-    """Where the coordinates of a phase lie in which contacts are held or fixed.
+    """The coordinates of a phase in which contacts are held or fixed.
 
     Attributes:
-        free: those that are free.
+        free: the free coordinates.
         inverse: free coordinates of the nearest motion, shape (r, n).
-        held: the part of ``p`` that does not move, shape (n, n), or empty where all moves.
-        Q: ``dq/dt = Q u``, shape (n, n), or empty where ``p`` is ``q``.
+        held: the part of ``p`` that does not move, shape (n, n), or empty if all of ``p`` moves.
+        Q: ``dq/dt = Q u``, shape (n, n), or empty if ``p`` is ``q``.
         rest: ``q = Q p + rest``, shape (n,), m, or empty.
     """
 

@@ -10,9 +10,9 @@ from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.states import Matrix, Vector
 
 _PERIODS = 2.0
-"""Length of a search window, in periods of the fastest rate."""
+"""Length of a search window in periods of the fastest rate."""
 _STILL = 16.0
-"""The same where nothing oscillates, s."""
+"""Length of a search window of a system without oscillation, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,10 +21,10 @@ class Scales:
 
     Attributes:
         squares: ``omega^2`` of the undamped modes, ascending, shape (n,), 1/s2.
-        shapes: of these modes, M-orthonormal, a column each, shape (n, n).
+        shapes: shapes of the undamped modes, M-orthonormal, one a column, shape (n, n).
         modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
-        spread: sizes of ``shapes``, a row each: how large an amplitude may make each coordinate.
-        fastest: the fastest mode or harmonic, rad/s; 0 where nothing oscillates.
+        spread: magnitudes of ``shapes``, one mode a row, shape (n, n).
+        fastest: the fastest mode or harmonic, rad/s; 0 without oscillation.
         timescale: the inverse of the fastest rate, at most 1 s.
     """
 
@@ -36,8 +36,8 @@ class Scales:
     timescale: float
 
     @classmethod
-    def of(cls, equations: Equations) -> "Scales":
-        """Those of ``equations``."""
+    def of_equations(cls, equations: Equations) -> "Scales":
+        """The scales of ``equations``."""
         squares, shapes = linalg.eigh(equations.K, equations.M)
         spread = np.ascontiguousarray(np.abs(shapes).T)
         fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
@@ -48,15 +48,15 @@ class Scales:
     def window(self) -> float:
         """Length of a search window, s.
 
-        Held contacts only make modes slower, so it serves for all phases of a system.
+        Held contacts only make modes slower, so the window serves for all phases of a system.
         """
         return _PERIODS * 2 * np.pi / self.fastest if self.fastest > 0 else _STILL
 
     def sizes(self, x: Vector, s: float = 0.0) -> Vector:
-        """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
+        """Scale of the rounding errors of (q, u): the largest values that all modes can give.
 
-        The time since the start of a phase is rounded too, by up to half of ``eps``, and each mode
-        moves on by as much.
+        The time since the start of a phase has a relative rounding error of up to half of ``eps``.
+        Each mode moves on during this error.
 
         Args:
             x: state (q, u), shape (2n,).

@@ -8,12 +8,13 @@ With ``x = T y`` the homogeneous phase falls into blocks ``dy/dt = J y``. A bloc
 
 which holds for oscillation (``d`` imaginary), overdamping, critical damping and rigid bodies
 (``d = 0``) alike. A harmonic ``b e^{mu t}`` adds its steady response ``(mu - J)^{-1} b``, except
-near resonance, where that would lose all digits: there the response since the phase's start is
+near resonance, where the steady response would lose all digits.
+There the response since the phase's start is
 ``(exp[l1, mu] + exp[l1, l2, mu] (J - l1)) b`` in divided differences of the exponential.
-So it is for a while where the steady response is huge against the state, as that of a load on
-a soft spring: then both are rounded to the motion's own size. No constant here is a time.
+The same form is used at first if the steady response is huge against the state, as under a load on
+a soft spring. Then the rounding errors are relative to the motion.
 
-What is the same for all motions is prepared here; the kernel computes motions (``motion.hpp``).
+This module prepares the constants of all motions; the kernel computes motions (``motion.hpp``).
 """
 
 from typing import TypeAlias
@@ -29,7 +30,7 @@ Coordinates: TypeAlias = tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool]
 Harmonics: TypeAlias = tuple[Vector, NDArray[np.uint64]]
 
 _RESONANCE = 1e-2
-"""Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
+"""Largest distance of a forcing frequency from an eigenvalue near resonance, over both rates."""
 _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
 
@@ -40,11 +41,11 @@ def closed_form(
     """The flow of a system in its modes.
 
     Args:
-        modes: pairs.
-        coordinates: their ``Modes.coordinates``.
+        modes: the pairs of modes.
+        coordinates: the result of ``Modes.coordinates``.
         harmonics: angular frequencies, shape (h,), rad/s, and ``Angles.turns``.
-        load: of the modes, constant, by cosines and by sines, shape (2n, 1 + 2h).
-        fastest: of all rates, 1/s.
+        load: constant load of the modes, then loads by cosines and sines, shape (2n, 1 + 2h).
+        fastest: the fastest rate, 1/s.
     """
     mu = 1j * np.concatenate([[0.0], harmonics[0]])
     pairs = load.reshape(len(modes.J), 2, load.shape[1])
@@ -53,7 +54,7 @@ def closed_form(
     one, two = modes.eigenvalues
     distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
     driven = np.any(beta != 0, axis=1)
-    # Eigenvalues that are found all together are rounded to the fastest of them.
+    # The eigenvalues of one matrix have rounding errors relative to the fastest.
     rates = np.abs(one)[:, None] + np.abs(mu) if modes.proportional else fastest
     near = driven & (distance <= _RESONANCE * rates)
     far = driven & ~near

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flow in strides, for what has no closed form: sampled forces, and spectra that cannot be split.
+"""Flow in strides for motions without closed form: sampled forces, and unsafe splittings.
 
-Between two samples, and over strides short against the fastest rate, the motion is its Taylor
-polynomial but for rounding. Strides are counted from the phase's start, so that the result does
-not depend on which instants are asked for, to the bit. The kernel makes them (``series.hpp``).
+Between two samples, and over strides short against the fastest rate, the motion is a Taylor
+polynomial up to rounding. Strides begin at the start of the phase, so that states do not depend on
+the requested instants, to the bit. The kernel computes the strides (``series.hpp``).
 """
 
 from functools import lru_cache
@@ -26,10 +26,10 @@ class Forces(NamedTuple):
     """The sampled forces of a forcing that are not always zero.
 
     Attributes:
-        samples: as the kernel has them; None where there are none.
-        active: their coordinates.
-        orders: how often each harmonic turns in a revolution of the drive, shape (h,). If any
-            does, the phase of the drive is the last of the forces.
+        samples: the samples in the kernel; None without samples.
+        active: indices of the coordinates with sampled forces.
+        orders: periods of each harmonic in a revolution of the drive, shape (h,). If any harmonic
+            turns with the drive, the phase of the drive is the last of the forces.
     """
 
     samples: SampledForces | None
@@ -37,7 +37,7 @@ class Forces(NamedTuple):
     orders: Vector
 
     def columns(self, forces: Matrix) -> Matrix:
-        """Those of ``forces``, a column a coordinate; the drive's phase is no force."""
+        """The active columns of ``forces``, shape (w, n), and a zero column for a drive."""
         return np.pad(forces[:, self.active], ((0, 0), (0, int(self.orders.any()))))
 
 
@@ -63,10 +63,10 @@ def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
 
     def columns(jets: Jets, turns: Matrix) -> Matrix:
         phase = np.concatenate([turns, np.zeros((JETS - 2, turns.shape[1]))])
-        found = jets[..., active]
-        return _rows(np.concatenate([found, phase[..., None]], axis=2) if turning else found)
+        chosen = jets[..., active]
+        return _rows(np.concatenate([chosen, phase[..., None]], axis=2) if turning else chosen)
 
-    found = SampledForces(
+    forces = SampledForces(
         samples.time,
         columns(samples.jets, samples.turns),
         samples.rounding,
@@ -76,10 +76,10 @@ def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
     )
 
     def splice(first: int, time: Vector, jets: Jets, turns: Matrix, newest: float) -> None:
-        found.splice(first, time, columns(jets, turns), newest)
+        forces.splice(first, time, columns(jets, turns), newest)
 
-    samples.follow(splice, found.drop)
-    return found, active
+    samples.follow(splice, forces.drop)
+    return forces, active
 
 
 def _rows(jets: Jets) -> Matrix:

@@ -64,7 +64,7 @@ WIDER = 3.0
 def doubted(system: System) -> UnknownParameters:
     """The parameters that an account estimates; no scales of what moving grounds act through."""
     deviations = OF_MOTION | OF_IMPACTS
-    deviations["contact-time"] *= Scales.of(system).timescale
+    deviations["contact-time"] *= Scales.of_equations(system).timescale
     curves = [c.curve for c in system.contacts]
     eps = system.eps * [not isinstance(c, RestitutionTable) for c in curves]
     at_rest = system.frame is None

@@ -51,7 +51,7 @@ def test_a_matrix_is_restricted_as_by_products_with_shapes(p: int) -> None:
     """Contacts see every coordinate here; no matrix is symmetric."""
     rng = np.random.default_rng(p)
     A, W = rng.normal(size=(4, 4)), rng.normal(size=(4, p))
-    free = ReducedCoordinates.of(W, positive(4, 1))
+    free = ReducedCoordinates.of_directions(W, positive(4, 1))
     shapes = free.all(np.eye(free.free.size)).T
     np.testing.assert_allclose(free.seen(A), shapes.T @ A, atol=1e-12)
     expected = shapes.T @ A @ shapes
