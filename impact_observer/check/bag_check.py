@@ -47,7 +47,7 @@ _SENSORS = {
     "std_msgs/msg/Empty": ("a message a hit", ""),
     "std_msgs/msg/Header": ("a message a hit", ""),
 }
-"""Message types that ``detect`` reads: what such a topic may be, and the options it needs."""
+"""Message types that ``detect`` reads: the kind of sensor, and the options of ``detect``."""
 
 
 def check_bag(

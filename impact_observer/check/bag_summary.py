@@ -22,7 +22,7 @@ from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 
 WINDOW = 20_000
-"""Events that are sorted together: all of any bag but a very long one."""
+"""Events that are sorted together; only a very long bag has more events."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +33,10 @@ class TopicSummary:
         name: the absolute name.
         type: the message type.
         count: messages.
-        rate: mean rate over the whole bag, Hz; None where there are fewer than two messages.
+        rate: mean rate over the whole bag, Hz; None for fewer than two messages.
         reliable: whether a lost message was sent again; None when the bag does not say.
         transient_local: whether late subscribers received earlier messages; None as above.
-        depth: messages kept for them, 0 for all; None as above.
+        depth: messages kept for late subscribers, 0 for all; None as above.
     """
 
     name: str
@@ -56,19 +56,20 @@ class BagSummary:
         path: the folder or file.
         storage: ``mcap`` or ``sqlite3``.
         size: bytes on disk.
-        chunks: of MCAP files with an index, their number, kind of compression and bytes,
-            compressed and not; else None.
+        chunks: number, kind of compression, and bytes before and after compression, of the chunks
+            of MCAP files with an index; None without such files.
         start: log time of the first message, ns; 0 when there is none.
         end: log time of the last message, ns; 0 when there is none.
         duration: from the first message to the last, s.
         messages: messages on all topics.
         topics: the topics, by name.
-        impacts: impacts of each contact, by its name; a closing is one, what it supersedes none.
-        closings: how often each contact stayed closed, by its name.
+        impacts: number of impacts by contact; a closing counts as an impact, and an impact that
+            a closing supersedes does not count.
+        closings: number of persistent contacts by contact.
         episodes: runs of the sender between resets.
         model: name, and version, seed, integrator and sensor faults that made the bag; None
             when the bag has no model.
-        observers: the law of each observer, by its prefix; empty when it published no state.
+        observers: the law of each observer, by its prefix; empty for an observer without a state.
     """
 
     path: str
@@ -98,7 +99,7 @@ def summarize(bag: Path) -> BagSummary:
         with BagReader(bag) as reader:
             return _summary(reader)
     except BagError as error:
-        if "`" in str(error):  # it names a command that helps
+        if "`" in str(error):  # the error names a command that helps
             raise
         command = f"impact-observer check {quote(str(bag))}"
         raise type(error)(f"{error}; `{command}` says what can be read") from error

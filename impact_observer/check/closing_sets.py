@@ -253,7 +253,7 @@ def first_failing(
 ) -> Contacts | None:
     """A subset of ``contacts`` that fails a test and has no conflict; None if no subset does.
 
-    Subsets of a set that passes the test pass too. Of a failing set with a conflict, the search
+    Subsets of a set that passes the test pass too. If a failing set has a conflict, the search
     takes only the subsets that lack one contact of the conflict.
 
     Args:

@@ -17,7 +17,7 @@ _MOST_NAMES = 1000
 _MOST_LINES = 5
 """Most contacts with the same fault that have a line of their own."""
 _CHATTER, _CHATTER_SHARE = 5, 0.1
-"""Chatter is at least so many short intervals, and more than such a share of all."""
+"""Least number of short intervals, and least share of all intervals, that count as chatter."""
 
 _SWITCH = (
     "a switch that is not debounced looks like this (run detect on its signal, with a dead_time),"
@@ -136,9 +136,9 @@ class ContactCheck:
         contact.at = event.stamp
 
     def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
-        """Chatter, and unknown and silent contacts where a ``system`` is given.
+        """Chatter, and unknown and silent contacts if a ``system`` is given.
 
-        Of a ``simulated`` bag no switch has to be debounced.
+        A switch of a ``simulated`` bag need not be debounced.
         """
         remedy = _SIMULATED if simulated else _SWITCH
         for name, contact in self._contacts.items():

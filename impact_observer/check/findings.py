@@ -4,8 +4,11 @@
 from dataclasses import dataclass
 
 ERROR, WARNING, NOTE = SEVERITIES = ("error", "warning", "note")
-"""Most severe first. With an error no observer can use the bag; with a warning one can, but part
-of it is lost or an option is needed; a note is information only."""
+"""Severities, most severe first.
+
+No observer can use a bag with an error. A warning means that part of the bag is lost, or that an
+observer needs an option. A note is information only.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,9 +18,9 @@ class Finding:
     Attributes:
         severity: ``error``, ``warning`` or ``note``.
         thing: the file, topic or contact.
-        found: what was found.
-        wanted: what was expected; empty where that is clear.
-        remedy: what to do; empty where nothing need be done.
+        found: the fault in words.
+        wanted: the expectation; empty if obvious.
+        remedy: advice to the user; empty if nothing need be done.
     """
 
     severity: str
@@ -42,8 +45,8 @@ class Occurrences:
     """Number of occurrences of one fault, and the place of the first.
 
     Attributes:
-        count: how often.
-        first: the place of the first one, in words; empty while there is none.
+        count: number of occurrences.
+        first: the place of the first occurrence, in words; empty without an occurrence.
     """
 
     count: int = 0

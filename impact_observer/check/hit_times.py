@@ -18,14 +18,14 @@ from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S, odd_epoch
 
 FAST = 5_000_000
-"""Interval of two hits of one contact below which it may be bouncing, ns: the dead time of a
-switch in the detector."""
+"""Interval of two hits of a contact below which the contact may be bouncing, ns: the dead time
+of a switch in the detector."""
 _MANY, _SHARE = 50, 0.25
-"""Bounces that settle are at least so many fast hits, and more than such a share of all."""
+"""Least number of fast hits, and least share of all hits, that count as settling bounces."""
 _PERIODS = 30.0
 """Periods of the slowest motion that may pass between two impacts, as a rule."""
 _HOPELESS = 3.0
-"""Times that, beyond which no filter is tried."""
+"""Factor of ``longest_interval`` above which no filter is tried."""
 _SPEED = 30.0
 """Fastest speed at which a flight under a constant force may begin, as a rule, m/s."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
@@ -38,8 +38,8 @@ class HitTimes:
 
     Attributes:
         hits: impacts and closings.
-        fast: of them, those that follow another of the same contact in less than ``FAST``.
-        odd_epoch: why the epoch of the first is hardly meant; empty where it may be.
+        fast: hits that follow another hit of the same contact in less than ``FAST``.
+        odd_epoch: a doubt about the epoch of the first hit; empty without a doubt.
     """
 
     def __init__(self, events: Iterable[ImpactEvent] = ()) -> None:
@@ -74,8 +74,6 @@ class HitTimes:
         """Median time between impacts of any contacts, s; 0 without impacts.
 
         The median is rounded down, by less than half.
-
-        It is rounded down, by less than half.
         """
         half = self._lengths.total() / 2
         for length in sorted(self._lengths):
@@ -89,15 +87,15 @@ def doubts(bag: Path, times: HitTimes, system: System, *, has_covariance: bool) 
     """Warnings about times of impacts that are unlikely for a model or costly for a filter.
 
     Args:
-        bag: that they are of.
-        times: of impacts.
+        bag: path of the bag with the impacts.
+        times: times of the impacts.
         system: the model.
-        has_covariance: whether a filter is to use them, whose time grows with bounces, and with
-            the impacts that it inserts in a long silence.
+        has_covariance: whether a filter is to use the impacts. A filter takes longer with bounces,
+            and with the impacts that the filter inserts in a long silence.
 
     Raises:
         BagError: far more time passes between impacts than the model makes likely, and a filter
-            is to use them.
+            is to use the impacts.
     """
     if line := too_slow(times, system):
         if has_covariance and times.median > _HOPELESS * longest_interval(system):
@@ -148,9 +146,6 @@ def longest_interval(system: System) -> float:
 
     The time is 30 periods of the slowest mode or excitation. If bodies fly, the time is at least
     that of a flight under their constant forces that begins at 30 m/s.
-
-    It is 30 periods of the slowest mode or excitation; where bodies fly, the flight under their
-    constant forces that begins at 30 m/s.
     """
     if system.live is not None or system.forcing.sampled is not None:
         return math.inf

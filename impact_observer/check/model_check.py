@@ -232,7 +232,7 @@ def _null(seen: Basis) -> Basis:
 def _readable(directions: Basis) -> Matrix:
     """A basis of the columns' span in which each column has a 1 where the others have a 0.
 
-    Of complex columns the real part is returned, at the phase of that 1.
+    The real part of complex columns is returned, at the phase of that 1.
     """
     n, r = directions.shape
     if r == 0:

@@ -31,7 +31,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 """First bytes of compressed data; no serialized message begins with them."""
 _LATEST = 2**63
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the bytes read and how many there are."""
+"""Called with the bytes read and the number of all bytes."""
 _Read: TypeAlias = Iterator[tuple[int, RawMessage]]
 """Messages, each with the bytes read so far."""
 
@@ -160,10 +160,10 @@ def salvage(
     Args:
         source: not read yet.
         output: the bag to make.
-        progress: called with the bytes read and how many there are.
+        progress: called with the bytes read and the number of all bytes.
 
     Returns:
-        What was left out, a line each.
+        A line for each omission.
 
     Raises:
         UsageError: something is at ``output`` already, or its parent is no folder.

@@ -18,7 +18,7 @@ CONVERGENCE = ("ensemble", "agreed")
 _OF_SENSORS_TOO = {"missed", "spurious", "mislabelled", "dead_time"}
 """Options of observers that are faults of a simulated sensor by the same names."""
 _ELSEWHERE = ("law", "history")
-"""Chosen by arguments of the subcommands themselves, or of no use with a bag."""
+"""Options that subcommands replace by own arguments, or that are of no use with a bag."""
 
 
 _MOST_DIGITS, _DECIMALS = 18, 9

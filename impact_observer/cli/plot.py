@@ -24,7 +24,7 @@ from impact_observer.plain_text import say
 PICTURES, PAGES = (".png", ".svg", ".pdf"), (".html", ".htm")
 MOST_PANELS = 80
 WIDTHS = (2.0, 60.0)
-"""Of a picture, inches."""
+"""Least and largest width of a picture, inches."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,7 +20,7 @@ _RATE = 4.0
 _LINES = 1.0
 """Lines a second where the output is no terminal."""
 _ONCE = 5.0
-"""How long ``--once`` waits for what it shows, s."""
+"""Longest time that ``--once`` waits for messages, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

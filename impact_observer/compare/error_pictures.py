@@ -20,7 +20,7 @@ from impact_observer.states import Stamps, Vector
 MOST_COORDINATES = 8
 """Most coordinates whose errors are drawn."""
 _SIZE, _PAPER_SIZE = (8.0, 5.0), (3.46, 3.0)
-"""Inches; a column of a printed page is 88 mm wide."""
+"""Sizes of pictures, inches; a column of a printed page is 88 mm wide."""
 _FONT, _PAPER_FONT = 10.0, 7.5
 _ROOM, _PAPER_ROOM = 108, 54
 """Letters of a legend side by side above the axes."""
@@ -130,7 +130,7 @@ def lyapunov_picture(
 def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
     """The size of each state's error over time, coordinates at the left, velocities at the right.
 
-    Of more than ``MOST_COORDINATES`` those with the largest errors are shown.
+    If there are more than ``MOST_COORDINATES``, the coordinates with the largest errors are shown.
     """
     first = next(iter(comparisons.values()))
     names, n = first.system.coordinates, first.system.n

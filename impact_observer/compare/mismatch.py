@@ -81,8 +81,8 @@ def windows(
     of_truth = int(_nearest(jumps, least, here))
     if of_truth < 0 or not of_this_impact[of_truth]:
         return nothing
-    # An estimate that is wrong may jump by any amount at the stamp. Elsewhere only a jump like
-    # that of the truth counts: a law that predicts the impact may jump before its stamp.
+    # An estimate that is wrong may jump by any amount at the stamp. Elsewhere only a jump as
+    # large as the truth's counts: a law that predicts the impact may jump before its stamp.
     least = _ALIKE * float(jumps[of_truth])
     jump = _nearest(_jumps(near, estimates[..., low:high]), least, here)
     of_estimates = np.where((jump >= 0) & of_this_impact[jump], jump, here)

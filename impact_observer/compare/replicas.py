@@ -154,10 +154,10 @@ def _errors(
 def _of_all(
     observer: Observer, stamps: Stamps, truth: Matrix
 ) -> tuple[NDArray[np.float64], Matrix | None]:
-    """Errors of all replicas, the estimate's and the differences from it.
+    """Errors of all replicas as products of maps and columns.
 
-    As products of maps, shape (2n, r, samples), with columns, shape (N, r); None where the maps
-    are the errors, r = N.
+    The maps have the shape (2n, r, samples), the columns (N, r). The columns are None if the maps
+    are the errors; then r = N.
     """
     x, maps, differences = observer.replicas(stamps)
     error = (x - truth).T[:, None]

@@ -98,6 +98,6 @@ def _run(
             if value is not None:
                 write(detector.feed(index, _Number(value), stamp))
         progress(done)
-    # As in a bag: no message can be missing any more after the longest delay.
+    # After the longest delay no message can be missing any more, as in a bag.
     write(detector.advance(stamp + MAX_DELAY))
     return done, stamp

@@ -25,10 +25,10 @@ _DEFAULT_KINDS = {
 }
 """The default kind of a sensor, by the type of its topic."""
 _IMU_BASELINE = 1.0
-"""Default ``baseline`` of an accelerometer, s. It removes gravity, and an impact of some
-milliseconds changes the mean by less than a percent of its peak."""
+"""Default ``baseline`` of an accelerometer, s. The mean over this time removes gravity;
+an impact of some milliseconds changes the mean by less than a percent of its peak."""
 _USUAL = 1.0
-"""A latency or dead time that is longer is doubted, s."""
+"""Longest usual latency or dead time, s; longer ones cause a warning."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
     SWITCH: {

@@ -37,7 +37,7 @@ TABS = (
 PLANT = "plant"
 """The source of curves of a plant."""
 _Names: TypeAlias = Mapping[str, object]
-"""What is filled in, by the words of the template."""
+"""Values that are filled into a template, by its words."""
 
 
 @dataclass(frozen=True, slots=True)

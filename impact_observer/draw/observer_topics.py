@@ -68,7 +68,7 @@ class ObserverTopics:
             raise UsageError(f"observer {name!r}: no name of a node; expected such as observer")
         node = prefix.rpartition("/")[2]
         name = node.removeprefix("observer").lstrip("_").replace("_", "-") or Options.law
-        law = BUILT_IN.get(name, OpenLoop)  # of a law of another package nothing is assumed
+        law = BUILT_IN.get(name, OpenLoop)  # a law of another package counts as open loop
         filters = law.has_covariance
         return cls(prefix, law.has_bound, filters, _LEARNED if filters else ())
 

@@ -177,7 +177,7 @@ def _width() -> int:
 
 def _print(lines: RenderableType) -> None:
     """Print lines without spaces at their ends."""
-    # With a height too rich does not take 80 columns where TERM is dumb.
+    # A given height keeps rich from assuming 80 columns on a dumb terminal.
     console = Console(highlight=False, width=_width(), height=25)
     with console.capture() as capture:
         console.print(lines)

@@ -21,7 +21,7 @@ _ROD = 0.06
 _FIXED = "_fixed"
 """Suffix of the name of a stop's joint."""
 _LIMIT = {"lower": "-1e+09", "upper": "1e+09", "effort": "0", "velocity": "0"}
-"""Of every joint: a URDF requires numbers, and coordinates are limited by their stops."""
+"""Limits of every joint. A URDF requires numbers; coordinates are limited by their stops."""
 
 
 def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int = 0) -> str:

@@ -23,7 +23,7 @@ _HOME = {
     "Quality": "interfaces",
     "copy_topics": "writer",
 }
-"""Where each public name is defined."""
+"""Module of each public name."""
 
 __all__ = ["BagReader", "BagWriter", "EstimateError", "JointState", "Quality", "copy_topics"]
 

@@ -12,7 +12,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 
 FOLDER = "config/sros2"
-"""Where the policies are."""
+"""Folder of the policies."""
 _PARAMETERS = ("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters")
 _SETTING = ("set_parameters", "set_parameters_atomically")
 OF_EVERY_NODE = tuple(f"~/{each}" for each in (*_PARAMETERS, *_SETTING, "get_type_description"))
@@ -40,7 +40,7 @@ SENSOR = Interface("switch", "std_msgs/msg/Bool")
 ENCODER = Interface("encoder", interfaces.JOINT_STATE)
 """The sensor of the sample ``config/measurements/encoder.yaml``."""
 LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
-"""Received where the model has live forces or grounds, or turns with a drive."""
+"""Topics of a node whose model has live forces or grounds, or turns with a drive."""
 NODES = {
     "plant": Access(
         (
@@ -77,7 +77,7 @@ NODES = {
         (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES, interfaces.IMPACTS),
     ),
 }
-"""Of each node, by its executable."""
+"""Topics and services of each node, by its executable."""
 
 
 def policy(node: str) -> str:

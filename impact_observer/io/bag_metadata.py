@@ -13,7 +13,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.mcap_output import McapOutput
 
 _NO_MESSAGE = 2**63 - 1
-"""What rosbag2 writes as the starting time of a bag without messages, ns."""
+"""Starting time that rosbag2 writes for a bag without messages, ns."""
 
 
 class Topic(NamedTuple):

@@ -28,8 +28,7 @@ _UNIT = re.compile(r"(?:[ _]?[\[(]|[ _])(s|ms|us|ns)[\])]?|time(s|ms|us|ns)", re
 
 
 _SINCE_1970 = 100_000_000 * NS_PER_S
-"""Times from here on are taken to count from 1970, smaller ones from the start of the
-experiment."""
+"""Least time that counts from 1970, ns; smaller times count from the start of the experiment."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from rosbags.interfaces import (
 )
 
 _FOREVER = QosTime(9_223_372_036, 854_775_807)
-"""How ROS 2 Jazzy writes an infinite duration: the largest int64 of nanoseconds."""
+"""Infinite duration in ROS 2 Jazzy: the largest int64 of nanoseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ LATCHED = Quality(transient_local=True, depth=1)
 INPUTS = Quality(depth=2000)
 """Samples of live forces and grounds: none may be lost, and many may wait."""
 SAMPLES = Quality(depth=100)
-"""What became of samples: many come at once after a late one."""
+"""Verdicts on samples: many come at once after a late sample."""
 SENSORS = Quality(reliable=False, depth=100)
 """Samples of sensors, as their drivers publish them."""
 
@@ -166,7 +166,7 @@ SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
 NOT_SYNCHRONIZED = "not synchronized"
-"""Key of the value in an observer's diagnostics that says why it is not."""
+"""Key of the reason in the diagnostics of an observer that is not synchronized."""
 
 INTERFACES = (
     IMPACTS,

@@ -17,11 +17,11 @@ from impact_observer.options import ALL, AUTO
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 MOST_CLOCK_ERROR = 60.0
-"""How far the clock of a sensor may be from that of the impacts, s."""
+"""Largest difference between the clock of a sensor and that of the impacts, s."""
 _COMPARED = 1000
 """Messages of a topic by which clocks are compared."""
 SENSOR_STATUS = "sensor "
-"""Before the name of a sensor in the name of its diagnostic status."""
+"""Prefix of a sensor's name in the name of its diagnostic status."""
 SILENT_RATE = 50.0
 """Rate of a sensor, Hz, beyond which the verdicts on its samples are not published by default."""
 
@@ -50,14 +50,14 @@ class SensorReader:
             )
 
     def sample(self, message: AnyMessage, received: int) -> SensorSample | None:
-        """The sample in a message that was received at this time, ns.
+        """The sample in a message that was received at the time ``received``, ns.
 
-        None where a joint is not in it: joints may share a topic. It is NaN where an array is
-        shorter than those before.
+        Returns:
+            None if the message has no value of the joint: joints may share a topic.
 
         Raises:
-            UsageError: by file and key: there is no such field, or it holds no number, or there is
-                no stamp in a header.
+            UsageError: the message has no such field, or the field holds no single number, or the
+                message has no stamp in a header. The error names file and key.
         """
         given = self.measurement
         stamp = None if given.stamp == "receive" else header_stamp(message)
@@ -94,8 +94,8 @@ class RecordedSamples(NamedTuple):
 
     Attributes:
         samples: by stamp.
-        arrivals: when each was recorded, ns.
-        problems: what was wrong, a line each.
+        arrivals: time of recording of each sample, ns.
+        problems: a line for each problem.
     """
 
     samples: list[SensorSample]
@@ -108,9 +108,9 @@ class MeasuredTopics(NamedTuple):
 
     Attributes:
         samples: in order of their stamps.
-        topics: of the sensors, to be copied.
+        topics: topics of the sensors, to be copied.
         published: names of the sensors whose verdicts are written.
-        problems: what was wrong, a line each.
+        problems: a line for each problem.
     """
 
     samples: Sequence[SensorSample] = ()

@@ -331,7 +331,7 @@ class MessageLimits(NamedTuple):
 
 
 _LIMITS = MessageLimits()
-"""Those of nodes by default, and of all that reads bags."""
+"""Default limits of nodes, and limits of all readers of bags."""
 
 
 def read_event(message: AnyMessage, limits: MessageLimits = _LIMITS) -> ImpactEvent:

@@ -29,7 +29,7 @@ from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
-"""What ``write_run`` writes, and ``observe_bag`` copies."""
+"""Topics that ``write_run`` writes, and ``observe_bag`` copies."""
 
 
 INTEGRATOR = "integrator"
@@ -77,7 +77,7 @@ def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
     try:
         yield writer
         writer.close()
-    except KeyboardInterrupt:  # of a signal, which raises it once: closing is not interrupted
+    except KeyboardInterrupt:  # a signal interrupts once: closing is not interrupted
         writer.close()
         raise KeyboardInterrupt(
             f"the bag {path} is whole and holds what was done until then; to repeat the command,"

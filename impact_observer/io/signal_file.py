@@ -107,7 +107,7 @@ class SignalFile:
     def _open_sound(self, start: int) -> None:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of chunks of others
+                warnings.simplefilter("ignore", wavfile.WavFileWarning)  # unknown chunks
                 self._rate, samples = wavfile.read(self.path)
         except OSError as error:
             raise UsageError(f"{self.path}: cannot be read: {error.strerror}") from None

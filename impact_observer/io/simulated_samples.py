@@ -37,7 +37,7 @@ _TYPES = {
 }
 """The message type that has a field, by the first part of its path."""
 _STREAM = 1923
-"""Of the random numbers, so that they are others than those of the sensor of impacts."""
+"""Stream of random numbers, other than that of the sensor of impacts."""
 
 
 @dataclass(frozen=True, slots=True)

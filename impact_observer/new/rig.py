@@ -19,7 +19,7 @@ from impact_observer.states import Vector
 _CLEAR = 0.01
 """Gap of a start outside its stops, relative to the penetration at zero."""
 _NONE = 1e-9
-"""With a smaller residual no positions are outside all stops."""
+"""Residual below which no positions are outside all stops."""
 _FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
 _MODEL = """\
 # {name}: a model of a rig, made by `impact-observer new`. SI units: kg, m, s, N, rad.

@@ -116,7 +116,7 @@ def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode
     try:
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of a node that cannot be made
+            warnings.simplefilter("ignore", RuntimeWarning)  # from a node that cannot be made
             node = make()
     except UnsetError as error:
         raise UsageError(f"{error}: {_how_to_set(error.option, args)}") from None

@@ -229,7 +229,7 @@ class PlantNode(BaseNode):
             return now
         self._wait_for_inputs(now)
         known = max(known, self._epoch)
-        if self._owns_clock:  # it stands still meanwhile
+        if self._owns_clock:  # the clock stands still meanwhile
             self._started += int((now - known) / self._factor)
         if self._waited_at != known:
             self._waited_at, self._waits_since = known, None

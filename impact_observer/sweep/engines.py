@@ -112,7 +112,7 @@ def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None,
                 if not running:
                     return
                 _, outcomes = next(futures)
-                if isinstance(outcomes, BaseException):  # of a cancelled future
+                if isinstance(outcomes, BaseException):  # from a cancelled future
                     raise outcomes
             except Exception as error:  # noqa: BLE001 (lost workers and schedulers raise many kinds)
                 line = " ".join(f"{type(error).__name__}: {error}".split())

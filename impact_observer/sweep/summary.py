@@ -15,7 +15,7 @@ from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
 _NEVER = 1e300
-"""Stands for infinity in the quartiles of numpy: infinities have no difference."""
+"""Substitute for infinity in the quartiles of numpy: infinities have no difference."""
 
 
 class Quartiles(NamedTuple):

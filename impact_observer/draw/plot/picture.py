@@ -181,8 +181,8 @@ def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:
     """The range of an axis, and a note if the range cuts off a long way from a wrong start.
 
     The range is that of all lines, unless the lines go twice as far as the truth and the known
-    values of the estimates. Known are values whose band is narrow beside the motion. Of estimates
-    without a band beside a truth, all values but a twentieth at either end are known.
+    values of the estimates. Values with a narrow band beside the motion are known. If
+    estimates have no band beside a truth, all values but a twentieth at either end are known.
 
     Args:
         recording: content of the picture.

@@ -356,7 +356,7 @@ def _rubbing(guide: Guide, order: Sequence[int]) -> tuple[int, int] | None:
 def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:
     """Stiffness or damping between bodies, and in the last row (index -1) to the ground.
 
-    Of shape (bodies + 1, bodies), with rounding set to zero.
+    The shape is (bodies + 1, bodies); rounding is set to zero.
     """
     between = -matrix[np.ix_(slots, slots)]
     ground = matrix.sum(axis=1)[slots]
