@@ -90,7 +90,7 @@ def test_impacts_under_another_name_are_pointed_at() -> None:
 
 
 def test_several_topics_of_impacts_are_refused() -> None:
-    """Unless one is at the top."""
+    """A topic without a namespace wins over the others."""
     both = [(f"/{rig}/impacts", S, MAKE.event(GOOD[0])) for rig in ("left", "right")]
     write(None, more=both)
     assert lines(usable=False) == [
@@ -256,7 +256,7 @@ def test_a_contact_that_is_never_reported_is_a_warning() -> None:
 
 
 def test_the_first_fault_among_many_states_is_named() -> None:
-    """Among messages of two layouts: the frame is part of a message."""
+    """Messages have two layouts, since the frame is part of a message."""
     truth = [state(S + k * 20_000_000) for k in range(500)]
     for k in (340, 300, 480):
         truth[k].velocity = cast("Sequence[float]", np.array([np.inf, 1]))

@@ -51,7 +51,7 @@ def test_impact_superseded_by_a_close_is_counted_once(tmp_path: Path) -> None:
 def test_many_events_are_counted_in_windows_as_all_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Superseded impacts, disorder, duplicates and several runs among them."""
+    """The events have superseded impacts, disorder, duplicates and several runs."""
     draw = np.random.default_rng(5)
     events, number = [], 0
     for episode in (1, 2):

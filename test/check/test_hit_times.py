@@ -30,7 +30,7 @@ def test_a_ball_in_milliseconds_that_were_taken_for_seconds_is_named() -> None:
 
 
 def test_periods_of_modes_and_forces_bound_the_time_between_impacts() -> None:
-    """Thirty of the slowest, of all modes of a chain and of its force."""
+    """The bound is thirty periods of the slowest mode of a chain or of its force."""
     system = read_model("two_mass").system
     slowest = min(np.sqrt(np.linalg.eigvals(np.linalg.solve(system.M, system.K))).min(), 2.5)
     assert longest_interval(system) == pytest.approx(30 * 2 * np.pi / slowest)

@@ -46,7 +46,7 @@ def closes(model: System, index: list[int]) -> bool:
 
 
 def independent(model: System, index: list[int]) -> bool:
-    """Whether the directions are."""
+    """Whether the contact directions are linearly independent."""
     return bool(np.linalg.matrix_rank(model.W[:, index], tol=1e-9) == len(index))
 
 
@@ -84,7 +84,7 @@ def grown(model: System, contacts: Contacts, one: Array, two: Array) -> float:
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
 def test_no_impact_of_a_sample_raises_v(name: str) -> None:
-    """Though two restitutions differ in one of them."""
+    """The result holds although one sample has two different restitutions."""
     model = sample(name).system
     assert is_nonexpansive(model) is True
     assert expansive_sets(model) == ()
@@ -174,7 +174,7 @@ def test_no_two_solutions_diverge_by_more_than_the_factor() -> None:
 
 
 def test_two_sided_stops_do_not_warn() -> None:
-    """Floor and ceiling cannot close together, with whatever restitution."""
+    """Floor and ceiling cannot close together, whatever their restitutions."""
     contacts = [([1.0], 0.1, 1.0), ([-1.0], 0.2, 0.0)]
     play = system(1, 1, 1, contacts=contacts)
     assert is_nonexpansive(play) is True
@@ -236,7 +236,7 @@ def threefold() -> tuple[System, System]:
 
 
 def test_three_contacts_can_fail_where_no_two_of_them_do() -> None:
-    """Slight differences add up: found without a failing pair."""
+    """Slight differences add up to a failure without a failing pair."""
     model, equal = threefold()
     assert expansive_sets(model) == ((0, 1, 2),)
     assert is_nonexpansive(equal) is True

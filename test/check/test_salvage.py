@@ -47,14 +47,14 @@ def messages(path: Path) -> list[RawMessage]:
 
 
 def cut(path: Path, share: float) -> int:
-    """Cut a file short; its size then."""
+    """Cut a file short, and return its new size."""
     data = path.read_bytes()
     path.write_bytes(data[: round(share * len(data))])
     return path.stat().st_size
 
 
 def flip(path: Path, at: int, mask: int = 0x55) -> None:
-    """Change a byte."""
+    """Change a byte of a file."""
     data = bytearray(path.read_bytes())
     data[at] ^= mask
     path.write_bytes(data)
@@ -220,7 +220,7 @@ def test_damaged_database_names_the_command_that_recovers_it(
 
 
 def test_database_without_metadata_is_salvaged_whole(whole: Path) -> None:
-    """sqlite3 opens it: nothing is lost."""
+    """No message is lost, since sqlite3 opens the database."""
     bag = humble_sqlite(whole, Path("bag"))
     (bag / "metadata.yaml").unlink()
     assert lines(bag)[0].startswith("error bag: no metadata.yaml; nothing seems to be lost; 406")

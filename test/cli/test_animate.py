@@ -59,7 +59,7 @@ def test_gif_repeats_at_the_right_speed(
 def test_page_has_all_pictures_and_needs_nothing_else(
     sample_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However large the page is; no font, script or style comes from a network."""
+    """A page of any size loads no font, script or style from a network."""
     monkeypatch.setitem(mpl.rcParams, "animation.embed_limit", 0.01)
     output = tmp_path / "film.html"
     assert main(["animate", str(sample_bag), "-o", str(output), *QUICK, "--speed", "0.5"]) == 0
@@ -81,7 +81,7 @@ def test_page_has_all_pictures_and_needs_nothing_else(
 
 @pytest.mark.slow
 def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
-    """H.264 of as many pictures, which ffmpeg itself reads back."""
+    """The film reads back with ffmpeg as H.264 of as many pictures."""
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is None:
         ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
@@ -108,7 +108,7 @@ def test_mp4_without_ffmpeg_names_the_extra(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Before anything is drawn."""
+    """The error comes before anything is drawn."""
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     output = tmp_path / "film.mp4"
@@ -144,7 +144,7 @@ def test_encoder_that_fails_is_one_line(
 def test_interrupted_film_leaves_no_file(
     sample_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither under the name of the film nor beside it."""
+    """No file is left under the name of the film or beside it."""
     shown = 0
 
     def interrupt(_progress: object, _what: str, done: float, _total: float) -> None:

@@ -16,7 +16,7 @@ from impact_observer.resources import shared
 
 @pytest.fixture(scope="module")
 def plant_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of two_mass, with four impacts."""
+    """A bag with six seconds of two_mass and four impacts."""
     bag = tmp_path_factory.mktemp("laws") / "plant"
     arguments = ["simulate", "two_mass", "--duration", "6", "--rate", "10", "-o", str(bag)]
     assert main(arguments) == 0
@@ -24,7 +24,7 @@ def plant_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def observed(bag: Path, output: Path, law: str) -> Path:
-    """``bag`` observed with ``law`` into another one."""
+    """Observe ``bag`` with ``law`` into another bag."""
     arguments = ["--law", law, "--initial", "random:1", "--ensemble", "1", "-o", str(output)]
     assert main(["observe", str(bag), *arguments]) == 0
     return output
@@ -97,7 +97,7 @@ def test_laws_receive_the_uncertainty_that_is_declared(
 def test_what_cannot_be_compared_is_one_line(
     plant_bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
 ) -> None:
-    """Wrong use, and a bag that has nothing for the question asked."""
+    """Wrong use is an error, and so is a bag without the compared topics."""
     capsys.readouterr()
     assert main(["compare", str(plant_bag), *arguments]) == code
     errors = capsys.readouterr().err.strip().splitlines()

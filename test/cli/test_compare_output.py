@@ -23,7 +23,7 @@ from impact_observer.io.writer import BagWriter, copy_topics
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six seconds of a sensor that is late, with an estimate."""
+    """A bag with six seconds of a late sensor, and an estimate."""
     folder = tmp_path_factory.mktemp("compare")
     plant, estimates = str(folder / "plant"), str(folder / "estimates")
     simulated = ["simulate", "two_mass", "--duration", "6", "--rate", "250", "--delay", "0.008"]
@@ -73,7 +73,7 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Count pictures, and find what comes from elsewhere."""
+        """Count pictures, and note addresses of other files."""
         self.open.append(tag)
         self.pictures += tag == "svg"
         self.loaded += [
@@ -83,7 +83,7 @@ class Page(HTMLParser):
         ]
 
     def handle_data(self, data: str) -> None:
-        """Keep what stands in tables."""
+        """Keep the text in tables."""
         if self.open and self.open[-1] in {"td", "th"}:
             self.cells.append(data)
 
@@ -92,7 +92,7 @@ class Page(HTMLParser):
 def test_the_report_is_one_page_that_needs_no_network(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Pictures and figures are in it; nothing is loaded from elsewhere."""
+    """The page contains its pictures and figures; nothing is loaded from elsewhere."""
     path = tmp_path / "report.html"
     assert main(["compare", str(bag), "--report", str(path)]) == 0
     assert f"report: {path}" in capsys.readouterr().out
@@ -221,7 +221,7 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
 
 
 def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:
-    """However many bags have its estimates."""
+    """Several bags with estimates of one run share the marks of its impacts."""
     results = [(bag, compared(bag)), (bag, compared(bag))]
     axes = distance_picture(labelled_by_law(results), results).axes[0]
     assert [line.get_label() for line in axes.lines[2:]] == ["impacts at stop"]

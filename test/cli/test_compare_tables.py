@@ -25,7 +25,7 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_names_of_bags_are_printed_literally(
     observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Brackets and colons in them are no markup."""
+    """Brackets and colons in names are no markup."""
     names = ["[red]first", ":smile: second"]
     bags = [shutil.copytree(observed, tmp_path / name) for name in names]
     capsys.readouterr()

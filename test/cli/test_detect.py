@@ -69,7 +69,7 @@ class Recording:
 
 @pytest.fixture(scope="module")
 def run() -> Run:
-    """Six seconds of two_mass."""
+    """A run of two_mass over six seconds."""
     model = read_model("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + 6_000 * MS, 100.0))
@@ -123,7 +123,7 @@ def detected(bag: Path, output: Path, *arguments: str) -> list[ImpactEvent]:
 def test_every_kind_of_sensor_gives_the_impacts_of_the_plant(
     rig_bag: Path, run: Run, tmp_path: Path, arguments: list[str], error: float
 ) -> None:
-    """Switches to the nanosecond, forces and accelerations to a hundredth of a sample."""
+    """Switches are exact to the nanosecond, other sensors to a hundredth of a sample."""
     given = ["--contact", "stop", "--epoch", "1", *arguments]
     events = detected(rig_bag, tmp_path / "out", *given)
     assert [e.sequence for e in events] == list(range(1, len(run.events) + 1))

@@ -84,7 +84,7 @@ def test_a_table_of_a_signal_gives_its_impacts(
 def test_a_sound_gives_its_impacts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: type, error: float
 ) -> None:
-    """Whatever its format, in parts of full scale; here the second of two channels."""
+    """A sound of any format counts in parts of full scale; the signal is its second channel."""
     rate = 48000
     _, a = signal(rate, gravity=0.0)
     part = np.stack([0 * a, a / 100], axis=1)

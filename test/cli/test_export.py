@@ -26,7 +26,7 @@ Table = Mapping[str, Sequence[object]]
 
 @pytest.fixture(scope="module")
 def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten seconds of two masses and an observer whose sensor jitters."""
+    """A bag with ten seconds of two masses, and an observer whose sensor jitters."""
     folder = tmp_path_factory.mktemp("bags")
     plant, bag = str(folder / "plant"), str(folder / "bag")
     how = ("--duration", "5", "--rate", "200", "--jitter", "0.002", "--seed", "3")
@@ -50,7 +50,7 @@ def exported(bag: Path, file: Path, *options: str) -> Table:
 
 
 def bits(values: Sequence[object]) -> bytes:
-    """Numbers bit by bit, from texts too."""
+    """Bits of numbers, also of numbers in texts."""
     return struct.pack(f"{len(values)}d", *(float(str(value)) for value in values))
 
 

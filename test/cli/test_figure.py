@@ -48,7 +48,7 @@ def test_the_default_is_the_papers_two_laws(drawn: list[Figure], tmp_path: Path)
 
 
 def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> None:
-    """Whatever is installed; --paper is a column wide and leaves the title to a caption."""
+    """Every installed law has a curve; --paper is a column wide, with the title in a caption."""
     output = str(tmp_path / "v.pdf")
     assert main(["figure", "two_mass", "--laws", "all", "--paper", *QUICK, "-o", output]) == 0
     (figure,) = drawn

@@ -108,7 +108,7 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
 def test_a_check_on_the_last_impacts_is_printed(
     model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Unless none are held back."""
+    """No check is printed if no impacts are held back."""
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution"]
     assert main(words) == 0
     assert "Checked on the last" in capsys.readouterr().out
@@ -138,7 +138,7 @@ def test_a_clock_error_that_makes_outliers_is_named(
 def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Eight impacts for a start of four numbers and three parameters."""
+    """Eight impacts do not suffice for a start of four numbers and three parameters."""
     jitter, free = ["--jitter", "0.0005"], "restitution,stiffness-scale,damping-scale"
     assert main(["simulate", "two_mass", "--duration", "12", *jitter, "-o", "rig"]) == 0
     for clock, code in (("0.0005", 0), ("1e-5", None)):
@@ -154,7 +154,7 @@ def test_too_few_impacts_are_named_and_say_nothing_of_the_clock(
 def test_samples_of_sensors_make_standard_errors_smaller(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Ten seconds of a rig with an encoder; a topic that is missing is one line."""
+    """The rig has an encoder for ten seconds; a missing topic is an error of one line."""
     made = ["simulate", "two_mass", "--duration", "10", "--seed", "1", "--jitter", "0.001"]
     assert main([*made, "--measurements", "encoder", "-o", "rig"]) == 0
     words = ["identify", "rig", "--free", "restitution", "--clock-error", "0.001"]
@@ -207,7 +207,7 @@ def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixtu
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]) -> None:
-    """Bounces of a ball that rise higher each time: nothing is written."""
+    """The bounces of a ball rise higher each time; no model is written."""
     flights = 0.5 * 1.02 ** np.arange(12)
     times = 1 + np.append(0.0, np.cumsum(flights))
     Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
@@ -263,7 +263,7 @@ def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
 ) -> None:
     """Bounce k of a ball from height h is at tau + s (1 + 2 e + .. + 2 e^k), s = sqrt(2 h / g).
 
-    With a known restitution e that is linear in tau and s, so the error of h is a closed form.
+    With a known restitution e the instant is linear in tau and s: the error of h is a closed form.
     """
     e, h, g, clock = 0.9, 1.2, 9.81, 1e-3
     powers = e ** np.arange(1, 12)

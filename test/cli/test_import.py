@@ -97,7 +97,7 @@ def test_common_dialects_of_csv_are_read(tmp_path: Path, text: str) -> None:
 def test_times_are_exact_to_the_nanosecond(
     tmp_path_factory: pytest.TempPathFactory, whole: int, part: int, unit: str
 ) -> None:
-    """However large they are: no float has so many digits."""
+    """Large times have more digits than a float."""
     stamp = whole * 10**9 + part
     decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     text = format(Decimal(stamp).scaleb(-decimals), "f")
@@ -107,7 +107,7 @@ def test_times_are_exact_to_the_nanosecond(
 
 
 def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
-    """Equal to the nanosecond, however they are written."""
+    """Times count as equal to the nanosecond, in any notation."""
     text = "0.5,left\n0.500000000,right\n0.500000001,left\n0.5000000014,right,close\n"
     first, second = imported(tmp_path, text, "--model", "three_mass")
     assert first.switches == (Switch("left"), Switch("right"))
@@ -198,7 +198,7 @@ def test_a_mistake_is_one_line_with_its_number(
 def test_a_file_that_cannot_be_read_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Because it is not there, or no text in UTF-8."""
+    """One file is missing, and another is no text in UTF-8."""
     path = tmp_path / "rig.csv"
     assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
     assert "rig.csv: cannot be read: No such file" in capsys.readouterr().err

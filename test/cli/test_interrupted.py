@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals: whatever a command has begun is finished or removed, and one line says so."""
+"""Signals: a command finishes or removes its unfinished work, and prints one line."""
 
 import contextlib
 import os
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 
 class Profile:
-    """Counts the calls of this package's functions; at one of them SIGTERM comes.
+    """Counts the calls of this package's functions, and sends SIGTERM at one of them.
 
     Generators are left out: an exception at their start is lost in ``next`` of CPython 3.11.
     """
@@ -54,7 +54,7 @@ class Profile:
 
 @contextlib.contextmanager
 def profiling(at: int | None = None) -> Iterator[Profile]:
-    """Profile the block."""
+    """Count the calls in a block."""
     profile = Profile(at)
     sys.setprofile(profile)
     try:
@@ -87,7 +87,7 @@ def test_sigterm_ends_a_command_in_order_wherever_it_comes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Exit code 143, one line; what is left is whole: bags can be read, files have their names."""
+    """The exit code is 143, with one line; remaining bags are readable, files have their names."""
     monkeypatch.chdir(tmp_path)
     arguments = [command, *(each.format(**inputs) for each in OFFLINE[command])]
     with profiling() as whole:
@@ -100,7 +100,7 @@ def test_sigterm_ends_a_command_in_order_wherever_it_comes(
         with profiling(max(1, int(share * whole.count))) as part:
             code = main(arguments)
         if code == 0 and part.count < (part.at or 0):
-            continue  # what was cached by the first run was not called again
+            continue  # the second run uses caches of the first
         errors = capsys.readouterr().err.splitlines()
         assert code == 143
         assert len(errors) == 1
@@ -112,7 +112,7 @@ def test_sigterm_ends_a_command_in_order_wherever_it_comes(
 
 
 def is_up(command: str, process: int, folder: Path) -> bool:
-    """Whether a command with ROS has begun its work: of our messages it has a bag, or a topic."""
+    """Whether a command with ROS has begun its work, by a bag or a topic with our messages."""
     if command == "demo":
         return len(descendants(process)) >= 5 and any(folder.rglob("*.mcap"))
     if command == "record":
@@ -196,7 +196,7 @@ def test_an_observer_that_is_interrupted_leaves_a_whole_bag(
 
 
 def wait(done: Callable[[], object], patience: float = 90.0) -> None:
-    """Wait until something is so."""
+    """Wait until a condition holds."""
     until = time.monotonic() + patience
     while not done():
         assert time.monotonic() < until, "it never came"
@@ -215,7 +215,7 @@ def descendants(process: int) -> set[int]:
 
 
 def computes(process: int) -> bool:
-    """Whether a process has used two seconds of a processor: more than to be started."""
+    """Whether a process has used two seconds of a processor, more than for its start."""
     with contextlib.suppress(OSError):
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
         return int(fields[11]) + int(fields[12]) > 2 * os.sysconf("SC_CLK_TCK")

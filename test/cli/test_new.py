@@ -30,7 +30,7 @@ FILES = ("hammer.yaml", "hammer_sensors.yaml", "hammer.launch.py")
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> list[str]:
-    """Give these answers, as in a terminal; returns what was asked."""
+    """Give these answers, as in a terminal, and return the questions."""
     left, asked = iter(lines), list[str]()
 
     def answer(question: str) -> str:
@@ -147,7 +147,7 @@ def test_the_commands_that_come_next_run_as_they_are_printed(
 @pytest.mark.parametrize("there", FILES)
 @pytest.mark.usefixtures("in_tmp_path")
 def test_nothing_is_overwritten(there: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whichever file is there already, it stays, and no other one is left."""
+    """An existing file stays, and no other file is left."""
     Path(there).write_text("mine")
     assert main(["new", "hammer", *HAMMER]) == 2
     assert f"{there}: is there already; choose another name" in capsys.readouterr().err
@@ -183,7 +183,7 @@ def test_in_a_terminal_it_asks(
 def test_an_end_of_the_input_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-D in the middle of the questions."""
+    """The input ends with Ctrl-D in the middle of the questions."""
     answers(monkeypatch, "x1,1")
     assert main(["new", "hammer"]) == 2
     assert "the input has ended: nothing is written" in capsys.readouterr().err

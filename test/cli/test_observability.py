@@ -171,7 +171,7 @@ def test_combination_shows_its_largest_terms() -> None:
 
 
 def test_long_growth_is_shown_by_its_ends(capsys: pytest.CaptureFixture[str]) -> None:
-    """Eight masses, each before a stop of its own; one closes for good."""
+    """Eight masses have a stop each; one stop closes for good."""
     contacts = [(row, 0.0, 0.5) for row in np.eye(8)]
     model = system(np.eye(8), np.zeros((8, 8)), np.diag(np.arange(1.0, 9.0)), contacts=contacts)
     events = [impact(k, f"c{k % 8 + 1}") for k in range(1, 17)]

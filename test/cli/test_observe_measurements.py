@@ -151,7 +151,7 @@ def test_dropouts_and_quantisation_are_simulated(tmp_path: Path) -> None:
 def test_what_a_bag_does_not_have_is_one_line(
     bag: Path, tmp_path: Path, wrong: tuple[str, int, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Wrong topic, type, joint, field, contact and stamp; nothing is written."""
+    """Topic, type, joint, field, contact or stamp are wrong; no bag is written."""
     line, code, error = wrong
     (tmp_path / "wrong.yaml").write_text(f"measurements: [{line}]\n")
     given = ["--measurements", str(tmp_path / "wrong.yaml"), "-o", str(tmp_path / "out")]

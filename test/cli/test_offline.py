@@ -32,14 +32,14 @@ FREE = (
 
 @pytest.fixture(scope="module")
 def run_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Fifteen seconds of two_mass."""
+    """A bag with fifteen seconds of two_mass."""
     bag = tmp_path_factory.mktemp("offline") / "plant"
     assert main(["simulate", "two_mass", "--duration", "15", "--seed", "7", "-o", str(bag)]) == 0
     return bag
 
 
 def observed(bag: Path, name: str, *arguments: str) -> Path:
-    """``bag`` observed into a bag beside it."""
+    """Observe ``bag`` into a bag beside it."""
     output = bag.parent / name
     assert main(["observe", str(bag), *arguments, "-o", str(output)]) == 0
     return output
@@ -64,7 +64,7 @@ def test_a_plant_that_hits_nothing_says_how_near_it_came(
 def test_a_bag_without_impacts_gives_no_estimate_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Unless the epoch is given, at which the initial state holds."""
+    """With a given epoch, at which the initial state holds, there are estimates."""
     bag, out = tmp_path / "bag", tmp_path / "out"
     assert main(["simulate", "bouncing_ball", "--duration", "0.3", "-o", str(bag)]) == 0
     assert main(["observe", str(bag), "-o", str(out)]) == 2
@@ -194,7 +194,7 @@ def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -
 
 
 def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
-    """Once at the start, then after each impact: as an error without coordinates."""
+    """The bound is an error without coordinates, at the start and after each impact."""
     output = observed(run_bag, "bounded", "--initial", "random:3", "--deviation", "2")
     with BagReader(output) as reader:
         impacts = len(events_in(reader))
@@ -239,7 +239,7 @@ def test_compare_orders_the_laws_and_draws_them(
 def test_equal_initial_states_leave_ratios_undefined(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Because V0 = 0."""
+    """Ratios to V0 = 0 are undefined."""
     bag = observed(run_bag, "exact", "--initial", "0.1,-0.2,0.5,0")
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0
@@ -326,7 +326,7 @@ def test_compare_without_estimates_names_the_remedy(
 def test_observation_that_fails_leaves_no_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Stops without play and a replica from another side: one line, and no bag is left."""
+    """A replica on the other side of stops without play is an error of one line."""
     model = tmp_path / "jammed.yaml"
     model.write_text(jammed(0, 1, velocity=0), encoding="utf-8")
     plant, output = tmp_path / "plant", tmp_path / "out"

@@ -69,7 +69,7 @@ def test_an_error_removes_the_bar() -> None:
 
 
 def test_a_file_gets_the_lines_only() -> None:
-    """Standard error stays empty where no terminal is."""
+    """Standard error has no bar unless it is a terminal."""
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT.format(end="")], capture_output=True, text=True, check=True
     )

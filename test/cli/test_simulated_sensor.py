@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""simulate with a sensor that is not ideal: what the bag holds, and what is refused."""
+"""simulate with a sensor that is not ideal: the contents of the bag, and refused values."""
 
 from pathlib import Path
 from typing import Any
@@ -105,7 +105,7 @@ def test_help_lists_every_fault_in_a_group(capsys: pytest.CaptureFixture[str]) -
 def test_sensor_that_cannot_be_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
-    """Exit code 2, and no bag."""
+    """The exit code is 2, and no bag is written."""
     bag = tmp_path / "bag"
     try:
         code: object = main(["simulate", "two_mass", *arguments, "-o", str(bag)])

@@ -46,7 +46,7 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
 def test_a_wrong_restitution_is_warned_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], restitution: float
 ) -> None:
-    """0.7 is right: 22 impacts prove that 0.6 is wrong, and are enough to doubt 0.65."""
+    """The restitution is 0.7: 22 impacts prove 0.6 wrong, and raise doubts about 0.65."""
     model = tmp_path / "wrong.yaml"
     right = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     assert right.count("restitution: 0.7") == 1

@@ -260,7 +260,7 @@ def test_a_row_has_the_results_of_simulate_observe_and_compare(
 def test_the_summary_is_a_table_and_a_picture(
     serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Made from a finished file without running anything again."""
+    """The summary of a finished file is made without running a case."""
     path, plot = tmp_path / "sweep.parquet", tmp_path / "sweep.svg"
     path.write_bytes(serial.read_bytes())
     words = ["--plot", str(plot), "--against", "stiffness-scale"]

@@ -48,7 +48,7 @@ def test_file_is_written_and_what_is_left_out_is_said(
 def test_what_cannot_be_described_is_one_line(
     arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 2."""
+    """The exit code is 2."""
     assert main(["urdf", *arguments]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert problem in line

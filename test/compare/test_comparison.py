@@ -26,7 +26,7 @@ SECONDS = 20
 
 
 def run_of(rate: float = 1000.0) -> Run:
-    """Twenty seconds of two_mass."""
+    """A run of two_mass over twenty seconds."""
     model = read_model("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + SECONDS * NS_PER_S, rate))
@@ -51,7 +51,7 @@ def shifted(delay: int) -> NDArray[np.float64]:
 
 
 def test_metrics_are_those_of_plain_formulas() -> None:
-    """Errors, V, the settling time and the rate, of an estimate with a fading error."""
+    """The formulas give errors, V, settling time and rate of an estimate with a fading error."""
     rng = np.random.default_rng(3)
     x = RUN.states + rng.normal(size=RUN.states.shape) * np.exp(-np.arange(20001) / 3000)[:, None]
     truth, estimate = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, x)
@@ -102,7 +102,7 @@ def test_rates_are_finite_where_an_estimate_is_exact_for_a_moment() -> None:
 
 
 def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
-    """Whatever the size of the estimate's jump, up or down, and with openings among the events."""
+    """The estimate's jump may have any size and sign; openings are among the events."""
     for factor in (0.1, 1.0, -0.7):
         found = compared(
             samples_of(RUN.stamps, RUN.states),

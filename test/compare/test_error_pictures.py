@@ -76,7 +76,7 @@ def test_a_law_that_comes_again_gets_other_markers() -> None:
 
 
 def test_exact_estimates_leave_a_gap() -> None:
-    """Zero has no logarithm: neither a warning nor a line down to nowhere."""
+    """Zero, which has no logarithm, gives neither a warning nor a line down to nowhere."""
     exact = fading("geometric", 3.0)
     exact.V[200:300] = 0.0
     figure = lyapunov_picture({"geometric": exact}, {}, title="", epoch=NS_PER_S)
@@ -107,7 +107,7 @@ def test_legend_and_impacts_cover_no_curve(paper: bool) -> None:
 
 @pytest.mark.slow
 def test_very_many_contacts_share_one_row() -> None:
-    """Rows and a legend for each would leave no room for the curves."""
+    """Separate rows and legends would leave no room for the curves."""
     few, many = picture({"geometric": 3.0}, contacts=8), picture({"geometric": 3.0}, contacts=30)
     assert len(few.axes[0].lines) == 1 + 8
     assert len(many.axes[0].lines) == 1 + 1
@@ -146,7 +146,7 @@ def test_twenty_decades_stay_readable() -> None:
 
 
 def test_markers_of_different_curves_stand_beside_each_other() -> None:
-    """Equal curves are seen to be two."""
+    """Equal curves can be recognised as two."""
     figure = picture({"unilateral": 3.0, "minimum-variance": 3.0}, contacts=0)
     one, two = (line.get_markevery() for line in figure.axes[0].lines)
     assert isinstance(one, tuple)

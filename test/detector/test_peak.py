@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Peaks of a signal: where they are, to better than a sample, and which of them are impacts."""
+"""Peaks of a signal: places finer than a sample, and the peaks that are impacts."""
 
 import math
 
@@ -55,7 +55,7 @@ def test_the_top_of_a_half_sine_is_found_to_better_than_a_hundredth_of_a_sample(
 def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
     top: float, left: float, right: float, height: float
 ) -> None:
-    """Whatever the distances, as long as the middle sample is the highest."""
+    """Distances are arbitrary, as long as the middle sample is the highest."""
     scale = 1e6
 
     def point(t: float) -> tuple[int, float]:
@@ -74,7 +74,7 @@ def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
     st.sampled_from([1000, 4000]),
 )
 def test_noise_neither_hides_nor_adds_a_peak(gaps: list[float], seed: int, rate: int) -> None:
-    """Half-sines of 8 ms with a tenth of noise: each is found once, to within a millisecond."""
+    """Each half-sine of 8 ms with a tenth of noise is found once, to within a millisecond."""
     tops = 0.05 + np.cumsum(gaps)
     stamps = every(S // rate, int((tops[-1] + 0.1) * rate))
     noise = np.random.default_rng(seed).normal(0.0, 2.0, stamps.size).clip(-10, 10)
@@ -86,7 +86,7 @@ def test_noise_neither_hides_nor_adds_a_peak(gaps: list[float], seed: int, rate:
 
 
 def test_a_structure_that_rings_after_a_hit_is_one_impact() -> None:
-    """400 Hz that fades within 10 ms: the first peak, at its closed form."""
+    """A vibration of 400 Hz fades within 10 ms; the impact is its first peak, in closed form."""
     rate, w, fading = 10_000, 2 * math.pi * 400, 1 / 0.004
     stamps = every(S // rate, 3000)
     t = (stamps - START) * 1e-9 - 0.1

@@ -63,7 +63,7 @@ def test_a_switch_without_messages_while_closed_is_a_persistent_contact() -> Non
 
 
 def test_without_a_least_duration_every_edge_closes() -> None:
-    """CLOSE at the rising, OPEN at the falling edge."""
+    """CLOSE comes at the rising edge, OPEN at the falling edge."""
     detected = detections(switch(min_contact_duration=0.0), changes(10, 20, 30, 31), at(100))
     kinds = [Kind.CLOSE, Kind.OPEN] * 2
     assert events(detected) == list(zip(map(at, (10, 20, 30, 31)), kinds, strict=True))
@@ -108,7 +108,7 @@ def test_the_level_at_the_end_of_the_dead_time_has_the_stamp_of_its_edge() -> No
 
 
 def test_a_force_may_be_a_switch_with_hysteresis() -> None:
-    """Closed from ten newtons on, open below six."""
+    """The contact is closed from ten newtons on, and open below six."""
     source = switch(kind="switch", threshold=10.0, hysteresis=4.0)
     force = [9.9, 10.0, 7.0, 6.0, 12.0, 5.9, 9.0]
     detected = detections(source, sampled(every(100 * MS, 7), np.array(force)))

@@ -32,7 +32,7 @@ def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
     [(0.0, "kinematic"), (0.0, "geometric"), (0.0, "minimum-variance"), (0.6, "geometric")],
 )
 def test_estimates_from_a_switch_are_those_from_an_ideal_sensor(eps: float, law: str) -> None:
-    """Impacts, and contacts that close and open: superseded impacts have no effect."""
+    """Events are impacts, CLOSE and OPEN; superseded impacts have no effect."""
     force = forcing(2, np.array([0.0, 1.0]), [Harmonic(2.0, [0.0, 6.0], [0.0, 0.0])])
     model = system(
         np.eye(2),

@@ -35,13 +35,13 @@ class Terminal(io.StringIO):
     """A text file that is taken for a terminal."""
 
     def isatty(self) -> bool:
-        """Always."""
+        """Return True, as of a terminal."""
         return True
 
 
 @pytest.fixture
 def lines_at(monkeypatch: pytest.MonkeyPatch) -> "LinesAt":
-    """Prints on a terminal."""
+    """Print on a terminal, and return the lines."""
     return LinesAt(monkeypatch)
 
 
@@ -52,7 +52,7 @@ class LinesAt:
         self._monkeypatch = monkeypatch
 
     def __call__(self, columns: int, table: TextTable) -> list[str]:
-        """Print a table there."""
+        """Print a table on a terminal."""
         terminal = Terminal()
         self._monkeypatch.setattr(sys, "stdout", terminal)
         self._monkeypatch.setenv("TERM", "xterm")
@@ -64,7 +64,7 @@ class LinesAt:
 def test_at_a_pipe_each_row_is_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However long a row is, and whatever COLUMNS says; names are printed literally."""
+    """Rows of any length ignore COLUMNS; names are printed literally."""
     monkeypatch.setenv("COLUMNS", "20")
     print_table(TABLE)
     title, headings, *rows = capsys.readouterr().out.splitlines()
@@ -104,7 +104,7 @@ def test_facts_cannot_control_a_terminal(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_words_are_counted_and_listed() -> None:
-    """Singular and plural; a long list says how many words are left out."""
+    """Counts have singular and plural; a long list says how many words are left out."""
     assert [counted(n, "event") for n in (0, 1, 2)] == ["0 events", "1 event", "2 events"]
     assert counted(2, "mass", "es") == "2 masses"
     assert [listed(words) for words in ("", "a", "ab", "abc")] == [

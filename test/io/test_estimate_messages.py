@@ -73,7 +73,7 @@ def test_stamp_that_no_message_carries_is_refused() -> None:
 def test_verdicts_come_where_they_would_among_single_estimates(
     parts: list[tuple[int, list[int]]],
 ) -> None:
-    """Early ones wait for the estimates up to their stamps, revisions are logged at once."""
+    """Early verdicts wait for the estimates up to their stamps; revisions are logged at once."""
     items: list[Estimates | Verdict] = []
     now = 100
     for size, verdicts in parts:

@@ -14,7 +14,7 @@ from impact_observer.io import BagReader
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four seconds of two_mass, with impacts, truth and model."""
+    """A recording of two_mass over four seconds, with impacts, truth and model."""
     path = tmp_path_factory.mktemp("recording") / "own"
     given = ["--duration", "4", "--rate", "10", "-o", str(path)]
     assert main(["simulate", "two_mass", *given]) == 0

@@ -35,7 +35,7 @@ HASHES = {
     "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
     "std_msgs/msg/Header": "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",
 }
-"""As the packages of Jazzy install them (share/PACKAGE/msg/NAME.json)."""
+"""Type hashes of the packages of Jazzy (share/PACKAGE/msg/NAME.json)."""
 WRITE = """
 import sys, time
 from impact_observer.events import ImpactEvent, Switch
@@ -83,7 +83,7 @@ def chunks(data: bytes) -> list[Chunk]:
 
 
 def wait(done: Callable[[], object]) -> None:
-    """Wait until something is so."""
+    """Wait until a condition holds."""
     latest = time.monotonic() + PATIENCE
     while not done():
         assert time.monotonic() < latest, "it never came"
@@ -137,7 +137,7 @@ def test_one_event_is_on_the_disk_without_another(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
-    """SIGKILL: every event that was written a second before is salvaged, and no other."""
+    """After SIGKILL every event older than a second is salvaged."""
     command = [sys.executable, "-c", WRITE, str(tmp_path / "bag")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -155,7 +155,7 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
 def test_events_that_come_one_by_one_are_salvaged_wherever_the_file_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """6000 impacts at 1 Hz, each flushed alone: what is cut off is lost, nothing before it."""
+    """Of 6000 events at 1 Hz, each flushed alone, only the cut-off ones are lost."""
     monkeypatch.setattr(os, "fsync", lambda _: None)
     sizes = []
     bag = tmp_path / "bag"
@@ -200,7 +200,7 @@ def test_what_is_flushed_is_on_the_disk_and_zeros_behind_it_do_no_harm(
 
 
 def test_reindexing_finds_all_it_needs_in_the_chunks(tmp_path: Path) -> None:
-    """Name of the file, types with their hashes, qualities, messages: by another library.
+    """Another library finds the file's name, types with hashes, qualities and messages.
 
     ``ros2 bag reindex`` reads the records from the beginning where there is no index, up to the
     first that is cut short.

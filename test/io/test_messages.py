@@ -100,7 +100,7 @@ def errors(draw: st.DrawFn) -> EstimateError:
 
 
 def through_bytes(message: object, type_name: str) -> object:
-    """``message`` as it comes back from a bag."""
+    """``message`` after its way through the bytes of a bag."""
     store = typestore()
     return deserialize(store, bytes(store.serialize_cdr(message, type_name)), type_name)
 
@@ -117,7 +117,7 @@ def same(left: object, right: object) -> bool:
 
 @given(event=EVENTS)
 def test_event_survives_its_message(event: ImpactEvent) -> None:
-    """Stamps to the nanosecond, counters to the last bit."""
+    """A message keeps stamps to the nanosecond, and counters to the last bit."""
     back = through_bytes(bag_messages().event(event), interfaces.IMPACT_EVENT)
     assert m.read_event(back) == event
 
@@ -131,7 +131,7 @@ def test_verdict_survives_its_message(verdict: Verdict, latency: float) -> None:
 
 @given(state=joint_states())
 def test_joint_state_survives_its_message(state: JointState) -> None:
-    """Numbers bit for bit."""
+    """A message keeps the numbers bit for bit."""
     back = through_bytes(bag_messages().joint_state(state), interfaces.JOINT_STATE)
     assert same(m.read_joint_state(back), state)
 
@@ -147,14 +147,14 @@ def test_estimate_survives_its_message(both: tuple[Estimate, tuple[str, ...]]) -
 
 @given(impact=IMPACTS)
 def test_smoothed_impact_survives_its_message(impact: SmoothedImpact) -> None:
-    """Stamps to the nanosecond, the deviation bit for bit."""
+    """A message keeps the stamp to the nanosecond, and the deviation bit for bit."""
     back = through_bytes(bag_messages().smoothed_impact(impact), interfaces.SMOOTHED_IMPACT)
     assert m.read_smoothed_impact(back) == impact
 
 
 @given(verdict=SAMPLES)
 def test_verdict_on_a_sample_survives_its_message(verdict: MeasurementVerdict) -> None:
-    """Numbers bit for bit."""
+    """A message keeps the numbers bit for bit."""
     made = bag_messages().measurement_verdict(verdict)
     back = through_bytes(made, interfaces.MEASUREMENT_VERDICT)
     assert m.read_measurement_verdict(back) == verdict
@@ -162,7 +162,7 @@ def test_verdict_on_a_sample_survives_its_message(verdict: MeasurementVerdict) -
 
 @given(error=errors())
 def test_estimate_error_survives_its_message(error: EstimateError) -> None:
-    """Numbers bit for bit."""
+    """A message keeps the numbers bit for bit."""
     back = through_bytes(bag_messages().estimate_error(error), interfaces.ESTIMATE_ERROR)
     assert same(m.read_estimate_error(back), error)
 

@@ -86,7 +86,7 @@ def rewritten(source: Path, target: Path, **choices: object) -> Path:
 
 @pytest.mark.slow
 def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> None:
-    """Directories and bare files, MCAP and sqlite3, plain and compressed."""
+    """Storages are folders and files, MCAP and sqlite3, plain and compressed."""
     plain = rewritten(bag, tmp_path / "plain")
     forms = {
         bag: "mcap",
@@ -109,7 +109,7 @@ def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> Non
 
 
 def test_columns_are_ordered_by_name(bag: Path) -> None:
-    """Whatever order each message has, and read-only."""
+    """Columns are read-only, and do not depend on the order in the messages."""
     with BagReader(bag) as reader:
         first = reader.joint_states("/plant/joint_states")
         turned = reader.joint_states("/plant/joint_states", ["b", "a"])
@@ -187,7 +187,7 @@ def break_folder(path: Path) -> Path:
 
 
 def break_yaml(path: Path) -> Path:
-    """Metadata that is no YAML."""
+    """Replace the metadata by a text that is no YAML."""
     (path / "metadata.yaml").write_text("{[", "utf-8")
     return path
 
@@ -251,7 +251,7 @@ def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expe
 def test_damage_anywhere_is_never_a_traceback(
     bag: Path, flips: list[tuple[float, int]], keep: float
 ) -> None:
-    """Bytes are flipped and the end is cut: reading works, or it is one line."""
+    """After flipped bytes or a cut, reading works, or the error is one line."""
     data = bytearray((bag / "bag_0.mcap").read_bytes())
     for where, mask in flips:
         data[round(where * (len(data) - 1))] ^= mask
@@ -306,7 +306,7 @@ def test_coordinates_that_do_not_fit_are_named(
     names: list[str] | None,
     expected: str,
 ) -> None:
-    """Against the given names, or those of the first message."""
+    """Coordinates are compared with the given names, or with those of the first message."""
     with BagWriter(tmp_path / "bag") as writer:
         if names is None:
             writer.write("/plant/joint_states", 1, state(1, a=(1, 2), b=(1, 2)))

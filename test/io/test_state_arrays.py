@@ -85,7 +85,7 @@ def joint_block() -> Iterator[bytes]:
 
 
 def test_a_block_of_joint_states_equals_its_messages() -> None:
-    """Bit for bit, whatever the order of names and bytes."""
+    """Numbers are equal bit for bit, in any order of names and bytes."""
     block = [*joint_block()]
     states = taken(JOINT, block)
     assert states.names == ("x1", "x2")
@@ -119,7 +119,7 @@ def test_a_block_of_estimates_equals_its_messages() -> None:
 
 
 def test_covariances_follow_the_order_of_the_names() -> None:
-    """Rows and columns of coordinates and of velocities."""
+    """Rows and columns of coordinates and velocities are permuted."""
     data = estimate(7, sure=True)
     _, one = read_estimate(deserialize(typestore(), data, OBSERVER))
     states = taken(OBSERVER, [data], "x2", "x1")

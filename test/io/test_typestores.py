@@ -11,7 +11,7 @@ from impact_observer.io import interfaces, typestores
 
 
 def test_all_types_of_the_table_are_known() -> None:
-    """Ours from their texts, the others from ROS 2 Jazzy."""
+    """Types of this package come from their texts, the others from ROS 2 Jazzy."""
     definitions = typestores.typestore().fielddefs
     assert {each.type for each in interfaces.INTERFACES} <= definitions.keys()
     assert interfaces.IMPACT_EVENT not in get_typestore(Stores.ROS2_JAZZY).fielddefs

@@ -26,7 +26,7 @@ def event(stamp: int) -> object:
 
 
 def test_folder_has_the_form_of_jazzy(tmp_path: Path) -> None:
-    """Version 9, one MCAP file named as rosbag2 does, hashes of the types."""
+    """A bag has version 9, one MCAP file with the name of rosbag2, and hashes of the types."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(5))
         writer.write("/impacts", 9, event(6))
@@ -179,7 +179,7 @@ def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
 
 
 def test_closed_bag_takes_nothing(tmp_path: Path) -> None:
-    """Closing twice does no harm."""
+    """A closed bag refuses messages; closing twice does no harm."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 1, event(1))
         writer.close()

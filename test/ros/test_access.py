@@ -62,7 +62,7 @@ def test_every_node_has_a_policy() -> None:
 def test_a_policy_allows_what_its_node_does_and_nothing_else(
     name: str, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Topics that it publishes and receives, services that it offers."""
+    """The policy has the topics and services of the node."""
     assert ros_environment
     (tmp_path / "live.yaml").write_text(LIVE_MODEL)
     given = ARGUMENTS.get(name, ["-p", f"model:={tmp_path / 'live.yaml'}"])

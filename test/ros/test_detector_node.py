@@ -66,7 +66,7 @@ class Rig:
         return publisher
 
     def until_events(self, count: int) -> None:
-        """Spin until so many events were received."""
+        """Spin until a number of events have been received."""
         self.spinner.until(lambda: len(self.events) >= count)
 
     def diagnosis(self, contact: str) -> DiagnosticStatus:

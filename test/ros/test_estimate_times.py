@@ -11,7 +11,7 @@ EPOCH = 5 * NS_PER_S
 
 @pytest.mark.parametrize("rate", [0.7, 100.0, 1000.0, 1e5 / 3])
 def test_every_stamp_of_the_grid_is_due_once(rate: float) -> None:
-    """However often the node asks."""
+    """The stamps do not depend on the instants of the calls."""
     times, stamps, now = EstimateTimes(rate), list[int](), EPOCH
     while len(stamps) < 500:
         now += int(0.9 * NS_PER_S / rate)

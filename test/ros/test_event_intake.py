@@ -27,7 +27,7 @@ Item = tuple[ImpactEvent, tuple[Verdict, ...]]
 
 @dataclass
 class SlowObserver:
-    """Applies each event after some seconds of a clock that only it moves on.
+    """Applies each event after some seconds of a clock that only this observer advances.
 
     Attributes:
         seconds: for each event, s.

@@ -144,7 +144,7 @@ def replica(*events: Event) -> Observer:
 
 
 def assert_same(estimate: Estimate, wanted: Estimate) -> None:
-    """Bit for bit."""
+    """Assert that states are equal bit for bit."""
     assert estimate.stamp == wanted.stamp
     assert estimate.q.tobytes() == wanted.q.tobytes()
     assert estimate.u.tobytes() == wanted.u.tobytes()
@@ -530,7 +530,7 @@ def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) ->
 
 
 def test_every_fault_of_the_events_is_reported_and_counted(rig: Rig) -> None:
-    """Reported by the reason of a verdict, counted in the diagnostics."""
+    """A fault is the reason of a verdict, and is counted in the diagnostics."""
     rig.tick(EPOCH + 90_000_000)
     closing = Event(EPOCH + 10_000_000, (Switch("stop", Kind.CLOSE),), 5, epoch=EPOCH)
     for each in (

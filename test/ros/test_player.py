@@ -84,7 +84,7 @@ def listening(*topics: str) -> Iterator[list[Received]]:
 
 
 def wait_for(received: list[Received], count: int) -> None:
-    """Wait until that many messages have come."""
+    """Wait until a number of messages have come."""
     latest = time.monotonic() + PATIENCE
     while len(received) < count:
         assert time.monotonic() < latest, f"{len(received)} of {count} came"

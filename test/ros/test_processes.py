@@ -206,7 +206,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 def test_misspelt_parameters_give_a_warning_in_log_and_diagnostics(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """ROS itself ignores them, on the command line and in files, also beside an empty list."""
+    """ROS ignores such parameters, on the command line and in files, also beside an empty list."""
     file = tmp_path / "parameters.yaml"
     text = "/**: {ros__parameters: {estimate_parameters: [], sensor: {jitter: 1.0}}}\n"
     file.write_text(f"{text}plant: {{ros__parameters: {{step: 1.0}}}}\n", encoding="utf-8")

@@ -60,7 +60,7 @@ def event(stamp: int) -> object:
 
 
 def spin_until(executor: "SingleThreadedExecutor", done: Callable[[], bool]) -> None:
-    """Spin until something is so."""
+    """Spin until a condition holds."""
     latest = time.monotonic() + PATIENCE
     while not done():
         assert time.monotonic() < latest, "it did not come"
@@ -88,7 +88,7 @@ def recording(
 def test_what_is_played_is_recorded_until_a_signal(
     tmp_path: Path, sample_bag: Path, ros_environment: dict[str, str], number: signal.Signals
 ) -> None:
-    """Byte for byte, in order, with qualities; the process ends well and the bag is whole."""
+    """Messages are equal byte for byte, in order, with qualities; the bag is whole."""
     command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "copy")]
     with subprocess.Popen(
         command, env=ros_environment, stdout=subprocess.PIPE, text=True
@@ -121,7 +121,7 @@ def test_what_is_played_is_recorded_until_a_signal(
 def test_latched_and_earlier_messages_are_recorded_by_a_late_recorder(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Because the recorder asks for what all publishers of a topic offer."""
+    """The recorder asks for the quality that all publishers of a topic offer."""
     assert ros_environment
     with ros_node("plant") as (plant, _):
         model, impacts = advertise(plant, "/plant/model"), advertise(plant, "/impacts")
@@ -178,7 +178,7 @@ def test_burst_is_not_lost(tmp_path: Path, ros_environment: dict[str, str]) -> N
 def test_only_the_topics_asked_for_are_recorded(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Relative names too; one that never appears is missing."""
+    """Topics may have relative names; a topic that never appears is reported as missing."""
     assert ros_environment
     with (
         ros_node("plant") as (plant, _),

@@ -257,7 +257,7 @@ def test_what_no_case_could_run_is_refused_at_once(
 
 
 def test_the_description_distinguishes_sweeps() -> None:
-    """Whatever outcomes depend on is in it, and JSON brings it back."""
+    """JSON keeps the description, which has everything that outcomes depend on."""
     sweep = swept(faults={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
     changed = [
         replace(sweep, laws=("kinematic",)),

@@ -25,7 +25,7 @@ def traces(content: PlotContent, row: int) -> list[Any]:
 
 
 def test_page_has_the_numbers_of_each_quantity() -> None:
-    """Truth, estimate, and the band of two deviations on either side of it."""
+    """The page has truth, estimate, and the estimate's band of two deviations on either side."""
     content = recording(deviation=0.25)
     band, truth, estimate = traces(content, 3)
     assert (truth.name, estimate.name) == ("truth", "minimum-variance")

@@ -68,7 +68,7 @@ def recording(
 
 
 def test_every_sample_of_a_short_recording_is_drawn(sample_bag: Path) -> None:
-    """Truth and estimate at their stamps, with the bag's own numbers."""
+    """Curves of truth and estimate have the stamps and numbers of the bag."""
     found = recording(sample_bag, "x1", "stop")
     with BagReader(sample_bag) as reader:
         states = reader.joint_states("/plant/joint_states", SYSTEM.coordinates)
@@ -181,7 +181,7 @@ def test_long_recording_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_of_many_coordinates_those_that_move_most_are_drawn(tmp_path: Path) -> None:
-    """Positions, then velocities, in the order of the model; the rest is counted."""
+    """Positions come first, then velocities, in the order of the model; the rest is counted."""
     names = tuple(f"x{i}" for i in range(20))
     path = tmp_path / "bag"
     with BagWriter(path) as writer:

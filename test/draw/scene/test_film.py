@@ -74,7 +74,7 @@ def test_last_state_of_a_stamp_counts_and_order_does_not() -> None:
 
 
 def test_sampled_plant_is_never_inside_of_its_stop() -> None:
-    """Whatever the picture's instant: gaps of straight lines between states are not negative."""
+    """Straight lines between states have no negative gap at any instant."""
     ran = run(SYSTEM, [0.1, -0.2], [0.5, 0.0], seconds=8.0, rate=50.0)
     jumps = [event.stamp for event in ran.events]
     moving = Track.of_states(

@@ -29,7 +29,7 @@ LIT, PLANT = "#D55E00", "#B9CFE0"
 
 @cache
 def film() -> Film:
-    """Four seconds of two_mass, with two estimates that approach the plant."""
+    """A film of two_mass over four seconds, with two estimates that approach the plant."""
     model = sample("two_mass").system
     ran = run(model, [0.1, -0.2], [0.5, 0.0], seconds=4.0, rate=50.0)
     cuts = [event.stamp for event in ran.events]
@@ -61,7 +61,7 @@ class Shown:
         self.canvas: Any = FigureCanvasAgg(self._drawn.figure)
 
     def show(self, stamp: int) -> None:
-        """Move everything to a stamp."""
+        """Move all parts to a stamp."""
         self._drawn.show(stamp)
 
     def picture(self, stamp: int) -> Picture:
@@ -138,7 +138,7 @@ def test_a_picture_depends_on_its_stamp_only() -> None:
 
 @pytest.mark.parametrize("q", [[0.0, 0.0], [0.2, -0.1], [-0.1, 0.5]])
 def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
-    """Left and right edges of the blue boxes, to a pixel."""
+    """The edges of the blue boxes are right to a pixel."""
     content = still(sample("two_mass").system, np.array(q))
     scene = content.scene
     shown = Shown(content)
@@ -235,7 +235,7 @@ def test_estimates_alone_make_a_film() -> None:
 
 
 def test_exact_estimate_has_no_distance_to_draw() -> None:
-    """Zero has no logarithm: neither a warning nor a dot."""
+    """Zero, which has no logarithm, gives neither a warning nor a dot."""
     truth = film().truth
     assert truth is not None
     exact = replace(truth, law="geometric", label="geometric")
@@ -246,7 +246,7 @@ def test_exact_estimate_has_no_distance_to_draw() -> None:
 
 
 def odd() -> System:
-    """Full matrices; a wall, a bumper and two contacts that are neither."""
+    """A model of full matrices with a wall, a bumper and two other contacts."""
     K = 5 * np.eye(4) - np.ones((4, 4))
     contacts = [
         ([0.0, 0.0, 0.0, -1.0], 0.2, 0.5),

@@ -93,7 +93,7 @@ def test_nothing_overlaps_while_stops_are_obeyed(case: tuple[System, Array]) -> 
 @examples(40)
 @given(systems(max_n=6, contacts=(0, 5)), st.data())
 def test_any_model_has_a_scene(model: System, data: st.DataObject) -> None:
-    """Full matrices, any direction: every contact is drawn once, every number is finite."""
+    """With full matrices and any directions every contact is drawn once, every number finite."""
     q = data.draw(vectors(model.n))
     for positions in ([], [q], [q, -q], [np.zeros(model.n)] * 2):
         scene = Scene.of_system(model, positions)
@@ -125,7 +125,7 @@ def test_pin_of_a_bar_is_as_far_from_its_plate_as_the_gap_says(
 
 
 def test_chain_between_walls_has_springs_to_both() -> None:
-    """three_mass: four springs in a line, stops on the sides where their limits are."""
+    """The drawing of three_mass has four springs in a line, and stops at their limits."""
     scene = Scene.of_system(sample("three_mass").system)
     assert joints(scene) == {
         (SceneJoint.SPRING, None, 0, 0),
