@@ -108,7 +108,7 @@ class ContactCheck:
 
     def add(self, event: ImpactEvent, where: str) -> None:
         """Add an event, at the place ``where`` of the bag."""
-        self._times.add(event)
+        self._times.add_event(event)
         for switch in sorted(event.switches, key=lambda each: each.kind):
             named = switch.contact in self._contacts or len(self._contacts) < _MOST_NAMES
             contact = self._contacts[switch.contact if named else "(other contacts)"]

@@ -49,9 +49,9 @@ class HitTimes:
         self._last, self._of_contact = 0, dict[str, int]()
         self._lengths = Counter[int]()
         for each in events:
-            self.add(each)
+            self.add_event(each)
 
-    def add(self, event: ImpactEvent) -> None:
+    def add_event(self, event: ImpactEvent) -> None:
         """Add an event.
 
         The first event of another run of the sender has no predecessor.

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             epoch=args.epoch,
             flush=args.flush,
             progress=show,
-            each=hits.add,
+            each=hits.add_event,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
         if model is not None:

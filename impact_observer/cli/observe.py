@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         read = model_of(reader, args.model)
         sensors = read_measurements(args.measurements)
         observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
-        measured = MeasuredTopics.of(reader, sensors, args.measurement_verdicts)
+        measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
         has_covariance = observer.law.has_covariance
         odd = doubts(args.bag, first_times(reader), read.system, has_covariance=has_covariance)
         start = far_start(read.system, chosen)

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     of_samples = {each.name: getattr(args, each.name) for each in MEASUREMENT_FAULTS}
     if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
         raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")
-    faults = SampleFaults.of(of_samples)
+    faults = SampleFaults.from_values(of_samples)
     simulation = SampleSimulation(sensors, model.system, faults, args.seed)
     sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:

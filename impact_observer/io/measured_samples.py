@@ -119,7 +119,7 @@ class MeasuredTopics(NamedTuple):
     problems: Sequence[str] = ()
 
     @classmethod
-    def of(
+    def read(
         cls, reader: BagReader, measurements: Sequence[Measurement], verdicts: str = AUTO
     ) -> "MeasuredTopics":
         """Read the samples of a bag; ``verdicts`` is one of ``options.VERDICTS``.

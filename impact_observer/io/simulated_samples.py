@@ -59,7 +59,7 @@ class SampleFaults:
     transport: float = 0.0
 
     @classmethod
-    def of(cls, given: Mapping[str, float | None]) -> "SampleFaults":
+    def from_values(cls, given: Mapping[str, float | None]) -> "SampleFaults":
         """Faults from values by the names of ``MEASUREMENT_FAULTS``; None gives the default."""
         names = (row.name.removeprefix("measurement_") for row in MEASUREMENT_FAULTS)
         both = zip(names, (given.get(row.name) for row in MEASUREMENT_FAULTS), strict=True)
@@ -150,7 +150,7 @@ class SampleSimulation:
         """Stamp of the ``k``-th samples, ns; samples at the epoch have the number 0."""
         return epoch + round(k / self.faults.rate * NS_PER_S)
 
-    def at(
+    def messages_at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[SimulatedMessage]:
         """Messages of all sensors for the state (q, u), shape (2n,), at ``stamp`` (ns)."""
@@ -211,7 +211,7 @@ def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
 
 def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
     """The messages of all sensors on a run of a plant, in order of arrival."""
-    found = (message for at in _states(run) for message in simulation.at(*at))
+    found = (message for at in _states(run) for message in simulation.messages_at(*at))
     return sorted(found, key=lambda each: each.arrival)
 
 

@@ -98,7 +98,7 @@ class PlantNode(BaseNode):
         )
         declared = read_measurements(values.text("measurements"))
         of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
-        sample_faults = SampleFaults.of(of_samples)
+        sample_faults = SampleFaults.from_values(of_samples)
         self._sensors = PlantSensors(self, declared, self._system, sample_faults, self._seed)
         self._closed: Contacts = ()
         text = published_model(self._model, self._seed, how, self._sensor)

@@ -116,7 +116,7 @@ class PlantSensors:
         ``state`` is (q, u) at a stamp while contacts are ``closed``.
         """
         while self._has_sensors and (stamp := self._sample_stamp) <= last:
-            for each in self._simulation.at(stamp, self._epoch, state(stamp), closed):
+            for each in self._simulation.messages_at(stamp, self._epoch, state(stamp), closed):
                 heapq.heappush(self._transit, (each.arrival, next(self._order), each))
             self._next += 1
         while self._transit and self._transit[0][0] <= last:

@@ -67,7 +67,7 @@ def lines(path: Path) -> list[str]:
     return [f"{each.severity} {each.line}" for each in report.findings]
 
 
-def found(path: Path, whole: Path) -> int:
+def salvaged_count(path: Path, whole: Path) -> int:
     """Number of messages that a salvage recovers, each of them unharmed."""
     salvage(Salvage(path), Path("new"))
     again, all_ = messages(Path("new")), set(messages(whole))
@@ -109,7 +109,7 @@ def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
         f" messages, up to {text(last)} s, can be read: {REMEDY}"
     )
     assert f"warning bag_0.mcap: was cut short at byte {size}" in printed
-    assert found(bag, whole) == sum(counts.values()) > 120
+    assert salvaged_count(bag, whole) == sum(counts.values()) > 120
 
 
 def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
@@ -125,7 +125,7 @@ def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
         "note /plant/joint_states: 144 messages can be read, up to 3.860000000 s",
         "note /plant/model: 1 message can be read, up to 1.000000000 s",
     ]
-    assert found(bag, whole) == 147
+    assert salvaged_count(bag, whole) == 147
 
 
 def test_mcap_with_a_broken_chunk(whole: Path) -> None:
@@ -142,7 +142,7 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
             " before 4.000000000 s; record with reliable quality of service and a depth of 2000"
         ),
     ]
-    assert 300 < found(bag, whole) < len(messages(whole))
+    assert 300 < salvaged_count(bag, whole) < len(messages(whole))
 
 
 def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
@@ -167,7 +167,7 @@ def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> Non
     _, second, third, *_ = chunks(bare(bag))
     flip(bare(bag), second + 7)
     assert f"warning bag_0.mcap: is damaged from byte {second} to {third}" in lines(bag)
-    assert 300 < found(bag, whole) < len(messages(whole))
+    assert 300 < salvaged_count(bag, whole) < len(messages(whole))
 
 
 @pytest.mark.slow
@@ -189,7 +189,7 @@ def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
     assert printed.endswith(everything)
     metadata.unlink()
     assert lines(bag)[0] == f"error bag: no metadata.yaml; {everything}"
-    assert found(bag, whole) == 406
+    assert salvaged_count(bag, whole) == 406
 
 
 @pytest.mark.parametrize("damage", ["cut", "broken page"])
@@ -224,7 +224,7 @@ def test_database_without_metadata_is_salvaged_whole(whole: Path) -> None:
     bag = humble_sqlite(whole, Path("bag"))
     (bag / "metadata.yaml").unlink()
     assert lines(bag)[0].startswith("error bag: no metadata.yaml; nothing seems to be lost; 406")
-    assert found(bag, whole) == 406
+    assert salvaged_count(bag, whole) == 406
 
 
 def test_journal_that_a_recorder_left_is_reported(whole: Path) -> None:

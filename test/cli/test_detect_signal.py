@@ -33,7 +33,7 @@ def table(header: str = "time,az\n", row: Callable[[float, float], str] | None =
     return header + "\n".join(row(t, a) for t, a in zip(*signal(), strict=True))
 
 
-def found(path: Path, *arguments: str) -> Vector:
+def impact_times(path: Path, *arguments: str) -> Vector:
     """Stamps of the impacts in a file, s after the default stamp of its time zero."""
     output = path.with_name("bag")
     given = ["--threshold", "30", "--baseline", "1", "-o", str(output), *arguments]
@@ -71,7 +71,7 @@ def test_a_table_of_a_signal_gives_its_impacts(
     path.write_text(text, encoding="utf-8")
     if name == "ms.tsv":
         arguments = ("--time-column", "t_ms")
-    stamps = found(path, "--model", "two_mass", *arguments)
+    stamps = impact_times(path, "--model", "two_mass", *arguments)
     np.testing.assert_allclose(stamps, HITS, atol=0.05 / RATE)
     with BagReader(tmp_path / "bag") as reader:
         assert model_of(reader).system.name == "two_mass"
@@ -95,7 +95,7 @@ def test_a_sound_gives_its_impacts(
     path = tmp_path / "hits.WAV"
     wavfile.write(path, rate, part.astype(kind))
     arguments = ["--contact", "stop", "--topic", "channel2", "--epoch", "0.5"]
-    stamps = found(path, *arguments, "--threshold", "0.3", "--baseline", "0")
+    stamps = impact_times(path, *arguments, "--threshold", "0.3", "--baseline", "0")
     np.testing.assert_allclose(stamps, HITS, atol=error)
     printed = capsys.readouterr().out
     assert "(4.8e+04 Hz); time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in printed

@@ -41,7 +41,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def lines_at(monkeypatch: pytest.MonkeyPatch) -> "LinesAt":
-    """Print on a terminal, and return the lines."""
+    """A function that prints a table on a terminal and returns the lines."""
     return LinesAt(monkeypatch)
 
 

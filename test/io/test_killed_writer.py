@@ -155,7 +155,7 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
 def test_events_that_come_one_by_one_are_salvaged_wherever_the_file_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of 6000 events at 1 Hz, each flushed alone, only the cut-off ones are lost."""
+    """Each of 6000 events is flushed alone at 1 Hz; only events in the cut-off part are lost."""
     monkeypatch.setattr(os, "fsync", lambda _: None)
     sizes = []
     bag = tmp_path / "bag"

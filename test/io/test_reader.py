@@ -193,7 +193,7 @@ def break_yaml(path: Path) -> Path:
 
 
 def break_file(path: Path) -> Path:
-    """Metadata without its storage."""
+    """Remove the storage of a bag, but not its metadata."""
     (path / "bag_0.mcap").unlink()
     return path
 
