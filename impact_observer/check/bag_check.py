@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an observer can use a bag, and what is wrong with it: one pass in constant memory."""
+"""Whether an observer can use a bag, and what is wrong with the bag, in one pass."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -32,7 +32,7 @@ from impact_observer.stamps import text
 
 _INTERFACES = (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES, interfaces.PLANT_MODEL)
 _MOST = 5
-"""Most losses, and most sensors, that have a line of their own."""
+"""Most losses that have a line of their own."""
 _SENSORS = {
     "std_msgs/msg/Bool": ("a switch", ""),
     "sensor_msgs/msg/Imu": ("an accelerometer", " --threshold N"),
@@ -70,14 +70,14 @@ def check_bag(
         with BagReader(path) as reader:
             check = BagCheck(path, system)
             for done, raw in enumerate(reader.raw()):
-                check.add(reader.topics[raw.topic], raw)
+                check.check_message(reader.topics[raw.topic], raw)
                 progress(done, reader.message_count)
             return _report(path, check, [*_journals(path), *check.findings(reader.topics)])
     except BagError as error:
         reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
     source, check = Salvage(path), BagCheck(path, system)
     for raw in source.raw(progress):
-        check.add(source.topics[raw.topic], raw)
+        check.check_message(source.topics[raw.topic], raw)
     found = [*_damage(source, reason), *_journals(path)]
     if source.counts:
         found += check.findings(source.topics)
@@ -110,13 +110,13 @@ class BagCheck:
         self._models: dict[str, str] = {}
         self._wrong_definitions: dict[str, Finding] = {}
 
-    def add(self, info: TopicInfo, raw: RawMessage) -> None:
-        """Add a message; ``info`` is of its topic."""
+    def check_message(self, info: TopicInfo, raw: RawMessage) -> None:
+        """Check a message; ``info`` is of its topic."""
         self.counts[raw.topic] += 1
         if raw.topic not in self._checks:
             self._checks[raw.topic] = self._check_for(info)
-        if (add := self._checks[raw.topic]) is not None:
-            add(raw)
+        if (check := self._checks[raw.topic]) is not None:
+            check(raw)
 
     def _check_for(self, info: TopicInfo) -> Callable[[RawMessage], None] | None:
         """The check for the messages of a topic; None if the type of the topic has no check."""
@@ -130,11 +130,11 @@ class BagCheck:
         if own is interfaces.PLANT_JOINT_STATES:
             states = StateCheck(topic, partial(self._deserialized, info.type))
             self._states[topic] = states
-            return states.add
+            return states.check_message
         if own is interfaces.PLANT_MODEL:
-            return self._add_model
+            return self._keep_model
         self._events[topic] = EventCheck(topic)
-        return self._add_event
+        return self._check_event
 
     def _wrong_definition(self, info: TopicInfo) -> Finding | None:
         """The fault of a message definition in the bag; None if its fields are right."""
@@ -154,15 +154,15 @@ class BagCheck:
         except Exception as error:
             raise BagError(f"bytes that are no {kind}") from error
 
-    def _add_event(self, raw: RawMessage) -> None:
+    def _check_event(self, raw: RawMessage) -> None:
         check = self._events[raw.topic]
         try:
             event = read_event(self._deserialized(interfaces.IMPACT_EVENT, raw.data))
-            check.add(event, raw.log_time)
+            check.check_event(event, raw.log_time)
         except (BagError, MessageError) as error:
-            check.add_invalid(str(error))
+            check.count_invalid(str(error))
 
-    def _add_model(self, raw: RawMessage) -> None:
+    def _keep_model(self, raw: RawMessage) -> None:
         """Keep the last model that was published; bytes that cannot be read are an invalid one."""
         try:
             self._models[raw.topic] = self._deserialized(interfaces.STRING, raw.data).data
@@ -233,7 +233,7 @@ class BagCheck:
         wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
         yield Finding(ERROR, self._name, found, wanted, remedy)
         detect = f"impact-observer detect {quote(str(self._path))} --contact NAME --topic"
-        for info in [] if others else sensors[:_MOST]:
+        for info in [] if others else sensors:
             what, options = _SENSORS[info.type]
             remedy = f"{detect} {info.name}{options} -o NEW"
             yield Finding(NOTE, info.name, f"{info.type} looks like {what}", remedy=remedy)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the contacts that events name, in one pass and constant memory."""
+"""Checks of the contacts that events name, in one pass."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -12,10 +12,6 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S
 
-_MOST_NAMES = 1000
-"""Most contacts that are counted by name; a damaged bag may name any number."""
-_MOST_LINES = 5
-"""Most contacts with the same fault that have a line of their own."""
 _CHATTER, _CHATTER_SHARE = 5, 0.1
 """Least number of short intervals, and least share of all intervals, that count as chatter."""
 
@@ -58,8 +54,8 @@ class _ContactHistory:
     Attributes:
         switches: how many.
         closed: whether the last one closed it.
-        at: stamp of the last one, ns.
-        hit: stamp of the last hit, ns.
+        last_stamp: stamp of the last one, ns.
+        last_hit: stamp of the last hit, ns.
         hits: impacts and closings.
         intervals: between its hits.
         fast: of them, those shorter than ``FAST``.
@@ -68,8 +64,8 @@ class _ContactHistory:
 
     switches: int = 0
     closed: bool = False
-    at: int = 0
-    hit: int | None = None
+    last_stamp: int = 0
+    last_hit: int | None = None
     hits: int = 0
     intervals: int = 0
     fast: int = 0
@@ -78,22 +74,22 @@ class _ContactHistory:
     def reset(self) -> None:
         """The sender starts again: the contact is open."""
         self.fast, self.pending = self.fast + self.pending, 0
-        self.closed, self.at, self.hit = False, 0, None
+        self.closed, self.last_stamp, self.last_hit = False, 0, None
 
     def add_hit(self, stamp: int) -> None:
         """A hit at ``stamp``, ns."""
         self.hits += 1
-        if self.hit is not None and stamp > self.hit:
+        if self.last_hit is not None and stamp > self.last_hit:
             self.intervals += 1
-            if stamp - self.hit < FAST:
+            if stamp - self.last_hit < FAST:
                 self.pending += 1
             else:
                 self.fast, self.pending = self.fast + self.pending, 0
-        self.hit = stamp
+        self.last_hit = stamp
 
 
 class ContactCheck:
-    """Checks the switches of one sender, which are added in bag order."""
+    """Checks the switches of one sender, in bag order."""
 
     def __init__(self, topic: str, faults: Mapping[str, Occurrences]) -> None:
         """Check the events of ``topic``; ``CONTACT_FAULTS`` are counted in ``faults``."""
@@ -106,15 +102,14 @@ class ContactCheck:
         for contact in self._contacts.values():
             contact.reset()
 
-    def add(self, event: ImpactEvent, where: str) -> None:
-        """Add an event, at the place ``where`` of the bag."""
+    def check_event(self, event: ImpactEvent, where: str) -> None:
+        """Check an event, at the place ``where`` of the bag."""
         self._times.add_event(event)
         for switch in sorted(event.switches, key=lambda each: each.kind):
-            named = switch.contact in self._contacts or len(self._contacts) < _MOST_NAMES
-            contact = self._contacts[switch.contact if named else "(other contacts)"]
+            contact = self._contacts[switch.contact]
             contact.switches += 1
             # An observer sorts late events by stamp; here they would look like a fault.
-            if event.stamp >= contact.at:
+            if event.stamp >= contact.last_stamp:
                 self._check_order(contact, switch, event, f"{switch.contact}, {where}")
 
     def _check_order(
@@ -123,17 +118,17 @@ class ContactCheck:
         """Check that CLOSE and OPEN of a contact alternate."""
         if switch.kind is Kind.OPEN:
             if not contact.closed:
-                self._faults["not closed"].add(where)
+                self._faults["not closed"].count_at(where)
             contact.closed = False
         else:
             closes = switch.kind is Kind.CLOSE
             opens = Switch(switch.contact, Kind.OPEN) in event.switches
-            if contact.closed and contact.hit != event.stamp and not opens:
-                self._faults["closed again" if closes else "hit while closed"].add(where)
+            if contact.closed and contact.last_hit != event.stamp and not opens:
+                self._faults["closed again" if closes else "hit while closed"].count_at(where)
             contact.add_hit(event.stamp)
             if closes:
                 contact.closed, contact.pending = True, 0
-        contact.at = event.stamp
+        contact.last_stamp = event.stamp
 
     def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
         """Chatter, and unknown and silent contacts if a ``system`` is given.
@@ -161,7 +156,7 @@ class ContactCheck:
             remedy = "name the model of this rig with --model"
             yield Finding(ERROR, self._topic, found, listed(own, joint=", "), remedy)
             return
-        for name in unknown[:_MOST_LINES]:
+        for name in unknown:
             events = counted(self._contacts[name].switches, "event")
             yield Finding(
                 WARNING,
@@ -170,7 +165,7 @@ class ContactCheck:
                 f"one of {listed(own, joint=', ')}",
                 "they are not applied; rename it in the model or at the sender",
             )
-        for name in [each for each in own if each not in self._contacts][:_MOST_LINES]:
+        for name in [each for each in own if each not in self._contacts]:
             found = f"this contact of the model {system.name} is never reported"
             remedy = "if it was hit, its sensor is silent or has another name"
             yield Finding(WARNING, f"{self._topic} {name}", found, remedy=remedy)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the events of a topic: numbers, stamps and epochs, in one pass and constant memory."""
+"""Checks of the events of a topic: numbers, stamps and epochs, in one pass."""
 
-from collections import Counter, OrderedDict, defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from itertools import pairwise
 
 from impact_observer.check.contact_checks import CONTACT_FAULTS, ContactCheck
 from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurrences
@@ -16,10 +15,6 @@ from impact_observer.observer.event_order import NEAR_STAMPS
 from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.stamps import NS_PER_S, text
 
-_RECENT = 50_000
-"""Events that are remembered to recognise duplicates."""
-_MOST = 1000
-"""Most runs, epochs and kinds of faults that are kept; a damaged bag may have any number."""
 _FAR = 3600 * NS_PER_S
 """Difference of stamps and log times beyond which they come from different clocks, ns."""
 
@@ -52,18 +47,6 @@ _FAULTS = {
         "",
         "are stamps too coarse, or was an event sent twice under two numbers?",
     ),
-    "same stamp": (
-        NOTE,
-        "{events} with the stamp of another one, the first is {first}",
-        "",
-        "they act one after the other; what is simultaneous belongs into one message",
-    ),
-    "no contact": (
-        WARNING,
-        "{events} without a contact, the first is {first}",
-        "the names of the contacts that switch",
-        "they correct no estimate",
-    ),
     "before epoch": (
         WARNING,
         "{events} stamped before their epoch, the first is {first}",
@@ -81,34 +64,10 @@ _FAULTS = {
 """Faults of events: severity, what was found, what was expected, the remedy."""
 
 
-@dataclass(slots=True)
-class _SenderRun:
-    """The sequence numbers of one run of a sender.
-
-    Attributes:
-        lowest: number received.
-        highest: number received.
-        count: numbers received.
-        missing: the first numbers skipped and not received since; the stamp after the gap, ns.
-    """
-
-    lowest: int
-    highest: int
-    count: int = 0
-    missing: dict[int, int] = field(default_factory=dict)
-
-    def add(self, number: int, stamp: int) -> None:
-        """Count a new ``number``."""
-        self.count += 1
-        self.missing.pop(number, None)
-        for skipped in range(self.highest + 1, min(number, self.highest + _MOST)):
-            if len(self.missing) < _MOST:
-                self.missing[skipped] = stamp
-        self.lowest, self.highest = min(self.lowest, number), max(self.highest, number)
-
-
 class EventCheck:
-    """Checks all events of a topic, which are added in bag order.
+    """Checks all events of a topic, in bag order.
+
+    The check keeps every sequence number, stamp and switch, some hundred bytes an event.
 
     Attributes:
         topic: the absolute name.
@@ -126,81 +85,70 @@ class EventCheck:
         self._newest = self._largest_step_back = 0
         self._least_delay: int | None = None
         self._invalid: defaultdict[str, Occurrences] = defaultdict(Occurrences)
-        self._recent_numbers: OrderedDict[tuple[int, int, int], int] = OrderedDict()
-        self._recent_stamps: OrderedDict[int, frozenset[Switch]] = OrderedDict()
-        self._found: defaultdict[str, Occurrences] = defaultdict(Occurrences)
-        self._runs: dict[tuple[int, int], _SenderRun] = {}
+        self._faults: defaultdict[str, Occurrences] = defaultdict(Occurrences)
+        # Stamps by sequence number, for each run of the sender: epoch and episode.
+        self._runs: defaultdict[tuple[int, int], dict[int, int]] = defaultdict(dict)
+        self._switches: set[tuple[int, Switch]] = set()
         self._epochs: Counter[int] = Counter()
-        self._contacts = ContactCheck(topic, self._found)
+        self._contacts = ContactCheck(topic, self._faults)
         self._senders = SenderRuns()
         self._without_effect: dict[ImpactEvent, str] = {}
 
-    def add_invalid(self, reason: str) -> None:
-        """Add a message without a valid event."""
-        kind = reason.partition(" is ")[0]
-        if len(self._invalid) < _MOST or kind in self._invalid:
-            self._invalid[kind].add(f"message {self.count}: {reason}")
+    def count_invalid(self, reason: str) -> None:
+        """Count a message without a valid event."""
+        self._invalid[reason.partition(" is ")[0]].count_at(f"message {self.count}: {reason}")
         self.count += 1
 
-    def add(self, event: ImpactEvent, log_time: int) -> None:
-        """Add a valid ``event``, recorded at ``log_time`` (ns)."""
+    def check_event(self, event: ImpactEvent, log_time: int) -> None:
+        """Check a valid ``event``, recorded at ``log_time`` (ns)."""
         where = f"message {self.count} at {text(event.stamp)} s"
         self.count += 1
         self.valid += 1
         delay = log_time - event.stamp
         if self._least_delay is None or abs(delay) < abs(self._least_delay):
             self._least_delay = delay
-        if len(self._epochs) < _MOST or event.epoch in self._epochs:
-            self._epochs[event.epoch] += 1
+        self._epochs[event.epoch] += 1
         if event.stamp < event.epoch:
-            self._found["before epoch"].add(where)
+            self._faults["before epoch"].count_at(where)
         if event.epoch - event.stamp <= NEAR_STAMPS:
             self._weigh(event, where)
-        if not event.switches:
-            self._found["no contact"].add(where)
         if not self._is_repeated(event, where):
-            self._add_new(event, where)
+            self._check_new(event, where)
 
     def _weigh(self, event: ImpactEvent, where: str) -> None:
         """Note an event without effect, until later events agree with it."""
         weighed = self._senders.weigh(event)
         for each in (*weighed.released, event):
             self._without_effect.pop(each, None)
-        if weighed.reason and len(self._without_effect) < _MOST:
+        if weighed.reason:
             self._without_effect[event] = f"{where}: {weighed.reason}"
 
     def _is_repeated(self, event: ImpactEvent, where: str) -> bool:
-        """Whether the sequence number was received before; if not, remember it."""
-        number, run_of = event.sequence, (event.epoch, event.episode)
-        if not number:
-            self._found["not numbered"].add(where)
+        """Whether the sequence number was received before; a new number is kept."""
+        if not event.sequence:
+            self._faults["not numbered"].count_at(where)
             return False
-        earlier = self._recent_numbers.get((*run_of, number))
-        if earlier is not None:
-            self._found["duplicate" if earlier == event.stamp else "number reused"].add(where)
-            return True
-        _remember(self._recent_numbers, (*run_of, number), event.stamp)
-        if len(self._runs) < _MOST or run_of in self._runs:
-            self._runs.setdefault(run_of, _SenderRun(number, number)).add(number, event.stamp)
-        return False
+        stamps = self._runs[event.epoch, event.episode]
+        if (earlier := stamps.get(event.sequence)) is None:
+            stamps[event.sequence] = event.stamp
+            return False
+        self._faults["duplicate" if earlier == event.stamp else "number reused"].count_at(where)
+        return True
 
-    def _add_new(self, event: ImpactEvent, where: str) -> None:
-        """Add an event that is no duplicate."""
-        run_of = event.epoch, event.episode
-        if run_of != self._run:
-            self._run, self._newest = run_of, event.stamp
+    def _check_new(self, event: ImpactEvent, where: str) -> None:
+        """Check the order and the contacts of an event that is no duplicate."""
+        run = event.epoch, event.episode
+        if run != self._run:
+            self._run, self._newest = run, event.stamp
             self._contacts.reset()
         if event.stamp < self._newest:
-            self._found["out of order"].add(where)
+            self._faults["out of order"].count_at(where)
             self._largest_step_back = max(self._largest_step_back, self._newest - event.stamp)
-        switches, earlier = frozenset(event.switches), self._recent_stamps.get(event.stamp)
-        if earlier is not None:
-            if earlier & switches or not event.sequence:
-                self._found["same stamp and contact"].add(where)
-            elif not {each.contact for each in earlier} & {each.contact for each in switches}:
-                self._found["same stamp"].add(where)
-        _remember(self._recent_stamps, event.stamp, switches | (earlier or frozenset()))
-        self._contacts.add(event, where)
+        switches = {(event.stamp, each) for each in event.switches}
+        if not self._switches.isdisjoint(switches):
+            self._faults["same stamp and contact"].count_at(where)
+        self._switches |= switches
+        self._contacts.check_event(event, where)
         self._newest = max(self._newest, event.stamp)
         self.first = min(self.first or event.stamp, event.stamp)
         self.last = max(self.last, event.stamp)
@@ -221,7 +169,7 @@ class EventCheck:
             yield Finding(ERROR, self.topic, f"{found} {invalid.first}", remedy=remedy)
         if self.valid:
             places = [*self._without_effect.values()]
-            self._found["without effect"] = Occurrences(len(places), *places[:1])
+            self._faults["without effect"] = Occurrences(len(places), *places[:1])
             yield from self._fault_findings()
             yield from self._run_findings()
             yield from self._clock_findings(system)
@@ -230,22 +178,28 @@ class EventCheck:
     def _fault_findings(self) -> Iterator[Finding]:
         epoch = text(min(self._epochs.keys() - {0}, default=0))
         for name, (severity, what, wanted, remedy) in _FAULTS.items():
-            if count := self._found[name].count:
+            if count := self._faults[name].count:
                 found = what.format(
                     count=count,
                     events=counted(count, "event"),
                     messages=counted(count, "message"),
-                    first=self._found[name].first,
+                    first=self._faults[name].first,
                     back=self._largest_step_back / NS_PER_S,
                 )
                 yield Finding(severity, self.topic, found, wanted.format(epoch=epoch), remedy)
 
     def _run_findings(self) -> Iterator[Finding]:
         """Missing numbers and episodes."""
-        note, runs = partial(Finding, NOTE, self.topic), self._runs.values()
-        if missing := [each for run in runs for each in run.missing.items()]:
-            count = sum(run.highest - run.lowest + 1 - run.count for run in runs)
-            number, stamp = min(missing, key=lambda each: each[1])
+        note = partial(Finding, NOTE, self.topic)
+        gaps = [
+            (stamps[after], before + 1, after - before - 1)
+            for stamps in self._runs.values()
+            for before, after in pairwise(sorted(stamps))
+            if after > before + 1
+        ]
+        if gaps:
+            count = sum(size for _, _, size in gaps)
+            stamp, number, _ = min(gaps)
             yield Finding(
                 WARNING,
                 self.topic,
@@ -253,7 +207,7 @@ class EventCheck:
                 f" {number}, before {text(stamp)} s",
                 remedy="record with reliable quality of service and a depth of 2000",
             )
-        if (lowest := min((run.lowest for run in runs), default=1)) > 1:
+        if (lowest := min(map(min, self._runs.values()), default=1)) > 1:
             yield note(f"the first sequence number is {lowest}: what was before is not here")
         if len(episodes := {episode for _, episode in self._runs}) > 1:
             yield note(f"{len(episodes)} episodes: at each, an observer starts again")
@@ -282,10 +236,3 @@ class EventCheck:
             span = f"{text(epochs[0])} to {text(epochs[-1])} s"
             found = f"{len(epochs)} epochs, {span}: at each later one, an observer starts again"
             yield Finding(NOTE, self.topic, found)
-
-
-def _remember(recent: OrderedDict[Any, Any], key: object, value: object) -> None:
-    """Set an entry; of more than ``_RECENT``, the oldest one goes."""
-    recent[key] = value
-    if len(recent) > _RECENT:
-        recent.popitem(last=False)

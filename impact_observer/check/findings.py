@@ -52,7 +52,7 @@ class Occurrences:
     count: int = 0
     first: str = ""
 
-    def add(self, where: str) -> None:
+    def count_at(self, where: str) -> None:
         """Count one more occurrence, at the place ``where``."""
         self.count += 1
         self.first = self.first or where

@@ -22,7 +22,7 @@ _FAR = 3600 * NS_PER_S
 
 
 class StateCheck:
-    """Checks all joint states of a topic, which are added in bag order.
+    """Checks all joint states of a topic, in bag order.
 
     Attributes:
         topic: the absolute name.
@@ -45,23 +45,23 @@ class StateCheck:
         self._previous = 0
         self._names: tuple[str, ...] = ()
 
-    def add(self, raw: RawMessage) -> None:
-        """Add a message."""
+    def check_message(self, raw: RawMessage) -> None:
+        """Check a message."""
         where = f"message {self.count}"
         self.count += 1
         try:
             state = read_joint_state(self._deserialize(raw.data))
         except (BagError, MessageError) as error:
-            self._invalid.add(f"{where}: {error}")
+            self._invalid.count_at(f"{where}: {error}")
             return
         if self._previous and abs(state.stamp - self._previous) > _FAR:
             hours = (state.stamp - self._previous) / NS_PER_S / 3600
             side = "after" if hours > 0 else "before"
-            self._far.add(f"{where}, {abs(hours):.4g} h {side} the one before it")
+            self._far.count_at(f"{where}, {abs(hours):.4g} h {side} the one before it")
         self._previous = state.stamp
         self._names = self._names or state.names
         if len(set(state.names)) < len(state.names) or set(state.names) != set(self._names):
-            self._renamed.add(f"{where}: {listed(state.names, joint=', ')}")
+            self._renamed.count_at(f"{where}: {listed(state.names, joint=', ')}")
         self.first = min(self.first or state.stamp, state.stamp)
         self.last = max(self.last, state.stamp)
 

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checking the events of a bag: every fault has its line, and there is no other line."""
 
-import tracemalloc
 from pathlib import Path
 
 import pytest
 from faulty_bags import GOOD, MAKE, STOP, S, event_message, model, state, write
 
-from impact_observer.check import event_checks as event_check
 from impact_observer.check.bag_check import check_bag
-from impact_observer.check.event_checks import EventCheck
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
@@ -156,17 +153,6 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
                 "warning /impacts: 1 event stamped before their epoch, the first is message 0 at"
                 " 2.000000000 s; expected stamps after the epoch, 3.000000000 s; such events are"
                 " not applied; is the epoch of another clock?"
-            )
-        ],
-    ),
-    "no contact": (
-        [*GOOD[:4], ImpactEvent(6 * S, (), 5, 1, S)],
-        True,
-        [
-            (
-                "warning /impacts: 1 event without a contact, the first is message 4 at"
-                " 6.000000000 s; expected the names of the contacts that switch; they correct"
-                " no estimate"
             )
         ],
     ),
@@ -325,26 +311,3 @@ def test_stamps_of_another_clock_are_a_warning() -> None:
             " where time is simulated"
         )
     ]
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_number_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Checks keep recent duplicates and gaps; a late number still fills its gap."""
-    monkeypatch.setattr(event_check, "_RECENT", 300)
-
-    def peak(count: int) -> int:
-        check = EventCheck("/impacts")
-        tracemalloc.start()
-        for k in range(1, count):
-            number = k + (k % 200 == 0) - (k % 200 == 1 and k > 1)
-            event = ImpactEvent(k * S // 50, (Switch(f"c{k % 7}"),), number, 1, 1)
-            check.add(event, event.stamp)
-            if k % 150 == 0:
-                check.add(event, event.stamp)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        (twice,) = check.findings(None)
-        assert twice.found.startswith(f"{(count - 1) // 150} messages came twice, the first is")
-        return most
-
-    assert peak(6_002) < 1.2 * peak(2_002)
