@@ -226,7 +226,8 @@ def computes(process: int) -> bool:
 def test_a_sweep_leaves_no_process_behind(tmp_path: Path, number: int, code: int) -> None:
     """No worker survives.
 
-    After SIGKILL the unfinished file stays. After SIGTERM the file has the finished cases.
+    After SIGTERM the file has the finished cases. After SIGKILL the file has the cases up to the
+    last writing, and an unfinished file may stay beside the file.
     """
     pytest.importorskip("pyarrow")
     path = tmp_path / "sweep.parquet"
@@ -241,6 +242,6 @@ def test_a_sweep_leaves_no_process_behind(tmp_path: Path, number: int, code: int
         process.send_signal(number)
         assert process.wait(timeout=90) == code
     wait(lambda: not any(Path(f"/proc/{each}").exists() for each in workers))
-    finished = path.name if number == signal.SIGTERM else f".{path.name}.part"
-    assert [each.name for each in tmp_path.iterdir()] in ([], [finished])
+    left = {each.name for each in tmp_path.iterdir()}
+    assert left <= {path.name, *([f".{path.name}.part"] if number == signal.SIGKILL else [])}
     assert os.getpid() not in workers
