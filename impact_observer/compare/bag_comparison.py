@@ -19,10 +19,9 @@ from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import epoch_in
 from impact_observer.io.pairing import Samples, sample_type, samples_of
-from impact_observer.io.reader import BagReader
+from impact_observer.io.reader import BagReader, first_stamp, named_states, named_topic
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates
-from impact_observer.io.topic_names import first_stamp, named_states, named_topic
 from impact_observer.model import System
 from impact_observer.observer import Observer
 from impact_observer.stamps import from_seconds

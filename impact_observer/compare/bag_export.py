@@ -17,10 +17,9 @@ from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import epoch_in
-from impact_observer.io.reader import BagReader
+from impact_observer.io.reader import BagReader, first_block, first_stamp, named_states, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates
-from impact_observer.io.topic_names import first_block, first_stamp, named_states, states_of
 from impact_observer.model import System
 
 DEVIATIONS = ("deviation_q", "deviation_u")

@@ -14,10 +14,9 @@ from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import epoch_in, with_recorded
 from impact_observer.io.pairing import HOLD, arrived
-from impact_observer.io.reader import BagReader
+from impact_observer.io.reader import BagReader, first_stamp, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates, joined
-from impact_observer.io.topic_names import first_stamp, states_of
 from impact_observer.model import System
 from impact_observer.stamps import from_seconds, text
 from impact_observer.states import Stamps

@@ -6,7 +6,7 @@ bag, what was found and what is expected.
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
@@ -383,3 +383,44 @@ def _reason(error: BaseException) -> str:
     line = " ".join(str(error).split()).rstrip(".")
     of_rosbags = isinstance(error, (ReaderError, SerdeError, TypesysError))
     return line if of_rosbags else f"{type(error).__name__}: {line}"
+
+
+def named_topic(reader: BagReader, name: str) -> str:
+    """The absolute name of a topic, given with or without its first slash.
+
+    Raises:
+        UsageError: the bag has no such topic.
+    """
+    topic = f"/{name.strip('/')}"
+    if topic not in reader.topics:
+        found = ", ".join(reader.topics) or "none"
+        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {found}")
+    return topic
+
+
+def named_states(reader: BagReader, name: str) -> str:
+    """The topic of states of the observer or topic ``name``.
+
+    Raises:
+        UsageError: the bag has neither.
+    """
+    prefix = f"/{name.strip('/')}"
+    return states_of(reader, prefix) if prefix in reader.observers() else named_topic(reader, name)
+
+
+def states_of(reader: BagReader, prefix: str) -> str:
+    """The topic of an observer's states, or of its joint states if no states are recorded."""
+    state = f"{prefix}/state"
+    return state if state in reader.topics else f"{prefix}/joint_states"
+
+
+def first_stamp(reader: BagReader, topics: Iterable[str]) -> int | None:
+    """The first stamp, ns, in the first topic with a state; None without a state."""
+    first = first_block(reader, topics)
+    return None if first is None else int(first.stamps[0])
+
+
+def first_block(reader: BagReader, topics: Iterable[str]) -> JointStates | None:
+    """The first states in the first topic with a state; None without a state."""
+    blocks = (next(iter(reader.blocks([topic])))[1] for topic in topics)
+    return next((block for block in blocks if block.stamps.size), None)

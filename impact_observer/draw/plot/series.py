@@ -22,10 +22,9 @@ from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import epoch_in, with_recorded
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.pairing import arrived
-from impact_observer.io.reader import BagReader
+from impact_observer.io.reader import BagReader, first_block, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates
-from impact_observer.io.topic_names import first_block, states_of
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.event_outcomes import EventOutcomes
