@@ -154,7 +154,7 @@ class SmoothedImpact(NamedTuple):
 
 
 class MeasurementVerdict(NamedTuple):
-    """What became of a sample of a sensor; mirrors ``impact_observer_msgs/MeasurementVerdict``.
+    """The verdict on a sample of a sensor; mirrors ``impact_observer_msgs/MeasurementVerdict``.
 
     Attributes:
         stamp: when the sample holds, ns.

@@ -73,7 +73,7 @@ class Elapsed(float):
         return self
 
     def __getnewargs__(self) -> tuple[int, float]:  # type: ignore[override]
-        """What a copy, or one that is unpickled, is made of."""
+        """The arguments for a copy or for unpickling."""
         return self.ns, self.remainder
 
     def __add__(self, seconds: "float | NDArray[np.float64]") -> "Elapsed":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a fit begins: the motion of the least gaps at the stamps, and what these determine.
+"""The start of a fit: the motion of the least gaps at the stamps.
 
 The search is linear in the initial state, so nobody has to guess one.
 """

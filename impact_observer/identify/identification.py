@@ -113,7 +113,7 @@ class Identification:
 
     @property
     def correlation(self) -> Matrix:
-        """Of the parameters, shape (p, p)."""
+        """The correlations of the parameters, shape (p, p)."""
         own = self.covariance[self.start.size :, self.start.size :]
         scale = np.where(self.errors > 0, self.errors, 1.0)
         return np.asarray(own / np.outer(scale, scale))
@@ -207,13 +207,13 @@ def identify(
 
 
 class _Report:
-    """What is being done, and how far it is."""
+    """The present step of a fit, and its progress."""
 
     def __init__(self, progress: Callable[[str], None]) -> None:
         self._progress, self._stage = progress, ""
 
     def stage(self, text: str) -> None:
-        """What follows is ``text``."""
+        """Name the next step by ``text``."""
         self._stage = text
         self._progress(text)
 
@@ -231,7 +231,7 @@ class _Fitted(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What is given to ``identify``, and the ways to a fit; ``whole`` has all events accepted."""
+    """The input of ``identify``, and the ways to a fit; ``whole`` has all events accepted."""
 
     family: ParametricFamily
     events: list[ImpactEvent]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a fit begins whose motions are not linear in the initial state.
+"""The start of a fit whose motions are not linear in the initial state.
 
 Guides that rub make it hard to find from nothing, and much of it is forgotten where they stick. So
 the fit begins later, at the estimate of a geometric replica that has followed the first impacts.
@@ -17,7 +17,7 @@ from impact_observer.stamps import from_seconds
 from impact_observer.states import Estimate, Vector
 
 _SHARE = 0.25
-"""Of the impacts that the replica follows before."""
+"""Share of the impacts that the replica follows before the fit begins."""
 
 
 def late_start(

@@ -122,7 +122,7 @@ class _Step(NamedTuple):
     of_sensors: tuple[float, ...] = ()
 
     def is_small(self, now: "_Iterate") -> bool:
-        """Whether it is small beside the standard errors."""
+        """Whether the step is small beside the standard errors."""
         clock = max(deviation(now.shifts, self.freedom), LEAST)
         size = clock * np.linalg.norm(self.root, axis=1)
         small = np.abs(self.dy) <= _CONVERGED * size + 1e-12 * np.abs(now.y)

@@ -46,7 +46,7 @@ class FlightEnd(NamedTuple):
 
     @property
     def lasts(self) -> bool:
-        """Whether it can be an impact that lasts: of one contact, which stays open."""
+        """Whether the moment can be an impact that lasts: of one contact, which stays open."""
         return len(self.hit) == 1 and self.pressed == self.hit and not self.held
 
 

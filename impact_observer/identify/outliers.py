@@ -148,7 +148,7 @@ def _moved(
 def penetrations(
     recording: Recording, problem: Problem, solution: Solution, deviation: float
 ) -> set[Hit]:
-    """Where a fitted motion goes through a stop, deeper than errors of the stamps explain."""
+    """Returns where a fitted motion goes deeper through a stop than the stamps explain."""
     system = problem.family.system_at(solution.y[2 * problem.family.system.n :])
     moving = MovingSystem(system)
     ends = np.append(solution.t, np.nan)

@@ -57,7 +57,7 @@ class Problem(NamedTuple):
 
     @property
     def stamps(self) -> Vector:
-        """As recorded, s since the epoch, shape (moments,)."""
+        """The recorded stamps, s since the epoch, shape (moments,)."""
         return np.array([each.t for each in self.moments])
 
     @property
@@ -101,7 +101,7 @@ class Problem(NamedTuple):
         return self.clock * (float(np.sqrt(np.mean(shot.speeds**2))) or 1.0)
 
     def gaps_of(self, shot: Shot, usual: float) -> tuple[Vector, Matrix]:
-        """What should vanish, and its derivatives by initial state and parameters.
+        """The gaps that should vanish, and their derivatives by initial state and parameters.
 
         The gaps, and errors of samples: one of a standard deviation is a gap of ``usual``, m.
         """

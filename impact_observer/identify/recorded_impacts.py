@@ -58,7 +58,7 @@ class Recording:
 
     @property
     def start(self) -> float:
-        """Where the initial state holds, s since the epoch."""
+        """The instant of the initial state, s since the epoch."""
         return seconds_between(self.episode.epoch, self.episode.start)
 
     @property

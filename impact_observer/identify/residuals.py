@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the shifts of the stamps say of the model: whether it fits, and of its standard errors."""
+"""Tests of the shifts of the stamps: whether the model fits, and its standard errors."""
 
 from typing import NamedTuple
 

@@ -11,7 +11,7 @@ from impact_observer.identify.residuals import REJECTED, whiteness
 from impact_observer.states import Vector
 
 _LAGS = 4.0
-"""Of the autocorrelations that count, at a hundred samples."""
+"""Number of the autocorrelations that count, at a hundred samples."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors measure beside the impacts, as further rows of a fit.
+"""Samples of sensors beside the impacts, as further rows of a fit.
 
 Between two moments a motion depends on the state after the first of them, its instant, and the
 parameters. So all samples of a flight are a few rows on these, triangulated (Golub and Van Loan,
@@ -60,7 +60,7 @@ class CountedSamples(NamedTuple):
         return self._replace(t=self.t[kept], values=self.values[kept])
 
     def away_from(self, impacts: Vector, margin: float, lasts: float) -> "CountedSamples":
-        """Those farther than ``margin`` from ``impacts``, which last and blank for a while, s."""
+        """Returns the samples farther than ``margin``, s, from ``impacts``, which may last."""
         after = max(margin, lasts, self.sensor.blanking)
         i = np.searchsorted(impacts, self.t, side="right")
         ago = self.t - np.append(-np.inf, impacts)[i]
@@ -69,7 +69,7 @@ class CountedSamples(NamedTuple):
         return self.which(kept)._replace(near=self.near + int(np.sum(~kept)))
 
     def within_gate(self, errors: Vector) -> "CountedSamples":
-        """Those whose ``errors`` are not beyond the gate, nor much larger than usual."""
+        """Returns the samples whose ``errors`` are within the gate or not much above the usual."""
         usual = max(self.deviation, _USUAL * float(np.median(np.abs(errors))))
         kept = np.abs(errors) <= self.sensor.gate * usual
         return self.which(kept)._replace(rejected=self.rejected + int(np.sum(~kept)))
@@ -225,7 +225,7 @@ class RowMaker:
         return [each + late for each in times]
 
     def rows(self, moments: int) -> tuple[Rows, ...]:
-        """What was found, one for each sensor."""
+        """Returns the triangulated rows of each sensor."""
         found, first = [], 2 * self._n + self._values.size
         for parts, errors in zip(self._found, self._errors, strict=True):
             table, rest = np.zeros((0, first + moments + 1)), 0.0
@@ -239,7 +239,7 @@ class RowMaker:
 
 
 class _Expected:
-    """What sensors of one system measure."""
+    """The rows of the sensors of one system."""
 
     def __init__(self, system: System, every: Sequence[CountedSamples]) -> None:
         self.moving = MovingSystem(system)
@@ -247,7 +247,7 @@ class _Expected:
 
     @property
     def step(self) -> float:
-        """Of differences by a state: any is exact where no guide rubs."""
+        """Step of differences by a state; any step is exact if no guide rubs."""
         return _STEP if self.moving.guided else 1.0
 
     def values(
@@ -280,7 +280,7 @@ def _asides(
 
 
 def _triangular(table: Matrix) -> tuple[Matrix, float]:
-    """As many rows as there are unknowns at most, and the sum of squares of what is left."""
+    """Returns at most as many rows as unknowns, and the sum of squares of the rest."""
     unknowns = table.shape[1] - 1
     if len(table) <= unknowns:
         return table, 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a fit begins in a recording of bounces that settle: at the smoothed motion.
+"""The start of a fit to a recording of bounces that settle: the smoothed motion.
 
 There flights are as short as the stamps are wrong. A motion that is switched at such stamps is
 far from any that explains them: their order is wrong, and Gauss and Newton's steps from there end
@@ -33,7 +33,7 @@ _CROWDED = 0.1
 
 
 class SmoothedStart(NamedTuple):
-    """Where a fit begins.
+    """The start of a fit.
 
     Attributes:
         recording: what each event was, with the instants of the moments.

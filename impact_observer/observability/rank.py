@@ -46,7 +46,7 @@ _CLEAN = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
-    """What the impacts of a recording determine of the state at its start.
+    """The part of the initial state that the impacts of a recording determine.
 
     An *impact* is an instant at which any contact impacts or closes, a *release* one at which a
     single contact opens by itself. Other instants add no information, and are left out.
@@ -131,7 +131,7 @@ def observability(
     sensors: Sequence[DeclaredSensor] = (),
     samples: Sequence[SensorSample] = (),
 ) -> Observability:
-    """What the impacts among ``events`` determine of the state at their start.
+    """Returns the part of the initial state that the impacts among ``events`` determine.
 
     Only a triangular factor is kept: time is proportional to the number of events.
 

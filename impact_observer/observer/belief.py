@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an observer carries from one event to the next, and its prediction in between."""
+"""The belief that an observer carries from one event to the next, and its prediction."""
 
 import math
 from abc import ABC, abstractmethod
@@ -21,11 +21,11 @@ from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
 Parameters: TypeAlias = tuple[tuple[str, float, float], ...]
-"""What is estimated besides the state: name, value, standard deviation, SI units."""
+"""Parameters estimated beside the state: name, value, standard deviation, SI units."""
 
 
 class Learned:
-    """What is estimated besides the state; computed when it is first asked for."""
+    """Parameters estimated beside the state, computed at the first request."""
 
     def __init__(self, make: Callable[[], Parameters] = tuple) -> None:
         """``make`` computes it."""
@@ -93,7 +93,7 @@ class Onset(NamedTuple):
 
 
 class Account(NamedTuple):
-    """What is estimated beside the law's own hypotheses while the model is doubted.
+    """Estimates beside the law's own hypotheses while the model is doubted.
 
     Attributes:
         hypotheses: with parameters of the model, the likeliest first.
@@ -107,7 +107,7 @@ class Account(NamedTuple):
 
     @property
     def published(self) -> Sequence[Hypothesis]:
-        """Those whose mixture is published, the estimate's own first."""
+        """The hypotheses whose mixture is published; the estimate's own is the first."""
         return published(self.hypotheses, misfit=self.fit.is_misfit or self.fit.is_in_error)
 
     @property
@@ -164,7 +164,7 @@ class Belief(NamedTuple):
 
     @property
     def parameters(self) -> Parameters:
-        """What is estimated besides the state."""
+        """The parameters that are estimated beside the state."""
         return self.learned.parameters
 
     @property

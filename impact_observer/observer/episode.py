@@ -36,12 +36,12 @@ class Episode(NamedTuple):
 
     @property
     def changes(self) -> list[ContactChange]:
-        """What the contacts do at each event, with seconds since the start."""
+        """The changes of the contacts at each event, with seconds since the start."""
         return [*changes(self.keys, self.start)]
 
 
 def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
-    """What the contacts do at each event, all of them open at first.
+    """Yields the changes of the contacts at each event; all contacts are open at first.
 
     Args:
         keys: in order, each once.

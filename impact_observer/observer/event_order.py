@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each event means among the others, where stamps and sequence numbers disagree.
+"""The meaning of an event among others if stamps and sequence numbers disagree.
 
 Events act in the order of their stamps. Jitter may swap two stamps, but not two sequence numbers.
 So after an event, ``chi`` of a contact is what the event with the highest sequence number so far
@@ -80,14 +80,14 @@ class OverruledSwitch(NamedTuple):
 
     @property
     def effect(self) -> str:
-        """What it does, in words."""
+        """The effect of the switch, in words."""
         if self.applied is None:
             return f"its {self.reported.name} does nothing"
         return f"a hit, and it stays {'closed' if self.applied is Kind.CLOSE else 'open'}"
 
 
 class Interpretation(NamedTuple):
-    """What an event does among the others.
+    """The effect of an event among the others.
 
     Attributes:
         switches: those to apply, in the order of ``EventKey``.

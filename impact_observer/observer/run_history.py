@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an observer keeps of one run of the sender: its events, and the estimates between them."""
+"""The history of one run of the sender: its events, and the estimates between the events."""
 
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 
@@ -85,7 +85,7 @@ class RunHistory:
         return True
 
     def rerun(self, stamp: int) -> None:
-        """What is known of live signals has changed from ``stamp`` (ns) on."""
+        """Take note that live signals have changed from ``stamp`` (ns) on."""
         timeline = self.timeline
         if timeline is None:
             return
@@ -328,7 +328,7 @@ class RunHistory:
         return np.hstack(columns) if len(columns) > 1 else root
 
     def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
-        """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
+        """Returns the covariance of ``x``, ``s`` seconds after an event, with its rounding."""
         covariance = root @ root.T
         covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
         return frozen(covariance)

@@ -18,7 +18,7 @@ MOST_VERDICTS = 100_000
 
 
 class SensorSample(NamedTuple):
-    """What a sensor has measured.
+    """One sample of a sensor.
 
     Attributes:
         sensor: its index among those of the observer.

@@ -36,7 +36,7 @@ class SenderRun(NamedTuple):
     episode: int
 
     def is_later_than(self, other: "SenderRun") -> bool:
-        """Whether it has begun after ``other``, by what both say.
+        """Whether this run has begun after ``other``, by epoch and episode.
 
         The epoch decides: a plant that is started again counts its episodes from 0.
         """
@@ -50,7 +50,7 @@ class SenderRun(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """What becomes of an event.
+    """The decision on an event.
 
     Attributes:
         reason: why it has no effect for now; empty where it is of the run in use.

@@ -30,7 +30,7 @@ class SequenceNumbers:
         return len(self._stamps)
 
     def __contains__(self, sequence: int) -> bool:
-        """Whether it was received, and is remembered."""
+        """Whether the number was received and is remembered."""
         return sequence in self._stamps
 
     def stamp_of(self, sequence: int) -> int:

@@ -146,7 +146,7 @@ class SynchronizationTest:
         *,
         counts: bool,
     ) -> tuple[int, ...]:
-        """Of each part at how many events in a row they agreed, and did at this one.
+        """Returns, for each part, the events in a row that agreed, and whether this event did.
 
         Not if contacts of the part are ``contradicted`` too often.
         """
@@ -161,7 +161,7 @@ class SynchronizationTest:
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector
     ) -> float:
-        """What V was at least before an impact, J: the plant's gaps were zero, those of ``q`` not.
+        """Returns a lower bound of V before an impact, J: the plant's gaps were zero.
 
         V does not see a rigid motion that is off; the speed does that would have made it since the
         contact was hit before.

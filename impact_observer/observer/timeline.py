@@ -63,7 +63,7 @@ class Entry:
 
     @property
     def is_event(self) -> bool:
-        """Whether it is of an event, and not of a sample or of the start."""
+        """Whether the entry is of an event, and not of a sample or of the start."""
         return bool(self.key.switches)
 
     @property
@@ -77,7 +77,7 @@ Update: TypeAlias = Callable[[Entry, EventKey, Superseding], Entry]
 
 
 class Insertion(NamedTuple):
-    """What the insertion of an event has changed.
+    """The changes by the insertion of an event.
 
     Attributes:
         entry: of the event.
@@ -100,7 +100,7 @@ class Insertion(NamedTuple):
 
 
 class Insertions(NamedTuple):
-    """What the insertion of several events has changed.
+    """The changes by the insertion of several events.
 
     Attributes:
         insertions: of each of them, in order.
@@ -115,7 +115,7 @@ _Value = TypeVar("_Value")
 
 
 def outcome(steps: Generator[object, None, _Value]) -> _Value:
-    """What a generator returns in the end."""
+    """Returns the value with which a generator ends."""
     try:
         while True:
             next(steps)
@@ -340,7 +340,7 @@ def _superseded_by(event: EventKey, before: Sequence[Entry]) -> int:
 
 
 def _insertions(new: Container[EventKey], entries: Sequence[Entry]) -> tuple[Insertion, ...]:
-    """Of the events ``new`` among the ``entries``."""
+    """Returns the insertion of each event of ``new`` among the ``entries``."""
     overrules = defaultdict[tuple[int, int], list[tuple[EventKey, OverruledSwitch]]](list)
     for entry in entries:
         for each in entry.overruled:

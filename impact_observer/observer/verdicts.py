@@ -15,7 +15,7 @@ _NEAR = 1_000
 
 
 class Subject(NamedTuple):
-    """What a verdict is about: a contact in an event, or in an impact inserted at an instant."""
+    """The subject of a verdict: a contact in an event, or in an inserted impact."""
 
     event: tuple[int, int]
     contact: int
@@ -187,7 +187,7 @@ def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:
 
 
 def verdict_of(note: Note, names: Sequence[str], *, revises: bool = False) -> Verdict:
-    """What a ``note`` says on the contact of one of these ``names``."""
+    """Returns the words of a ``note`` on the contact of one of these ``names``."""
     reason = note.reason
     if revises:
         reason = f"{REVISED}{reason or 'as reported'}"

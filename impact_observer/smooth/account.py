@@ -54,7 +54,7 @@ class Moment(NamedTuple):
 
 
 class EventAccount(NamedTuple):
-    """What each event of a recording was.
+    """The meaning of each event of a recording.
 
     Attributes:
         moments: those that are true, and those inserted, in order.
@@ -108,7 +108,7 @@ class EventAccount(NamedTuple):
 
     @property
     def decisions(self) -> tuple[object, ...]:
-        """What was decided, to be compared with another account's."""
+        """The decisions, to be compared with those of another account."""
         return tuple(
             (each.change.sequence, each.change.hit, each.change.closed, each.is_inserted)
             for each in self.moments
@@ -116,7 +116,7 @@ class EventAccount(NamedTuple):
 
 
 class _Trace(NamedTuple):
-    """What an event was, and the likeliest hypothesis just after it.
+    """The meaning of an event, and the likeliest hypothesis just after the event.
 
     Attributes:
         change: as it was reported.
@@ -240,7 +240,7 @@ def account_of(
 
 
 def start_of(events: Sequence[ImpactEvent], epoch: int) -> int:
-    """Where the initial state holds, ns: the epoch, or the first event if others are lost."""
+    """Returns the stamp of the initial state, ns: the epoch, or the first event without it."""
     first = min((each.sequence for each in events if each.sequence), default=0)
     if epoch and first <= 1:
         return epoch
@@ -363,7 +363,7 @@ def _change(
     epoch: int,
     since: int,
 ) -> ContactChange:
-    """What ``switches`` at an ``event`` (stamp, sequence) do while ``closed`` are closed."""
+    """Returns the change by ``switches`` at ``event`` (stamp, sequence) with ``closed`` closed."""
     stamp, sequence = event
     t, flown = Elapsed(stamp - epoch), seconds_between(since or stamp, stamp)
     return ContactChange.of(t, closed, switches, stamp=stamp, sequence=sequence, flown=flown)

@@ -259,7 +259,7 @@ class Arc(Linearised):
         return some.flights(instants, [bool(each.change.hit) for each in self.moments], margins)
 
     def _row(self, path: Path, k: int, reading: Reading, x: Vector) -> tuple[Row, float]:
-        """What a sample after the ``k``-th moment measures near ``x``, and its deviation."""
+        """Returns the row of a sample after the ``k``-th moment near ``x``, and its deviation."""
         at = Place(reading.t, reading.instant, x, self.closed_after(k))
         sensor, theta = reading.sensor, path.constants[: self._p]
         moving = self._members.given.moving

@@ -45,7 +45,7 @@ _MISSED = "IMPACT missed: the smoothed motion hits then"
 
 
 class _Hit(NamedTuple):
-    """Where a gap falls to zero, going back.
+    """An instant at which a gap falls to zero backward in time.
 
     Attributes:
         contact: index.

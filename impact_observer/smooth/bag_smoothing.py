@@ -44,7 +44,7 @@ _VERDICTS = f"/{interfaces.OBSERVER_VERDICTS.of(interfaces.SMOOTHER)}"
 
 @dataclass(frozen=True, slots=True)
 class BagSmoothing:
-    """What became of a bag.
+    """The result of smoothing a bag.
 
     Attributes:
         runs: the smoothed motions, one for each run of the sender.

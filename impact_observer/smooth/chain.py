@@ -194,7 +194,7 @@ def _corrected(mean: Vector, found: Matrix, step: Step) -> tuple[Normal, Vector,
 
 
 def _filtered(before: Normal, step: Step) -> tuple[Normal, Vector, float]:
-    """As ``_corrected``, from the state before the step."""
+    """Correct like ``_corrected``, from the state before the step."""
     mean, joint = _joint(before, step)
     return _corrected(mean, triangular(joint), step)
 

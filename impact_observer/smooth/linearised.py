@@ -59,7 +59,7 @@ def followed(x: Vector) -> Vector:
 
 
 class Path(NamedTuple):
-    """What the motion is linearised about.
+    """The path about which the motion is linearised.
 
     Attributes:
         start: first state (q, u), shape (2n,).

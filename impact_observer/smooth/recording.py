@@ -308,7 +308,7 @@ class _Run:
         return self._trials[-1]
 
     def _prior(self, law: TracedLaw, epoch: int) -> GaussianState:
-        """What is declared of the start."""
+        """The declared start."""
         system = law.system
         given = self._options
         x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))

@@ -27,7 +27,7 @@ from impact_observer.stamps import text as stamp_text
 from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
 
 LAW = "smoother"
-"""What estimates of the smoother name where others name their law."""
+"""The name of the law in estimates of the smoother."""
 
 
 _ONE_START_IN = 1e-6
@@ -257,7 +257,7 @@ class SmoothedMotion:
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, float, float], ...]:
-        """What is estimated besides the state: name, value, standard deviation, SI units."""
+        """Parameters estimated beside the state: name, value, standard deviation, SI units."""
         names = self._law.filter.members.family.names
         size, theta = 2 * self._law.system.n, self._constants.theta.tolist()
         deviations = self.smoothed.first.deviations[size:].tolist()
@@ -332,7 +332,7 @@ class SmoothedMotion:
 
     @property
     def model_doubt(self) -> str:
-        """That the filter doubts the model, in words; empty while it does not."""
+        """The filter's doubt of the model, in words; empty without a doubt."""
         last, count = self._law.last, len(self._law.unexplained)
         if count:
             return f"at {count} events {(last and last.misfit) or MISFIT}"
@@ -340,7 +340,7 @@ class SmoothedMotion:
 
     @property
     def filtered_parameters(self) -> Parameters:
-        """What only the filter has learned: noise, and parameters in a misfit."""
+        """Values that only the filter has learned: noise, and parameters in a misfit."""
         own = {name for name, *_ in self.parameters}
         found = self._law.last.parameters if self._law.last else ()
         return tuple(each for each in found if each[0] not in own)

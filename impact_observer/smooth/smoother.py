@@ -113,13 +113,13 @@ class Smoothed(NamedTuple):
         return self.change < (_AGREES if self.arc.filter.system.guides else _SETTLING)
 
     def is_better(self, other: "Smoothed") -> bool:
-        """Whether it explains the same events better than another motion."""
+        """Whether this motion explains the same events better than another one."""
         if self.is_settled != other.is_settled:
             return self.is_settled
         return self.evidence > other.evidence + _LIKELIER
 
     def distance(self, other: "Smoothed") -> float:
-        """Of the first state from another's, the largest of its numbers, in deviations."""
+        """Returns the largest distance of the first state from another one, in deviations."""
         size = 2 * self.arc.filter.system.n
         moved = np.abs(other.first.mean - self.first.mean)[:size]
         both = np.hypot(other.first.deviations, self.first.deviations)[:size]
@@ -144,7 +144,7 @@ class Smoothed(NamedTuple):
 
 
 class KnownStates:
-    """What is known at the nodes of an arc; on the disk where it is large."""
+    """The results at the nodes of an arc; large results lie on the disk."""
 
     def __init__(self, nodes: Sequence[Node], d: int) -> None:
         """Room for ``nodes``, of vectors of up to ``d`` numbers."""
@@ -160,7 +160,7 @@ class KnownStates:
         self._roots[i, : d * d] = z.root.ravel()
 
     def at(self, node: Node) -> Normal:
-        """What is known at ``node``."""
+        """Returns the result at ``node``."""
         i, width = self._index[node], self._means.shape[1]
         d = width - node.is_after
         return Normal(self._means[i, :d].copy(), self._roots[i, : d * d].reshape(d, d).copy())

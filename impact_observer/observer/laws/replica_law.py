@@ -30,7 +30,7 @@ _BEYOND = 1e-6
 
 
 class ReplicaLaw(Law):
-    """What one replica does at an impact of the plant, and in between.
+    """A law that moves each replica by itself, at an impact and between impacts.
 
     A law must define ``impact`` and may define ``motion``. The other methods make it faster for
     many replicas, or certify a bound where the energy that each event removes is known.

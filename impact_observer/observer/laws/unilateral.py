@@ -93,7 +93,7 @@ class Unilateral(Geometric):
         return Ensemble.of(replicas)
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
-        """As with geometric, where all the contacts can be closed at once."""
+        """The impact of ``geometric`` for contacts that can all be closed at once."""
         return (
             self.energy_of_jump(before, after, active)
             if self._unilateral.is_possible(active)
