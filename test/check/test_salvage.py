@@ -149,8 +149,8 @@ def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
     """Reader and check notice the bit by the checksums of the chunks that this package writes."""
     shutil.copytree(whole, "bag")
     file = Path("bag") / "own_0.mcap"
-    (begin,) = chunks(file)
-    flip(file, begin + 3000, mask=1)
+    begin, *later = chunks(file)  # a slow machine ends a chunk after half a second
+    flip(file, begin + min(3000, (later or [6000])[0] - begin) // 2, mask=1)
     with pytest.raises(BagError, match=r"bag: cannot be read as a bag: Chunk checksum mismatch"):
         messages(Path("bag"))
     report = check_bag(Path("bag"))
