@@ -411,7 +411,7 @@ def on_terminal(environment: dict[str, str]) -> tuple[int, str]:
         process.kill()
         process.wait()
         os.close(ours)
-    return process.returncode, output.decode()
+    return process.returncode, output.decode(errors="replace")  # Ctrl-C may cut a character
 
 
 class Keeping(Listener):
