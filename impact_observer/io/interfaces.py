@@ -83,8 +83,6 @@ LATCHED = Quality(transient_local=True, depth=1)
 
 INPUTS = Quality(depth=2000)
 """Samples of live forces and grounds: none may be lost, and many may wait."""
-SAMPLES = Quality(depth=100)
-"""Verdicts on samples: many come at once after a late sample."""
 SENSORS = Quality(reliable=False, depth=100)
 """Samples of sensors, as their drivers publish them."""
 
