@@ -92,7 +92,7 @@ class ImpactLawError(DynamicsError):
     """An impact whose law has no solution on the contacts that are closed."""
 
     @classmethod
-    def of(
+    def for_contacts(
         cls,
         contacts: Iterable[str],
         problem: str,

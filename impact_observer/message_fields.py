@@ -72,8 +72,8 @@ def _member(value: object, part: str | int, where: str) -> object:
         return getattr(value, part)
     if isinstance(value, (Sequence, np.ndarray)) and part < len(value):
         return value[part]
-    found = f"{len(value)} members" if isinstance(value, Sized) else "no members"
-    raise ValueError(f"{where} has {found}, so it has no [{part}]")
+    length = f"{len(value)} members" if isinstance(value, Sized) else "no members"
+    raise ValueError(f"{where} has {length}, so it has no [{part}]")
 
 
 def _names(message: object) -> list[str]:

@@ -38,7 +38,7 @@ class Instant(NamedTuple):
     stamp: int
     remainder: float = 0.0
 
-    def after(self, seconds: float) -> "Instant":
+    def shifted_by(self, seconds: float) -> "Instant":
         """The instant ``seconds`` (s, either sign) later."""
         nanoseconds = round(seconds * 1e9)
         left = (seconds - nanoseconds * 1e-9) + self.remainder
@@ -80,7 +80,7 @@ class Elapsed(float):
         """The time ``seconds`` later."""
         if not isinstance(seconds, float | int):
             return NotImplemented
-        return Elapsed(*Instant(self.ns, self.remainder).after(seconds))
+        return Elapsed(*Instant(self.ns, self.remainder).shifted_by(seconds))
 
     def __sub__(self, other: "float | NDArray[np.float64]") -> float:
         """Seconds from another time to this one, or the time some seconds earlier."""
@@ -119,10 +119,10 @@ def whole_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     Raises:
         UsageError: they are no integers, such as seconds as floats.
     """
-    found = np.asarray(stamps)
-    if found.size and found.dtype.kind not in "iu":
-        raise UsageError(f"stamps: {found.dtype} found; {_WHOLE}, such as {_EXAMPLE}")
-    return found.astype(np.int64, copy=False)
+    array = np.asarray(stamps)
+    if array.size and array.dtype.kind not in "iu":
+        raise UsageError(f"stamps: {array.dtype} found; {_WHOLE}, such as {_EXAMPLE}")
+    return array.astype(np.int64, copy=False)
 
 
 def seconds_between(start: int, stop: int) -> float:

@@ -35,7 +35,7 @@ def test_seconds_between_late_stamps_keep_their_nanoseconds() -> None:
 @given(STAMPS, st.floats(-1e3, 1e3))
 def test_instant_is_within_half_a_nanosecond_of_its_stamp(start: int, seconds: float) -> None:
     """After any step the remainder is at most half a nanosecond."""
-    later = Instant(start).after(seconds)
+    later = Instant(start).shifted_by(seconds)
     assert abs(later.remainder) <= 0.5e-9 * (1 + 1e-6)
     assert -later.until(start) == pytest.approx(seconds, abs=2e-13)
 
@@ -46,7 +46,7 @@ def test_instants_add_up_without_drift(start: int, steps: list[float]) -> None:
     """Many small steps end where one large step ends, far below a nanosecond."""
     instant = Instant(start)
     for step in steps:
-        instant = instant.after(step)
+        instant = instant.shifted_by(step)
     assert -instant.until(start) == pytest.approx(sum(steps), abs=1e-12)
 
 

@@ -78,13 +78,13 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     usable = sum(any(s.contact in index for s in e.switches) for e in last)
     keys = [key for key in keys_of(last, index) if key.stamp >= start]
     episodes = len({(e.epoch, e.episode) for e in events})
-    found = Episode(start, epoch or start, keys, dict(foreign), usable - len(keys), episodes)
-    if not any(change.hit for change in found.changes):
+    episode = Episode(start, epoch or start, keys, dict(foreign), usable - len(keys), episodes)
+    if not any(change.hit for change in episode.changes):
         wanted, others = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(
             f"contains no impact of the model's contacts ({wanted}); others in it: {others}"
         )
-    return found
+    return episode
 
 
 def _latest(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:

@@ -114,10 +114,10 @@ def interpret(
     applied, overruled, after = [], [], latest
     for contact, kind in event.switches:
         newest = _newest_near(event, latest.get(contact))
-        found = _overruled((contact, kind), newest, closed, superseding)
-        if found is not None:
-            overruled.append(found)
-        effect = kind if found is None else found.applied
+        change = _overruled((contact, kind), newest, closed, superseding)
+        if change is not None:
+            overruled.append(change)
+        effect = kind if change is None else change.applied
         if effect is not None:
             applied.append((contact, effect))
             if event.sequence and not newest:
@@ -177,14 +177,14 @@ def superseding(i: int, events: Sequence[EventKey]) -> Superseding:
     first = i + 1
     while not event.sequence and first > 0 and events[first - 1].stamp == event.stamp:
         first -= 1
-    found = list[tuple[int, int]]()
+    pairs = list[tuple[int, int]]()
     while hits and first < len(events) and events[first].stamp == event.stamp:
         for contact, kind in events[first].switches:
             if kind is Kind.CLOSE and contact in hits and first != i:
-                found.append((contact, events[first].sequence))
+                pairs.append((contact, events[first].sequence))
                 hits.remove(contact)
         first += 1
-    return tuple(found)
+    return tuple(pairs)
 
 
 def keys_of(events: Iterable[ImpactEvent], index: Mapping[str, int]) -> list[EventKey]:

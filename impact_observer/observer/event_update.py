@@ -96,8 +96,8 @@ class EventUpdate:
         s, belief = change.flown, previous.belief
         if s > 0:
             since = Elapsed(previous.since - (self.epoch or previous.since))
-            if (found := self.law.struck(change, belief, since, s)) is not None:
-                return found
+            if (struck := self.law.struck(change, belief, since, s)) is not None:
+                return struck
             belief = self.prediction(previous).belief(s)
         return self.law.correct(change, belief), belief.x
 
@@ -122,11 +122,11 @@ class EventUpdate:
             outcome = SampleOutcome(0.0, -1.0, False, reason)
             return replace(previous, key=event, overruled=(), outcome=outcome)
         prior, since = None, seconds_between(epoch, previous.since)
-        found = self.law.followed(reading, previous.belief, since, s)
-        if found is None:
+        result = self.law.followed(reading, previous.belief, since, s)
+        if result is None:
             prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
-            found = self.law.measure(reading, prior)
-        posterior, outcome, known = found
+            result = self.law.measure(reading, prior)
+        posterior, outcome, known = result
         now = previous.known
         if known != reading.known:
             now = {**now, index: known}

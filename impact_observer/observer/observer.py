@@ -265,9 +265,9 @@ class Observer:
             reason = "this sequence number was seen"
             return self._refuse(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
         notices = self._notices
-        if found := self._run.register(event):
-            self.remarks[found[0]] += 1
-            self._notices = [*notices, found[1]]
+        if irregularity := self._run.register(event):
+            self.remarks[irregularity[0]] += 1
+            self._notices = [*notices, irregularity[1]]
         is_overtaken = 0 < event.sequence < self._run.numbers.highest
         try:
             if why := self._run.too_old(event.stamp):
@@ -348,7 +348,7 @@ class Observer:
         Returns:
             Verdicts on earlier events that have changed.
         """
-        self.samples.add(samples)
+        self.samples.add_samples(samples)
         self._follow()
         revised, self._revised = tuple(self._revised), []
         return revised
@@ -410,10 +410,10 @@ class Observer:
                 waiting[key].event,
                 (_verdict(waiting[key].event, Ruling.REJECTED, str(error)),),
             )
-        found = [(waiting[each.entry.key], each) for each in made.insertions]
-        if found:
-            owns, others = self._inserted(run, found)
-            for (each, _), own in zip(found, owns, strict=True):
+        inserted = [(waiting[each.entry.key], each) for each in made.insertions]
+        if inserted:
+            owns, others = self._inserted(run, inserted)
+            for (each, _), own in zip(inserted, owns, strict=True):
                 yield each.event, (*own, *others)
                 others = ()
 

@@ -147,11 +147,11 @@ def _in_order_of_sending(events: Iterable[Placed], by_stamps: bool) -> list[_Pen
             while at and not by_stamps and _was_sent_before(each.event, ordered[at - 1].event):
                 at -= 1
             ordered.insert(at, each)
-        needed, found = MAX_STAMP, list[_Pending]()
+        needed, backwards = MAX_STAMP, list[_Pending]()
         for each in reversed(ordered):
             needed = min(needed, each.event.stamp, each.since)
-            found.append(_Pending(each.event, needed, each.why))
-        pending += found[::-1]
+            backwards.append(_Pending(each.event, needed, each.why))
+        pending += backwards[::-1]
     return [*_among(without, pending)]
 
 

@@ -201,10 +201,10 @@ class RunHistory:
                 refused.append((key, SampleOutcome(0.0, -1.0, False, reason)))
             else:
                 new.append(key)
-        found = outcome(timeline.inserting(new))
-        refused += [(k, SampleOutcome(0.0, -1.0, False, str(e))) for k, e in found.failed.items()]
+        result = outcome(timeline.inserting(new))
+        refused += [(k, SampleOutcome(0.0, -1.0, False, str(e))) for k, e in result.failed.items()]
         self._forget(timeline)
-        made = found.insertions
+        made = result.insertions
         outcomes = [(m.entry.key, m.entry.outcome) for m in made if m.entry.outcome is not None]
         return [*refused, *outcomes], self._revisions(made[-1]) if made else ()
 

@@ -53,7 +53,7 @@ class SampleStream:
         self._recent: deque[EventKey] = deque(maxlen=MOST_KEPT)
         self._again: set[EventKey] = set()
 
-    def add(self, samples: Iterable[SensorSample]) -> None:
+    def add_samples(self, samples: Iterable[SensorSample]) -> None:
         """Take samples; one that is no number has its verdict at once."""
         for sensor, stamp, value in samples:
             self.counts[sensor]["samples"] += 1
@@ -101,6 +101,6 @@ class SampleStream:
 
     def take(self) -> tuple[MeasurementVerdict, ...]:
         """The verdicts since the last time."""
-        found = tuple(self.verdicts)
+        verdicts = tuple(self.verdicts)
         self.verdicts.clear()
-        return found
+        return verdicts

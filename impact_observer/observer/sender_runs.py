@@ -214,22 +214,22 @@ def placed(events: Iterable[ImpactEvent], epoch: int = 0) -> list[Placed]:
         events: in order of reception.
         epoch: as of an observer, ns; 0 to take it from the events.
     """
-    runs, period, found = SenderRuns(epoch), 0, list[Placed]()
+    runs, period, places = SenderRuns(epoch), 0, list[Placed]()
     of: dict[ImpactEvent, list[int]] = {}
     for event in events:
         weighed = runs.weigh(event)
         if weighed.reason:
-            of.setdefault(event, []).append(len(found))
-            found.append(Placed(event, -1, event.stamp, weighed))
+            of.setdefault(event, []).append(len(places))
+            places.append(Placed(event, -1, event.stamp, weighed))
             continue
         if weighed.previous is not None:
             period += 1
         for each in weighed.released:
             for at in of.pop(each, ()):
-                found[at] = Placed(each, period, each.stamp)
+                places[at] = Placed(each, period, each.stamp)
         since = min(each.stamp for each in (*weighed.released, event))
-        found.append(Placed(event, period, since))
-    return found
+        places.append(Placed(event, period, since))
+    return places
 
 
 def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:

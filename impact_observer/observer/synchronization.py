@@ -72,16 +72,16 @@ def _contradicted(
     """``Synchronization.contradicted`` after an event, of a law that rejects and inserts."""
     if not posterior.hypotheses:
         return before
-    found, event = dict(before), (change.stamp, change.sequence)
+    counts, event = dict(before), (change.stamp, change.sequence)
     latest = takewhile(lambda note: note.event == event, reversed(posterior.hypotheses[0].notes))
     for note in [*latest][::-1]:
         if note.ruling is Ruling.APPLIED:
-            found.pop(note.switched, None)
+            counts.pop(note.switched, None)
         else:
-            rejected, inserted = found.get(note.contact, (0, 0))
+            rejected, inserted = counts.get(note.contact, (0, 0))
             is_inserted = note.is_inserted
-            found[note.contact] = rejected + (not is_inserted), inserted + is_inserted
-    return found
+            counts[note.contact] = rejected + (not is_inserted), inserted + is_inserted
+    return counts
 
 
 class SynchronizationTest:
@@ -150,13 +150,13 @@ class SynchronizationTest:
 
         Not if contacts of the part are ``contradicted`` too often.
         """
-        found = list(before or self._none)
+        agreed = list(before or self._none)
         for i in change.hit if counts else ():
-            found[self._part[i]] += 1
+            agreed[self._part[i]] += 1
         for i, each in contradicted.items():
             if min(each) >= REQUIRED_EVENTS:
-                found[self._part[i]] = 0
-        return tuple(found)
+                agreed[self._part[i]] = 0
+        return tuple(agreed)
 
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector

@@ -352,7 +352,7 @@ def _insertions(new: Container[EventKey], entries: Sequence[Entry]) -> tuple[Ins
             again += entry.is_event
             continue
         number = entry.key.sequence
-        found = overrules.get((number, 0 if number else entry.key.stamp), ())
-        others = tuple(each for each in found if each[0] != entry.key)
+        changes = overrules.get((number, 0 if number else entry.key.stamp), ())
+        others = tuple(each for each in changes if each[0] != entry.key)
         insertions.append(Insertion(entry, others, again, entries, place))
     return tuple(reversed(insertions))

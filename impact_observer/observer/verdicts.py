@@ -92,8 +92,8 @@ class IssuedVerdicts:
         last = insertion.later[-1] if insertion.later else insertion.entry
         before, self._notes = self._notes, _notes(last)
         added = () if insertion.later else _added(before, self._notes)
-        found = _by_subject(added) if added else _all_notes(insertion)
-        current = {subject: n for subject, n in found.items() if subject.event[0] >= start}
+        notes = _by_subject(added) if added else _all_notes(insertion)
+        current = {subject: n for subject, n in notes.items() if subject.event[0] >= start}
         if added or not current:  # the usual case: the same hypothesis goes on
             return current, {}
         since = min(subject.event for subject in current)
@@ -168,13 +168,13 @@ def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:
 
 def _all_notes(insertion: Insertion) -> dict[Subject, Note]:
     """The notes after the last event; on older subjects, those after the events before it."""
-    found: dict[Subject, Note] = {}
+    collected: dict[Subject, Note] = {}
     for entry in (*reversed(insertion.later), insertion.entry):
         if notes := _notes(entry):
-            first = min((subject.event for subject in found), default=None)
+            first = min((subject.event for subject in collected), default=None)
             of_entry = _by_subject(notes).items()
-            found.update({s: n for s, n in of_entry if first is None or s.event < first})
-    return found
+            collected.update({s: n for s, n in of_entry if first is None or s.event < first})
+    return collected
 
 
 def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:

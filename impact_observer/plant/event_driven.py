@@ -216,11 +216,11 @@ class Plant:
 
     def _end(self, limit: int) -> Switching | None:
         """The end of the phase, if it is found and its stamp is not after ``limit`` (ns)."""
-        if self._crossing is None or self._start.after(self._crossing[0]).stamp > limit:
+        if self._crossing is None or self._start.shifted_by(self._crossing[0]).stamp > limit:
             return None
         s, which = self._crossing
         instant, x, crossed = (
-            self._start.after(s),
+            self._start.shifted_by(s),
             self._motion.state(s),
             self._watch.crossed(which),
         )
@@ -257,7 +257,7 @@ class Plant:
     def _onset(self, instant: Instant, x: Vector, contact: int) -> Switching:
         """The onset of an impact that lasts: nothing changes before the velocities jump."""
         late = float(self.system.contact_time[contact]) / 2
-        pending = [*self._pending, (instant.after(late), contact)]
+        pending = [*self._pending, (instant.shifted_by(late), contact)]
         self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
         grip = Grip((), self._phase.held, self._phase.rubbing.loads)
         return self._gripped(instant, x, x, (contact,), grip)

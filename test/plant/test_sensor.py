@@ -387,7 +387,7 @@ def test_switching_without_switches_is_not_reported() -> None:
     """A switching without switches is no event and draws nothing."""
     switchings = impacts(6)
     silent = dataclasses.replace(
-        switchings[2], instant=switchings[1].instant.after(0.5), switches=()
+        switchings[2], instant=switchings[1].instant.shifted_by(0.5), switches=()
     )
     jittered = SensorModel(jitter=0.01)
     assert messages(jittered, [*switchings[:2], silent, *switchings[2:]]) == messages(

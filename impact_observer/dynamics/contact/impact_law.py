@@ -197,5 +197,7 @@ class ImpactLaw:
         impulses = complementary(self._B[:, active], (1.0 + eps) * gamma)
         if impulses is None:
             names = [self.system.contact_names[i] for i in active]
-            raise ImpactLawError.of(names, "Newton's impact law has no solution", gamma, eps)
+            raise ImpactLawError.for_contacts(
+                names, "Newton's impact law has no solution", gamma, eps
+            )
         return impulses

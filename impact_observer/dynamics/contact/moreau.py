@@ -131,7 +131,7 @@ class MoreauScheme:
             # Both are nonnegative, and one of the two is zero.
             if np.all(np.abs(np.minimum(impulses, A @ impulses - d)) <= _RESIDUAL):
                 return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
-        raise ImpactLawError.of(
+        raise ImpactLawError.for_contacts(
             [self.system.contact_names[i] for i in active],
             f"the step at t = {k * self.h:.9f} s finds no impulses",
             gamma[active],
