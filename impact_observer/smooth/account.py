@@ -90,7 +90,7 @@ class EventAccount(NamedTuple):
         They are within its ``dead_time``, s, after a report of the contact, or the end of a rest
         that has begun so.
         """
-        last, rests, found = dict[int, float](), set[int](), set[int]()
+        last, rests, unreported = dict[int, float](), set[int](), set[int]()
         reports = deque(self.reported if dead_time else ())
         for k, moment in enumerate(self.moments if dead_time else ()):
             change = moment.change
@@ -102,9 +102,9 @@ class EventAccount(NamedTuple):
             limit = dead_time + moment.clock
             is_dead = all(change.t - last.get(i, -math.inf) <= limit for i in change.hit)
             if is_dead if change.hit else rests.issuperset(change.opened):
-                found.add(k)
+                unreported.add(k)
                 rests |= {*change.hit} & {*change.closed}
-        return found
+        return unreported
 
     @property
     def decisions(self) -> tuple[object, ...]:
@@ -158,18 +158,18 @@ class TracedLaw(MinimumVariance):
         self, reading: Reading, prior: Belief
     ) -> tuple[Belief, SampleOutcome, SensorState]:
         """As the law does."""
-        found = super().measure(reading, prior)
-        self._note(reading, *found[1:])
-        return found
+        result = super().measure(reading, prior)
+        self._note(reading, *result[1:])
+        return result
 
     def followed(
         self, reading: Reading, posterior: Belief, since: float, s: float
     ) -> tuple[Belief, SampleOutcome, SensorState] | None:
         """As the law does."""
-        found = super().followed(reading, posterior, since, s)
-        if found is not None:
-            self._note(reading, *found[1:])
-        return found
+        result = super().followed(reading, posterior, since, s)
+        if result is not None:
+            self._note(reading, *result[1:])
+        return result
 
     def _note(self, reading: Reading, outcome: SampleOutcome, known: SensorState) -> None:
         self.variances[reading.sensor.index] = known.variance
@@ -265,10 +265,10 @@ def _samples(
 
 
 def _by_event(notes: Iterable[Note]) -> dict[tuple[int, int], list[Note]]:
-    found: dict[tuple[int, int], list[Note]] = {}
+    notes_of: dict[tuple[int, int], list[Note]] = {}
     for note in notes:
-        found.setdefault(note.event, []).append(note)
-    return found
+        notes_of.setdefault(note.event, []).append(note)
+    return notes_of
 
 
 def _moments(

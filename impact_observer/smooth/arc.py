@@ -132,12 +132,12 @@ class Arc(Linearised):
 
     def nodes(self, path: Path) -> list[Node]:
         """The steps of the chain: moments, rests and samples after them."""
-        groups, found = self._groups(path), list[Node]()
+        groups, nodes = self._groups(path), list[Node]()
         for k in range(-1, len(self.moments)):
-            found += [Node(k)] if k >= 0 else []
-            found += [Node(k, is_rest=True)] if self.rests(k) else []
-            found += [Node(k, group=j + 1) for j in range(len(groups.get(k, ())))]
-        return found
+            nodes += [Node(k)] if k >= 0 else []
+            nodes += [Node(k, is_rest=True)] if self.rests(k) else []
+            nodes += [Node(k, group=j + 1) for j in range(len(groups.get(k, ())))]
+        return nodes
 
     def step(self, path: Path, node: Node) -> Step:
         """The step of the chain that leads to ``node``."""
@@ -182,7 +182,7 @@ class Arc(Linearised):
                 )
                 early.append(0.0)
                 moving = self.member(path).moving
-                states.append(moving.moved(t, self._after(path, k), at - t, closed)[0])
+                states.append(moving.moved(t, self._state_after(path, k), at - t, closed)[0])
         arc = Arc(self.filter, self._t, self._state, moments, self.samples)
         doubt = np.zeros(len(moments))
         doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
@@ -195,8 +195,8 @@ class Arc(Linearised):
         if groups:
             flown = self.flight(path, k - 1, t, groups[-1].since)
         else:
-            flown = self.flight(path, k - 1, t).after(self.left(path, k - 1))
-        return self._stamped(path, k).after(flown)
+            flown = self.flight(path, k - 1, t).preceded_by(self.left(path, k - 1))
+        return self._stamped(path, k).preceded_by(flown)
 
     def sampling(self, path: Path, k: int, j: int) -> Step:
         """To the ``j``-th group of samples after the ``k``-th moment, which it measures."""
@@ -208,7 +208,7 @@ class Arc(Linearised):
         else:
             moved = self.left(path, k)
             if since is not None:
-                moved = self.flight(path, k, since).after(moved)
+                moved = self.flight(path, k, since).preceded_by(moved)
         rows, values, deviations = list[Vector](), list[float](), list[float]()
         for each in groups[j].readings:
             flown = self.flight(path, k, each.t, since, noisy=False)
@@ -220,18 +220,18 @@ class Arc(Linearised):
             deviations.append(noise)
             values.append(each.value - row.value(x) + float(rows[-1] @ about))
         step = measured(np.array(rows), np.array(values), np.array(deviations))
-        return step.after(moved)
+        return step.preceded_by(moved)
 
     def _groups(self, path: Path) -> dict[int, list[_Group]]:
         """The samples of each flight of a path, by the moment before it."""
         if self._measured[0] is not path:
-            found = dict[int, list[_Group]]()
+            flights = dict[int, list[_Group]]()
             for k, some in self._flights(*self._places(path)).items():
                 readings = [self.samples.readings[i] for i in some]
-                found[k] = [_Group(None, readings)]
+                flights[k] = [_Group(None, readings)]
                 if self.noise_after(k) is not None:
-                    found[k] = [_Group(each.t, [each]) for each in readings]
-            self._measured = path, found
+                    flights[k] = [_Group(each.t, [each]) for each in readings]
+            self._measured = path, flights
         return self._measured[1]
 
     def _margin(self, moment: Moment) -> float:

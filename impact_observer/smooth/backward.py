@@ -133,8 +133,7 @@ class Retracing:
         """All gaps, ``s`` seconds after ``t``, where the state is ``x``."""
         system = self._filter.system
         moved = followed(self._moving.moved(t, x, s, ())[0])
-        found: Vector = system.gap(moved[: system.n])
-        return found
+        return np.asarray(system.gap(moved[: system.n]))
 
     def _root(self, t: float, x: Vector, i: int, above: float, below: float) -> float:
         return falls_at(lambda s: float(self._gaps(t, x, s)[i]), above, below)

@@ -132,12 +132,12 @@ def _decisions(
     writer: BagWriter, runs: Iterable[SmoothedMotion]
 ) -> Iterator[tuple[int, str, bytes]]:
     """Messages of verdicts and impacts: log times (ns), topics, bytes; in order of stamps."""
-    make, found = bag_messages(), list[tuple[int, str, object]]()
+    make, messages = bag_messages(), list[tuple[int, str, object]]()
     for run in runs:
-        found += [(each.stamp, _VERDICTS, make.verdict(each)) for each in run.account.verdicts]
+        messages += [(each.stamp, _VERDICTS, make.verdict(each)) for each in run.account.verdicts]
         topic = interfaces.SMOOTHED_IMPACTS.topic
-        found += [(each.stamp, topic, make.smoothed_impact(each)) for each in run.impacts()]
-    for stamp, topic, message in sorted(found, key=itemgetter(0)):
+        messages += [(each.stamp, topic, make.smoothed_impact(each)) for each in run.impacts()]
+    for stamp, topic, message in sorted(messages, key=itemgetter(0)):
         yield stamp, topic, writer.serialized(topic, message)
 
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from impact_observer.errors import DynamicsError
 from impact_observer.estimation.square_root import triangular
 from impact_observer.states import Matrix, Vector
 
@@ -56,7 +57,7 @@ class Step(NamedTuple):
         noise = np.zeros((d, 0)) if N is None else N
         return cls(A, b, noise, np.zeros((0, d)), np.zeros(0), np.zeros((0, 0)))
 
-    def after(self, first: "Step") -> "Step":
+    def preceded_by(self, first: "Step") -> "Step":
         """The step that does ``first``, which measures nothing, and then this one."""
         assert not first.y.size, "a measurement cannot be put off"
         noise = np.hstack([self.A @ first.N, self.N])
@@ -132,6 +133,9 @@ class Chain:
 
         With each its index; at last -1 and the first state. The forward pass keeps only every so
         many states, so that the memory grows with the square root of their number.
+
+        Raises:
+            DynamicsError: an innovation has the variance 0.
         """
         size = max(1, math.isqrt(self.count))
         blocks = [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
@@ -178,19 +182,24 @@ def _joint(before: Normal, step: Step) -> tuple[Vector, Matrix]:
     return step.A.dot(before.mean) + step.b, joint
 
 
-def _corrected(mean: Vector, found: Matrix, step: Step) -> tuple[Normal, Vector, float]:
+def _corrected(mean: Vector, joint: Matrix, step: Step) -> tuple[Normal, Vector, float]:
     """The state after a measurement, of the triangular root of both.
 
     Then the normalised innovation, and the logarithm of the measurement's probability density.
     """
     k = len(step.H)
     if not k:
-        return Normal(mean, found), _NOTHING, step.density
-    own, seen = found[:k, :k], step.y - step.H.dot(mean)
-    white = linalg.lapack.dtrtrs(own, seen, lower=1)[0]
+        return Normal(mean, joint), _NOTHING, step.density
+    own, seen = joint[:k, :k], step.y - step.H.dot(mean)
+    white, row = linalg.lapack.dtrtrs(own, seen, lower=1)
+    if row:
+        raise DynamicsError(
+            "a stamp, gap or sample of the events: its innovation has the variance 0; expected"
+            " more: is a declared deviation or noise 0?"
+        )
     sizes = np.abs(np.diag(own)) * math.sqrt(2 * math.pi)
     density = step.density - float(white.dot(white)) / 2 - float(np.sum(np.log(sizes)))
-    return Normal(mean + found[k:, :k].dot(white), found[k:, k:]), white, density
+    return Normal(mean + joint[k:, :k].dot(white), joint[k:, k:]), white, density
 
 
 def _filtered(before: Normal, step: Step) -> tuple[Normal, Vector, float]:

@@ -196,15 +196,15 @@ class Linearised:
         t = self.instant(path, k) if since is None else since
         s, theta, q, size = end - t, path.constants[: self._p], self._members.moving, self._size
 
-        def at(values: Vector) -> tuple[Vector, Matrix]:
+        def moved_with(values: Vector) -> tuple[Vector, Matrix]:
             return self._members.motion(values).moved(t, x, s, closed)
 
-        moved, map_ = at(theta) if q else self._flown(path, k, since, s)
+        moved, map_ = moved_with(theta) if q else self._flown(path, k, since, s)
         A = np.eye(size + self._count)
         A[:size, :size] = map_
         if q:
             steps = self._members.parameters.steps(theta, np.diag(path.spread)[:q])
-            A[:size, size : size + q] = Sensitivity(at, theta[:q], steps).first.T
+            A[:size, size : size + q] = Sensitivity(moved_with, theta[:q], steps).first.T
         b = np.zeros(len(A))
         b[:size] = moved - A[:size] @ np.append(x, path.constants)
         noise = self.noise_after(k) if noisy else None
@@ -315,15 +315,15 @@ class Linearised:
         if late:
             value, back = member.moving.moved(t, value, -late, change.closed)
             H = back @ np.column_stack([H[:, 0], H[:, 1:] @ onward])
-        found = _Jump(value, H, pressed, x, back)
-        self._latest = path, k, found
-        return found
+        jump = _Jump(value, H, pressed, x, back)
+        self._latest = path, k, jump
+        return jump
 
     def _jumped(self, path: Path, k: int) -> Vector:
         """The path's state just after the jump at the ``k``-th moment, (2n,)."""
         return self._jump_of(path, k).value
 
-    def _after(self, path: Path, k: int) -> Vector:
+    def _state_after(self, path: Path, k: int) -> Vector:
         """The path's state just after the ``k``-th moment, contacts at rest; -1 for the start."""
         if k < 0:
             return path.start
@@ -333,7 +333,7 @@ class Linearised:
     def _state_at(self, path: Path, k: int, since: float | None) -> Vector:
         """The path's state after the ``k``-th moment: just then, or at ``since``."""
         if since is None:
-            return self._after(path, k)
+            return self._state_after(path, k)
         return self._flown(path, k, None, since - self.instant(path, k))[0]
 
     def _flown(self, path: Path, k: int, since: float | None, s: float) -> tuple[Vector, Matrix]:

@@ -101,14 +101,16 @@ def smoothed_runs(
         unknowns=unknowns,
     )
     begins = [min(each.stamp for each in run) for run in runs.values()]
-    found = list[SmoothedMotion]()
+    motions = list[SmoothedMotion]()
     for run, begin, end in zip(runs.values(), begins, [*begins[1:], MAX_STAMP + 1], strict=True):
-        own = [each for each in samples if (begin <= each.stamp or not found) and each.stamp < end]
+        own = [
+            each for each in samples if (begin <= each.stamp or not motions) and each.stamp < end
+        ]
         each_run = _Run(run, own, options, made, give, progress=progress)
-        found.append(each_run.motion(thorough=thorough))
-    if not any(each.account.moments for each in found):
+        motions.append(each_run.motion(thorough=thorough))
+    if not any(each.account.moments for each in motions):
         raise BagError("no impact was applied: is it a recording of this model?")
-    return found
+    return motions
 
 
 def _own(options: Options) -> Options:
@@ -149,18 +151,18 @@ def _evidence(trial: _Trial) -> float:
 
 def _doubt(best: _Trial, trials: Sequence[_Trial]) -> Doubt:
     """The likeliest other account of the events, or motion by it, whose first state is another."""
-    found, rival = NO_DOUBT, best.smoothed.rival
+    doubt, rival = NO_DOUBT, best.smoothed.rival
     if rival.odds > _UNLIKELY:
         until = best.account.moments[rival.until].change.stamp
-        found = Doubt(rival.odds, rival.far, until, is_motion=True)
+        doubt = Doubt(rival.odds, rival.far, until, is_motion=True)
     for each in trials:
         odds = math.exp(min(_evidence(each) - _evidence(best), 0.0))
-        if each is best or not each.smoothed.is_settled or odds <= max(found.odds, _UNLIKELY):
+        if each is best or not each.smoothed.is_settled or odds <= max(doubt.odds, _UNLIKELY):
             continue
         far = best.smoothed.distance(each.smoothed)
         if far > OTHER:
-            found = Doubt(odds, far, _same_from(best.account, each.account))
-    return found
+            doubt = Doubt(odds, far, _same_from(best.account, each.account))
+    return doubt
 
 
 def _same_from(account: EventAccount, other: EventAccount) -> int:
@@ -248,7 +250,7 @@ class _Run:
         prior, begin = self._prior(law, best.epoch), self._begin(best.epoch)
         back = Retracing(law.filter, prior, begin)
         for first in range(n + 2, min(count - n, _RETRACED * n + 3), n):
-            x = given.at(Node(first)).mean[1 : 1 + 2 * n]
+            x = given.state(Node(first)).mean[1 : 1 + 2 * n]
             account = back.account(known, first, x)
             if account is None or account.decisions in tried:
                 continue

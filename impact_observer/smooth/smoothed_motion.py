@@ -165,7 +165,7 @@ class SmoothedMotion:
 
     def _flown(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
         """States in the flight after the ``k``-th moment, which has no noise."""
-        t, after = self.smoothed.arc.instant(self.smoothed.path, k), self.smoothed.after(k)
+        t, after = self.smoothed.arc.instant(self.smoothed.path, k), self.smoothed.state_after(k)
         members = self.smoothed.arc.filter.members
         flight = LinearPrediction(t, self._state(after, k), members, None)
         for stamp in stamps.tolist():
@@ -202,7 +202,7 @@ class SmoothedMotion:
             yield self._estimate(stamp, k, prediction.state(s), root, closed)
 
     def _prediction(self, k: int, t: float) -> Prediction:
-        state, last = self._state(self.smoothed.after(k), k), self._law.last
+        state, last = self._state(self.smoothed.state_after(k), k), self._law.last
         if last is None or last.fallback is None:
             belief = Belief(state.ensemble, state.root)
         else:
@@ -261,10 +261,10 @@ class SmoothedMotion:
         names = self._law.filter.members.family.names
         size, theta = 2 * self._law.system.n, self._constants.theta.tolist()
         deviations = self.smoothed.first.deviations[size:].tolist()
-        found = [*zip(names, theta, deviations, strict=False)]
+        rows = [*zip(names, theta, deviations, strict=False)]
         if len(deviations) > len(names):
-            found.append(("clock_offset", self._constants.offset, deviations[-1]))
-        return tuple(found)
+            rows.append(("clock_offset", self._constants.offset, deviations[-1]))
+        return tuple(rows)
 
     @cached_property
     def early_doubt(self) -> tuple[str, int]:
@@ -342,5 +342,5 @@ class SmoothedMotion:
     def filtered_parameters(self) -> Parameters:
         """Values that only the filter has learned: noise, and parameters in a misfit."""
         own = {name for name, *_ in self.parameters}
-        found = self._law.last.parameters if self._law.last else ()
-        return tuple(each for each in found if each[0] not in own)
+        learned = self._law.last.parameters if self._law.last else ()
+        return tuple(each for each in learned if each[0] not in own)

@@ -127,11 +127,11 @@ class Smoothed(NamedTuple):
 
     def instant(self, k: int) -> tuple[float, float]:
         """By how much the ``k``-th moment was before its stamp, and the deviation of that, s."""
-        z = self.known.at(Node(k))
+        z = self.known.state(Node(k))
         early = float(self.path.early[k] + z.mean[0])
         return early, float(z.deviations[0])
 
-    def after(self, k: int) -> Normal:
+    def state_after(self, k: int) -> Normal:
         """The state (q, u, constants) just after the ``k``-th moment; -1 for the start.
 
         At the instant of the path.
@@ -139,7 +139,7 @@ class Smoothed(NamedTuple):
         if k < 0:
             return self.first
         step = self.arc.left(self.path, k)
-        z = self.known.at(Node(k, self.arc.rests(k)))
+        z = self.known.state(Node(k, self.arc.rests(k)))
         return z.mapped(step.A, step.b, step.N)
 
 
@@ -159,7 +159,7 @@ class KnownStates:
         self._means[i, :d] = z.mean
         self._roots[i, : d * d] = z.root.ravel()
 
-    def at(self, node: Node) -> Normal:
+    def state(self, node: Node) -> Normal:
         """Returns the result at ``node``."""
         i, width = self._index[node], self._means.shape[1]
         d = width - node.is_after
@@ -231,13 +231,13 @@ def _elsewhere(
 def _rival(best: Smoothed, tried: Sequence[Smoothed]) -> Rival:
     """The likeliest of those ``tried`` that begins elsewhere than the best."""
     most = max((each.evidence for each in tried if each.is_settled), default=math.inf)
-    found = Rival()
+    rival = Rival()
     for each in tried:
         far = best.distance(each)
         if each.change < _SETTLING and far > OTHER:
             odds = math.exp(min(each.evidence - most, 0.0))
-            found = max(found, Rival(odds, far, len(each.arc.moments) - 1))
-    return found
+            rival = max(rival, Rival(odds, far, len(each.arc.moments) - 1))
+    return rival
 
 
 def _begun(
@@ -253,14 +253,14 @@ def _begun(
         return None
 
 
-def _gated(found: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
+def _gated(motion: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
     """The motion with the samples that are near it: at first the filter has chosen them."""
-    for _ in range(_MOST_GATES if found.arc.samples.readings else 0):
-        arc = found.arc.gated(found.path)
-        if arc.samples.rejected == found.arc.samples.rejected:
+    for _ in range(_MOST_GATES if motion.arc.samples.readings else 0):
+        arc = motion.arc.gated(motion.path)
+        if arc.samples.rejected == motion.arc.samples.rejected:
             break
-        found = _settled(arc, found.path, progress)
-    return found
+        motion = _settled(arc, motion.path, progress)
+    return motion
 
 
 def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoothed:
@@ -299,7 +299,7 @@ def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iter
     _, known, _ = _linear(arc, path)
     for k in wanted:
         step = arc.left(path, k)
-        yield known.at(Node(k, arc.rests(k))).mapped(step.A, step.b, step.N)
+        yield known.state(Node(k, arc.rests(k))).mapped(step.A, step.b, step.N)
 
 
 def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
@@ -340,7 +340,7 @@ def _improved(
     for node in known.nodes:
         if node.is_after:
             continue
-        k, z = node.moment, known.at(node)
+        k, z = node.moment, known.state(node)
         doubt[k] = arc.gap_deviation(k, z.root[1:])
         constants = z.mean[1 + x.shape[1] :]
         farthest = arc.filter.farthest(arc.moments[k].change)

@@ -40,7 +40,7 @@ class UsedSamples(NamedTuple):
             hits: whether contacts hit then: then samples that are blanked say nothing after it.
             margins: how near a moment a sample may come before it or after it, s, shape (k,).
         """
-        found: dict[int, list[int]] = {}
+        flights: dict[int, list[int]] = {}
         order = np.maximum.accumulate(instants) if instants.size else instants
         since = np.where(hits, instants, -np.inf)
         since = np.maximum.accumulate(since) if instants.size else since
@@ -56,8 +56,8 @@ class UsedSamples(NamedTuple):
                     continue
             if k + 1 < order.size and order[k + 1] - times[i] <= margins[k + 1]:
                 continue
-            found.setdefault(k, []).append(i)
-        return found
+            flights.setdefault(k, []).append(i)
+        return flights
 
     def left_out(self, used: int) -> float:
         """Logarithm of the density of those that are not among the number ``used``.

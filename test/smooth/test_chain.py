@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
+from impact_observer.errors import DynamicsError
 from impact_observer.smooth.chain import Chain, Normal, Step
 from impact_observer.smooth.used_samples import measured
 
@@ -94,3 +95,12 @@ def test_exact_measurements_do_no_harm(seed: int, count: int) -> None:
     for k in range(-1, count):
         np.testing.assert_allclose(found[k].mean, means[k + 1], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found[k].covariance, covariances[k + 1], rtol=1e-9, atol=1e-9)
+
+
+def test_innovation_without_variance_is_refused() -> None:
+    """The evidence of an exact measurement of an exact state would be infinite."""
+    exact = Normal(np.zeros(1), np.zeros((1, 1)))
+    still = Step.unmeasured(np.eye(1), np.zeros(1))
+    step = still._replace(H=np.eye(1), y=np.ones(1), V=np.zeros((1, 1)))
+    with pytest.raises(DynamicsError, match=r"has the variance 0; expected more"):
+        list(Chain(exact, 1, [step].__getitem__).states())

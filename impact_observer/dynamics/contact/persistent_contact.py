@@ -58,22 +58,22 @@ def persistent_contacts(
     slow, loads = phases.guides(x)
     if not (contacts or slow):
         return Grip((), (), tuple(loads.tolist()))
-    found = _Found([], [], [(i, 1.0) for i in contacts], loads)
+    decisions = _Decisions([], [], [(i, 1.0) for i in contacts], loads)
     unloaded = phases.unloaded(fixed, tuple(loads.tolist()))
     motion = list(x.reshape(2, -1))
     for _ in range(_ORDERS):
         free, size = phases.free(unloaded, t, motion)
         if slow and len(motion) == 2:
-            acceleration = found.decide_guides(phases, slow, free, _ZERO * size)
+            acceleration = decisions.decide_guides(phases, slow, free, _ZERO * size)
         else:
-            acceleration = found.decide(phases, free, _ZERO * size)
-        if not found.undecided:
+            acceleration = decisions.decide(phases, free, _ZERO * size)
+        if not decisions.undecided:
             break
         motion.append(phases.unwhite(acceleration))
-    return found.grip(phases)
+    return decisions.grip(phases)
 
 
-class _Found(NamedTuple):
+class _Decisions(NamedTuple):
     """What has been decided: contacts that press, guides that stick, and loads of guides.
 
     Those that are undecided are each with the sign of the direction in which they would open, or
@@ -131,10 +131,10 @@ class _Found(NamedTuple):
         pushed = np.zeros(len(index))
         independent, size = np.linalg.norm(D, axis=0) > RANK, math.sqrt(free.dot(free))
         if size > 0 and independent.any():
-            found = nonnegative(D[:, independent], -free / size)
-            if found is None:
+            loads = nonnegative(D[:, independent], -free / size)
+            if loads is None:
                 raise _unsolved(phases, index)
-            pushed[independent] = size * found
+            pushed[independent] = size * loads
         acceleration = free + D @ pushed
         away = acceleration.dot(D)
         self.undecided.clear()
