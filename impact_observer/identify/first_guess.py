@@ -76,15 +76,17 @@ def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
         """Gaps at the stamps as an error of the instants, s."""
         return float(np.linalg.norm(problem.shot(y).gaps) / speed)
 
-    found = _least_gaps(problem, _least_gaps(problem, y, prior=_PRIOR_WEIGHT), robust=robust)
-    if error(found) <= _LOST * problem.interval:
-        return found
-    other, upto = y, _FIRST
+    at_once = _least_gaps(problem, _least_gaps(problem, y, prior=_PRIOR_WEIGHT), robust=robust)
+    if error(at_once) <= _LOST * problem.interval:
+        return at_once
+    stepwise, upto = y, _FIRST
     while upto < len(problem.moments):
-        other = _least_gaps(problem, other, upto, prior=_PRIOR_WEIGHT)
+        stepwise = _least_gaps(problem, stepwise, upto, prior=_PRIOR_WEIGHT)
         upto *= 2
-    other = _least_gaps(problem, _least_gaps(problem, other, prior=_PRIOR_WEIGHT), robust=robust)
-    return min(found, other, key=error)
+    stepwise = _least_gaps(
+        problem, _least_gaps(problem, stepwise, prior=_PRIOR_WEIGHT), robust=robust
+    )
+    return min(at_once, stepwise, key=error)
 
 
 def by_gaps_near(problem: Problem, y: Vector) -> Vector:
@@ -123,7 +125,7 @@ def _least_gaps(
         problem.report(f"first guess {next(trials)} of at most {tries}, gaps {size:.2g} m")
         return gaps, by_start
 
-    found = optimize.least_squares(
+    minimum = optimize.least_squares(
         lambda y: np.concatenate([made(y.tobytes())[0], pull @ (y - given)]),
         np.clip(y, low, high),
         jac=lambda y: np.vstack([made(y.tobytes())[1], pull]),
@@ -136,7 +138,7 @@ def _least_gaps(
         gtol=1e-15,
         max_nfev=tries,
     )
-    return np.asarray(found.x)
+    return np.asarray(minimum.x)
 
 
 class Directions(NamedTuple):
@@ -164,9 +166,9 @@ def directions(problem: Problem, shot: Shot) -> Directions:
     speed = np.max(reach[n:])
     state = np.repeat([max(np.max(reach[:n]), speed * problem.interval) or 1.0, speed or 1.0], n)
     units = np.concatenate([state, problem.family.sizes])
-    found, right = linalg.svd(problem.gaps_of(shot, problem.moved(shot))[1] * units)[1:]
+    values, right = linalg.svd(problem.gaps_of(shot, problem.moved(shot))[1] * units)[1:]
     singular = np.zeros(units.size)
-    singular[: found.size] = found
+    singular[: values.size] = values
     rank = int(np.count_nonzero(singular > RANK * singular[0]))
     basis = units[:, None] * right.T
     return Directions(basis[:, :rank], basis[:, rank:], singular)

@@ -42,25 +42,25 @@ class FitCheck:
         return min(self.white, size) >= REJECTED and not self.odd
 
 
-def check_fit(found: Identification) -> FitCheck:
+def check_fit(fitted: Identification) -> FitCheck:
     """Check the fitted model.
 
     Under the right model the shifts are the errors of a clock: independent, and of its size.
     """
-    shifts = found.shifts
-    names = sorted({name for each in found.contacts for name in each})
+    shifts = fitted.shifts
+    names = sorted({name for each in fitted.contacts for name in each})
     by_contact = {}
     for name in names:
-        own = shifts[[name in each for each in found.contacts]]
+        own = shifts[[name in each for each in fitted.contacts]]
         by_contact[name] = (own.size, float(np.mean(own)), float(np.sqrt(np.mean(own**2))))
     size = None
-    if found.declared:
-        size = probability_of_size(shifts, found.clock, found.freedom)
+    if fitted.declared:
+        size = probability_of_size(shifts, fitted.clock, fitted.freedom)
     return FitCheck(
         size=size,
         white=independence(shifts),
         lags=lags_of(shifts),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
-        odd=tuple(each.name for each in found.sensors if not each.fits),
+        odd=tuple(each.name for each in fitted.sensors if not each.fits),
     )

@@ -9,23 +9,23 @@ from impact_observer.identify.identification import Identification
 _MARKERS = "o^sDvx+*"
 
 
-def fit_picture(found: Identification, *, title: str) -> Figure:
+def fit_picture(fitted: Identification, *, title: str) -> Figure:
     """Errors of the stamps over time, with a band of two standard deviations of the clock."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    names = sorted({name for each in found.contacts for name in each})
+    names = sorted({name for each in fitted.contacts for name in each})
     for k, name in enumerate(names):
-        own = np.array([name in each for each in found.contacts])
+        own = np.array([name in each for each in fitted.contacts])
         axes.plot(
-            found.stamps[own],
-            found.shifts[own],
+            fitted.stamps[own],
+            fitted.shifts[own],
             linestyle="",
             marker=_MARKERS[k % len(_MARKERS)],
             color=str(0.6 * k / max(len(names) - 1, 1)),
             label=name,
         )
     axes.axhspan(
-        -2 * found.clock, 2 * found.clock, color="0.9", label="2 standard deviations", zorder=0
+        -2 * fitted.clock, 2 * fitted.clock, color="0.9", label="2 standard deviations", zorder=0
     )
     axes.set_xlabel("time since the epoch [s]")
     axes.set_ylabel("model's impact minus stamp [s]")

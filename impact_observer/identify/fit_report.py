@@ -48,21 +48,21 @@ _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
 
-def _initial_state(found: Identification) -> Vector:
+def _initial_state(fitted: Identification) -> Vector:
     """The initial state (q, u) of the motion that fits, shape (2n,), also where stops move."""
-    episode = found.recording.episode
+    episode = fitted.recording.episode
     at = np.array([episode.start - episode.epoch])
-    states = found.family.system_at(found.values).from_frame(at, found.start[None])
+    states = fitted.family.system_at(fitted.values).from_frame(at, fitted.start[None])
     return np.asarray(states[0])
 
 
-def _inside(found: Identification) -> str:
+def _inside(fitted: Identification) -> str:
     """Why the initial state is wrong if a body is inside a stop; else empty."""
-    system = found.family.system_at(found.values)
-    names = [system.contact_names[i] for i in system.penetrated(found.start[: system.n])]
+    system = fitted.family.system_at(fitted.values)
+    names = [system.contact_names[i] for i in system.penetrated(fitted.start[: system.n])]
     if not names:
         return ""
-    episode = found.recording.episode
+    episode = fitted.recording.episode
     first, second = (key.stamp for key in episode.keys[:2])
     remedy = "--initial-state cannot write it"
     if not system.depends_on_time:
@@ -79,18 +79,18 @@ def _inside(found: Identification) -> str:
     return f"the initial state is {where}; {remedy}"
 
 
-def _initial_errors(found: Identification) -> Vector:
+def _initial_errors(fitted: Identification) -> Vector:
     """Standard errors of ``_initial_state``, shape (2n,)."""
-    return np.asarray(np.sqrt(np.diag(found.covariance))[: found.start.size])
+    return np.asarray(np.sqrt(np.diag(fitted.covariance))[: fitted.start.size])
 
 
-def _turning_point(found: Identification) -> tuple[float, float] | None:
+def _turning_point(fitted: Identification) -> tuple[float, float] | None:
     """The height ``q - u^2 / 2a`` at which a single body turns, and its standard error, m.
 
     Returns None unless the model is one body under a constant force alone.
     """
-    family, n = found.family, found.family.system.n
-    system = family.system_at(found.values)
+    family, n = fitted.family, fitted.family.system.n
+    system = family.system_at(fitted.values)
     moved = system.depends_on_time or system.guides or system.live is not None
     if n > 1 or moved or system.K.any() or system.C.any() or not system.forcing.constant.any():
         return None
@@ -99,55 +99,55 @@ def _turning_point(found: Identification) -> tuple[float, float] | None:
         a = system.forcing.constant.item() / family.coefficients_at(x[2:]).M.item()
         return float(x[0] - x[1] ** 2 / (2.0 * a))
 
-    at = np.concatenate([_initial_state(found), found.values])
+    at = np.concatenate([_initial_state(fitted), fitted.values])
     slope = approx_fprime(at, height)
-    covariance = found.covariance[: at.size, : at.size]
+    covariance = fitted.covariance[: at.size, : at.size]
     return height(at), float(np.sqrt(slope @ covariance @ slope))
 
 
-def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
+def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
     """The values of ``--json``, in SI units."""
-    family, recording = found.family, found.recording
+    family, recording = fitted.family, fitted.recording
     names = family.system.contact_names
     return {
         "name": family.system.name,
-        "converged": found.converged,
-        "widened": found.widened,
-        "widened_because": [*_reasons(found, check)] if found.widened > 1.0 else [],
-        "held_back": found.held_back
-        and {**found.held_back._asdict(), "carries_over": found.held_back.carries_over},
-        "fits": check.fits and found.converged,
+        "converged": fitted.converged,
+        "widened": fitted.widened,
+        "widened_because": [*_reasons(fitted, check)] if fitted.widened > 1.0 else [],
+        "held_back": fitted.held_back
+        and {**fitted.held_back._asdict(), "carries_over": fitted.held_back.carries_over},
+        "fits": check.fits and fitted.converged,
         "parameters": {
             each.name: {
                 "given": each.value,
                 "value": value,
-                "standard_error": error if found.converged else None,
+                "standard_error": error if fitted.converged else None,
                 "unit": each.unit,
-                "at_bound": each.name in found.bounded,
+                "at_bound": each.name in fitted.bounded,
             }
             for each, value, error in zip(
-                family.parameters, found.values.tolist(), found.errors.tolist(), strict=True
+                family.parameters, fitted.values.tolist(), fitted.errors.tolist(), strict=True
             )
         },
-        "correlation": found.correlation.tolist(),
-        "unknown": list(found.undetermined),
-        "singular_values": found.singular.tolist(),
-        "initial_state": _initial_state(found).tolist(),
-        "initial_state_error": _initial_errors(found).tolist() if found.converged else None,
+        "correlation": fitted.correlation.tolist(),
+        "unknown": list(fitted.undetermined),
+        "singular_values": fitted.singular.tolist(),
+        "initial_state": _initial_state(fitted).tolist(),
+        "initial_state_error": _initial_errors(fitted).tolist() if fitted.converged else None,
         "initial_state_covariance": (
-            found.covariance[: found.start.size, : found.start.size].tolist()
-            if found.converged
+            fitted.covariance[: fitted.start.size, : fitted.start.size].tolist()
+            if fitted.converged
             else None
         ),
         "initial_state_seconds": recording.start,
-        "turning_point": _turning_point(found) if found.converged else None,
-        "clock_error": float(found.clock),
-        "clock_error_declared": found.declared,
-        "clock_error_with_all_accepted": found.accepted,
-        "doubted": found.doubted,
-        "residual": found.rms,
-        "degrees_of_freedom": found.freedom,
-        "impacts": len(found.shifts),
+        "turning_point": _turning_point(fitted) if fitted.converged else None,
+        "clock_error": float(fitted.clock),
+        "clock_error_declared": fitted.declared,
+        "clock_error_with_all_accepted": fitted.accepted,
+        "doubted": fitted.doubted,
+        "residual": fitted.rms,
+        "degrees_of_freedom": fitted.freedom,
+        "impacts": len(fitted.shifts),
         "rejected": [[stamp, names[i]] for stamp, i in sorted(recording.rejected)],
         "inserted": [[stamp, names[i]] for stamp, i in sorted(recording.inserted)],
         "settled": [[stamp, names[i]] for stamp, i in sorted(recording.settled)],
@@ -158,42 +158,42 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
             for name, (count, mean, rms) in check.by_contact.items()
         },
         "worst_contact": check.worst,
-        "sensors": [{**asdict(each), "fits": each.fits} for each in found.sensors],
+        "sensors": [{**asdict(each), "fits": each.fits} for each in fitted.sensors],
         "shifts": {
-            "seconds": found.stamps.tolist(),
-            "shift": found.shifts.tolist(),
-            "contacts": [list(each) for each in found.contacts],
+            "seconds": fitted.stamps.tolist(),
+            "shift": fitted.shifts.tolist(),
+            "contacts": [list(each) for each in fitted.contacts],
         },
     }
 
 
-def print_parameters(found: Identification, check: FitCheck) -> None:
+def print_parameters(fitted: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
     _print(
-        found,
-        _parameter_table(found),
+        fitted,
+        _parameter_table(fitted),
         [
-            _about_start(found),
-            *_about_fit(found),
-            *_about_errors(found, check),
-            *_about_parameters(found),
+            _about_start(fitted),
+            *_about_fit(fitted),
+            *_about_errors(fitted, check),
+            *_about_parameters(fitted),
         ],
     )
 
 
-def print_check(found: Identification, check: FitCheck) -> None:
+def print_check(fitted: Identification, check: FitCheck) -> None:
     """Print how well each contact's impacts fit, and whether the model is rejected."""
     rows = [
         (name, str(count), f"{mean:.3g}", f"{rms:.3g}")
         for name, (count, mean, rms) in check.by_contact.items()
     ]
     table = TextTable(("contact", "impacts", "mean [s]", "rms [s]"), rows)
-    _print(found, table, [*_about_fit(found), *_about_check(found, check)])
+    _print(fitted, table, [*_about_fit(fitted), *_about_check(fitted, check)])
 
 
-def _print(found: Identification, table: TextTable, remarks: Iterable[ReportLine]) -> None:
+def _print(fitted: Identification, table: TextTable, remarks: Iterable[ReportLine]) -> None:
     """Print what speaks against the model, a table, and remarks."""
-    if verdict := [*_verdict(found)]:
+    if verdict := [*_verdict(fitted)]:
         print_facts(verdict)
         say("")
     print_table(table)
@@ -201,103 +201,103 @@ def _print(found: Identification, table: TextTable, remarks: Iterable[ReportLine
     print_facts(remarks)
 
 
-def _verdict(found: Identification) -> Iterator[ReportLine]:
+def _verdict(fitted: Identification) -> Iterator[ReportLine]:
     """Reasons not to use the values; none where the model may be right."""
-    if not found.converged:
+    if not fitted.converged:
         yield ReportLine(
             "error",
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, or free other"
-            f" parameters (docs/misfit.md).{_about_time(found.family.system)}",
+            f" parameters (docs/misfit.md).{_about_time(fitted.family.system)}",
         )
-    if found.declared and found.rms > _OTHER * found.clock and not _may_be_a_clock(found):
+    if fitted.declared and fitted.rms > _OTHER * fitted.clock and not _may_be_a_clock(fitted):
         yield ReportLine(
             "warning",
-            f"The shifts of the stamps, {figure(found.rms, 's')} rms, are no errors of a clock"
-            f" with {figure(found.clock, 's')}: is the model that of the rig, and --time-unit that"
-            " of the times that were imported?",
+            f"The shifts of the stamps, {figure(fitted.rms, 's')} rms, are no errors of a clock"
+            f" with {figure(fitted.clock, 's')}: is the model that of the rig, and --time-unit"
+            " that of the times that were imported?",
         )
-    if found.converged and found.held_back and not found.held_back.carries_over:
+    if fitted.converged and fitted.held_back and not fitted.held_back.carries_over:
         text = "The model does not carry over to the impacts that were held back."
         yield ReportLine("warning", text)
 
 
-def _may_be_a_clock(found: Identification) -> bool:
+def _may_be_a_clock(fitted: Identification) -> bool:
     """Whether the shifts are small enough for errors of some clock."""
-    between = float(np.median(np.diff(found.stamps))) if found.stamps.size > 1 else 0.0
-    return found.rms <= min(_LARGEST_CLOCK, _OF_INTERVALS * between)
+    between = float(np.median(np.diff(fitted.stamps))) if fitted.stamps.size > 1 else 0.0
+    return fitted.rms <= min(_LARGEST_CLOCK, _OF_INTERVALS * between)
 
 
-def _parameter_table(found: Identification) -> TextTable:
+def _parameter_table(fitted: Identification) -> TextTable:
     """Parameters, the start, and the height at which a single body turns."""
     rows = []
-    undetermined = {name for direction in found.undetermined for name in direction}
+    undetermined = {name for direction in fitted.undetermined for name in direction}
     for parameter, value, error in zip(
-        found.family.parameters, found.values, found.errors, strict=True
+        fitted.family.parameters, fitted.values, fitted.errors, strict=True
     ):
-        shown, spread = f"{value:.10g}", f"{error:.2g}" if found.converged else ""
+        shown, spread = f"{value:.10g}", f"{error:.2g}" if fitted.converged else ""
         if parameter.name in undetermined:
             shown, spread = "not determined", ""
-        elif parameter.name in found.bounded and found.converged:
+        elif parameter.name in fitted.bounded and fitted.converged:
             spread = "at its bound"
         rows.append((parameter.name, f"{parameter.value:.6g}", shown, spread, parameter.unit))
-    system = found.family.system
+    system = fitted.family.system
     names = [(f"{name} at the start", system.unit) for name in system.coordinates]
     names += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
-    states = zip(names, _initial_state(found), _initial_errors(found), strict=True)
+    states = zip(names, _initial_state(fitted), _initial_errors(fitted), strict=True)
     for (name, unit), value, error in states:
-        rows.append((name, "", f"{value:.10g}", f"{error:.2g}" if found.converged else "", unit))
-    if found.converged and (turn := _turning_point(found)):
+        rows.append((name, "", f"{value:.10g}", f"{error:.2g}" if fitted.converged else "", unit))
+    if fitted.converged and (turn := _turning_point(fitted)):
         (name,), (value, error) = system.coordinates, turn
         rows.append((f"{name} where it turns", "", f"{value:.10g}", f"{error:.2g}", system.unit))
     headings = ("parameter", "given", "identified", "standard error", "unit")
     return TextTable(headings, rows, words=("unit",))
 
 
-def _about_start(found: Identification) -> ReportLine:
+def _about_start(fitted: Identification) -> ReportLine:
     """The instant of the initial state, and whether a body is inside a stop then."""
-    if found.recording.start:
-        return ReportLine("note", f"The start is {found.recording.start:.9g} s after the epoch.")
-    at_impact = found.recording.episode.start == found.recording.episode.keys[0].stamp
+    if fitted.recording.start:
+        return ReportLine("note", f"The start is {fitted.recording.start:.9g} s after the epoch.")
+    at_impact = fitted.recording.episode.start == fitted.recording.episode.keys[0].stamp
     where = "The start is the first impact." if at_impact else "The start is the epoch."
-    wrong = _inside(found)
+    wrong = _inside(fitted)
     return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 
 
-def _about_fit(found: Identification) -> Iterator[ReportLine]:
+def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
     """How well stamps and samples fit, and which impacts were rejected or inserted."""
-    stamps = counted(len(found.shifts), "stamp")
+    stamps = counted(len(fitted.shifts), "stamp")
     yield ReportLine(
         "note",
-        f"{stamps} differ from the model's impacts by {figure(found.rms, 's')} rms"
-        f"{_declared(found)}.",
+        f"{stamps} differ from the model's impacts by {figure(fitted.rms, 's')} rms"
+        f"{_declared(fitted)}.",
     )
-    yield from map(_about_sensor, found.sensors)
-    unknowns = 2 * found.family.system.n + found.family.size
-    is_short = not found.sensors and len(found.shifts) < unknowns + _SPARE
+    yield from map(_about_sensor, fitted.sensors)
+    unknowns = 2 * fitted.family.system.n + fitted.family.size
+    is_short = not fitted.sensors and len(fitted.shifts) < unknowns + _SPARE
     if is_short:
         yield ReportLine(
             "warning",
             f"{stamps} are few for {unknowns} unknowns, the start among"
             " them: record more impacts, or free fewer parameters.",
         )
-    impacts = len(found.shifts) + len(found.recording.rejected)
-    many = found.doubted >= _MANY * impacts
-    if found.declared and many and not is_short and _may_be_a_clock(found):
+    impacts = len(fitted.shifts) + len(fitted.recording.rejected)
+    many = fitted.doubted >= _MANY * impacts
+    if fitted.declared and many and not is_short and _may_be_a_clock(fitted):
         yield ReportLine(
             "warning",
-            f"--clock-error {found.clock:.3g} makes outliers: up to {found.doubted}"
+            f"--clock-error {fitted.clock:.3g} makes outliers: up to {fitted.doubted}"
             f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"
-            f" {figure(min(found.accepted, found.rms), 's')}: leave --clock-error out or declare"
+            f" {figure(min(fitted.accepted, fitted.rms), 's')}: leave --clock-error out or declare"
             " this value, unless the model is wrong.",
         )
-    if found.recording.rejected:
-        yield _hits(found, found.recording.rejected, "rejected as spurious")
-    if found.recording.inserted:
-        dead = len(found.recording.in_dead_time)
+    if fitted.recording.rejected:
+        yield _hits(fitted, fitted.recording.rejected, "rejected as spurious")
+    if fitted.recording.inserted:
+        dead = len(fitted.recording.in_dead_time)
         known = f" ({dead} of them in the dead time)" if dead else ""
-        yield _hits(found, found.recording.inserted, f"inserted as missed{known}")
-    if settled := len(found.recording.settled):
+        yield _hits(fitted, fitted.recording.inserted, f"inserted as missed{known}")
+    if settled := len(fitted.recording.settled):
         yield ReportLine(
             "note",
             f"{counted(settled, 'impact')} left out: in bounces that settle, flights"
@@ -305,9 +305,9 @@ def _about_fit(found: Identification) -> Iterator[ReportLine]:
         )
 
 
-def _declared(found: Identification) -> str:
+def _declared(fitted: Identification) -> str:
     """The declared clock error, to be put behind another deviation; empty where none is."""
-    return f"; {figure(found.clock, 's')} was declared" if found.declared else ""
+    return f"; {figure(fitted.clock, 's')} was declared" if fitted.declared else ""
 
 
 def _about_time(system: System) -> str:
@@ -332,17 +332,17 @@ def _about_sensor(fit: SensorFit) -> ReportLine:
     return ReportLine("note", "; ".join(words) + ".")
 
 
-def _about_errors(found: Identification, check: FitCheck) -> Iterator[ReportLine]:
+def _about_errors(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     """Why standard errors are widened, and how well the model predicts impacts held back."""
-    if found.converged and found.widened > 1.0:
-        reasons = "; ".join(_reasons(found, check))
-        factor = figure(found.widened)
+    if fitted.converged and fitted.widened > 1.0:
+        reasons = "; ".join(_reasons(fitted, check))
+        factor = figure(fitted.widened)
         yield ReportLine(
             "note", f"Standard errors are widened by a factor of {factor}: {reasons}."
         )
-    if not found.converged or not found.family.size:
+    if not fitted.converged or not fitted.family.size:
         return
-    held = found.held_back
+    held = fitted.held_back
     if held is None:
         yield ReportLine("note", "No impacts were held back for a check.")
         return
@@ -350,51 +350,51 @@ def _about_errors(found: Identification, check: FitCheck) -> Iterator[ReportLine
         "ok" if held.carries_over else "note",
         f"Checked on the last {counted(held.impacts, 'impact')}: residuals"
         f" {figure(held.residual, 's')} (fitted part {figure(held.fitted, 's')}"
-        f"{_declared(found)}). The values are from all impacts.",
+        f"{_declared(fitted)}). The values are from all impacts.",
     )
 
 
-def _reasons(found: Identification, check: FitCheck) -> Iterator[str]:
+def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
     """Reasons why the shifts are not white errors of the clock."""
     if check.size is not None and check.size < REJECTED:
-        yield f"shifts are {found.rms / found.clock:.3g} times the declared clock error"
+        yield f"shifts are {fitted.rms / fitted.clock:.3g} times the declared clock error"
     if check.white < REJECTED:
         yield "neighbouring shifts are correlated"
-    for fit in found.sensors:
+    for fit in fitted.sensors:
         if fit.size < REJECTED:
             ratio = fit.rms / fit.deviation
             yield f"errors of {fit.name} are {ratio:.3g} times the declared deviation"
         if fit.white < REJECTED:
             yield f"neighbouring errors of {fit.name} are correlated"
-    if not found.declared:
+    if not fitted.declared:
         yield "without --clock-error an error of the model looks like one of the clock"
 
 
-def _hits(found: Identification, hits: frozenset[Hit], outcome: str) -> ReportLine:
+def _hits(fitted: Identification, hits: frozenset[Hit], outcome: str) -> ReportLine:
     """The contacts and instants (s since the epoch) of impacts with one outcome."""
-    names, epoch = found.family.system.contact_names, found.recording.episode.epoch
+    names, epoch = fitted.family.system.contact_names, fitted.recording.episode.epoch
     instants = (f"{names[i]} at {seconds_between(epoch, t):.3f} s" for t, i in sorted(hits))
     text = f"{counted(len(hits), 'impact')} {outcome}: {listed(instants, _SHOWN)}."
     return ReportLine("note", text)
 
 
-def _about_parameters(found: Identification) -> Iterator[ReportLine]:
+def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
     """Which parameters are not determined, at a bound, or correlated."""
-    for direction in found.undetermined:
+    for direction in fitted.undetermined:
         terms = combination(direction)
         text = f"Not determined by these impacts: {terms}. Hold one of them fixed."
         yield ReportLine("warning", text)
-    for name in found.bounded:
+    for name in fitted.bounded:
         yield ReportLine(
             "warning",
             f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
             " the value into the model and leave the name out of --free."
-            f"{_about_time(found.family.system)}",
+            f"{_about_time(fitted.family.system)}",
         )
-    if found.converged and found.family.size:
+    if fitted.converged and fitted.family.size:
         text = "Standard errors hold if the model is right in all that was not free."
         yield ReportLine("note", text)
-    names, correlation = found.family.names, found.correlation
+    names, correlation = fitted.family.names, fitted.correlation
     for i in range(len(names)):
         for j in range(i):
             if abs(correlation[i, j]) > _CORRELATED:
@@ -402,7 +402,7 @@ def _about_parameters(found: Identification) -> Iterator[ReportLine]:
                 yield ReportLine("note", text)
 
 
-def _about_check(found: Identification, check: FitCheck) -> Iterator[ReportLine]:
+def _about_check(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     """The tests of size and whiteness, and their verdict."""
     if check.size is not None:
         yield ReportLine(
@@ -415,7 +415,7 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[ReportLine]
         "A model that is right gives neighbouring shifts as correlated as these with"
         f" probability {check.white:.2g} ({counted(check.lags, 'lag')}).",
     )
-    if check.fits and found.converged:
+    if check.fits and fitted.converged:
         yield ReportLine("ok", "The model fits.")
     else:
         worst = listed([check.worst, *check.odd])
@@ -423,26 +423,26 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[ReportLine]
 
 
 def write_model(
-    found: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool
+    fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool
 ) -> str:
     """Write :func:`model_text`; the initial state only where it is outside all stops.
 
     Returns:
         A phrase that names the part that was left out; empty if the file is complete.
     """
-    inside = initial and bool(_inside(found))
-    text = model_text(found, given, bag, output, initial=initial and not inside)
+    inside = initial and bool(_inside(fitted))
+    text = model_text(fitted, given, bag, output, initial=initial and not inside)
     output.write_text(text, encoding="utf-8")
     return "without the initial state, which is inside a stop" if inside else ""
 
 
 def model_text(
-    found: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
+    fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
 ) -> str:
     """The given model file with the fitted values, in its own form, with provenance.
 
     Args:
-        found: the fitted model.
+        fitted: the fitted model.
         given: the file it was fitted from.
         bag: the recording.
         output: the file that will hold the text; named in errors.
@@ -452,19 +452,19 @@ def model_text(
         ModelError: the fitted values make no valid model.
     """
     document = cast("dict[str, Any]", load_yaml(given.text))
-    rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
+    rows = zip(fitted.family.names, fitted.values.tolist(), fitted.errors.tolist(), strict=True)
     provenance: dict[str, object] = {
         "package": "impact_observer",
         "version": __version__,
         "identified_from": str(bag),
-        "clock_error": float(found.clock),
+        "clock_error": float(fitted.clock),
         "parameters": {name: {"value": v, "standard_error": error} for name, v, error in rows},
     }
     if "provenance" in document:
         provenance["before"] = document["provenance"]
-    entries = changes(document, found.family, found.values)
+    entries = changes(document, fitted.family, fitted.values)
     if initial:
-        q, u = np.split(_initial_state(found), 2)
+        q, u = np.split(_initial_state(fitted), 2)
         entries["initial_state",] = {"position": q.tolist(), "velocity": u.tolist()}
     text = edited(given.text, {**entries, ("provenance",): provenance})
     parse_model(*given._replace(text=text, source=str(output)))

@@ -43,7 +43,7 @@ class GeneralMotion(EquationsOfMotion):
     @cached_property
     def _aside(self) -> list[tuple[int, MovingSystem, MovingSystem, float]]:
         """Index, systems with more and with less of each parameter, and their difference."""
-        found = []
+        pairs = []
         for j, each in enumerate(self._family.parameters):
             if not each.moves:
                 continue
@@ -54,8 +54,8 @@ class GeneralMotion(EquationsOfMotion):
             pair = [np.array(self._values) for _ in range(2)]
             pair[0][j], pair[1][j] = more, less
             one, other = (MovingSystem(self._family.system_at(values)) for values in pair)
-            found.append((j, one, other, more - less))
-        return found
+            pairs.append((j, one, other, more - less))
+        return pairs
 
     def start(
         self, x: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
@@ -76,17 +76,17 @@ class GeneralMotion(EquationsOfMotion):
         start, closed = float(self._t[k - 1]), self._before(k)
         begun = self._moving.rate_of(start, z, closed)
         columns = np.column_stack([Z, -begun])
-        z, found = self._from(start, z, columns, float(self._t[k]) - start, closed)
-        return z, found[:, :-1], found[:, -1]
+        z, derivatives = self._from(start, z, columns, float(self._t[k]) - start, closed)
+        return z, derivatives[:, :-1], derivatives[:, -1]
 
     def moved(self, k: int, z: Vector, Z: Matrix, s: float, after: float) -> tuple[Vector, Matrix]:
         """``z`` and its derivatives ``s`` seconds later than ``after`` a moment."""
         start = float(self._t[k]) + after
         columns = np.column_stack([Z, self._moving.rate_of(start, z, ())])
-        z, found = self._from(start, z, columns, s, ())
+        z, derivatives = self._from(start, z, columns, s, ())
         own = z.size + self._family.size + k  # both ends move with the instant
-        found[:, own] += self._moving.rate_of(start + s, z, ()) - found[:, -1]
-        return z, found[:, :-1]
+        derivatives[:, own] += self._moving.rate_of(start + s, z, ()) - derivatives[:, -1]
+        return z, derivatives[:, :-1]
 
     def _from(
         self, t: float, z: Vector, Z: Matrix, s: float, closed: Contacts

@@ -199,11 +199,10 @@ def identify(
     whole = Recording(episode, state=state, report=report, dead_time=dead_time)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
-    found, problem, solution = search.found()
-    is_checked = found.converged or trust_events
-    return replace(
-        found, held_back=last_impacts(problem, solution, held_back) if is_checked else None
-    )
+    identification, problem, solution = search.explaining_fit()
+    is_checked = identification.converged or trust_events
+    checked = last_impacts(problem, solution, held_back) if is_checked else None
+    return replace(identification, held_back=checked)
 
 
 class _Report:
@@ -242,7 +241,7 @@ class _Search(NamedTuple):
     samples: Sequence[SensorSample]
     report: _Report
 
-    def found(self) -> _Fitted:
+    def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
         clock, family = self.clock, self.family
         if clock is not None and (smoothed := self._smoothed(clock)):
@@ -298,15 +297,17 @@ class _Search(NamedTuple):
                 problem, solution = gated(problem, solution)
         except IdentificationError:
             return None  # too few impacts are left
-        found = _identification(recording, problem, solution, self.clock)
-        found = replace(found, doubted=recording.outliers, accepted=found.rms)
-        return _Fitted(found, problem, solution)
+        identification = _identification(recording, problem, solution, self.clock)
+        identification = replace(
+            identification, doubted=recording.outliers, accepted=identification.rms
+        )
+        return _Fitted(identification, problem, solution)
 
     def _without_outliers(self, before: _Fitted) -> _Fitted:
         """The fit without spurious impacts and with missed ones, after one of all impacts."""
         first, problem, _ = before
         system, clock = self.family.system, self.clock
-        found, doubted = before._replace(identification=replace(first, converged=False)), 0
+        fitted, doubted = before._replace(identification=replace(first, converged=False)), 0
         for wrong in (_WRONG * problem.interval, None):
             self.report.stage("searching spurious and missed impacts")
             recording = outliers_by_observer(system, self.whole, self.events, wrong)
@@ -318,14 +319,14 @@ class _Search(NamedTuple):
             except IdentificationError:
                 continue  # too few impacts are left
             doubted = max(doubted, recording.outliers)
-            found = _Fitted(_identification(recording, again, refit, clock), again, refit)
-            if found.identification.converged:
+            fitted = _Fitted(_identification(recording, again, refit, clock), again, refit)
+            if fitted.identification.converged:
                 break
         explained = first.converged and first.rms <= _SUSPICIOUS * problem.interval
-        if explained and not found.identification.converged:
-            found = before  # a declared clock error that is too small
-        own = replace(found.identification, doubted=doubted, accepted=first.accepted)
-        return found._replace(identification=own)
+        if explained and not fitted.identification.converged:
+            fitted = before  # a declared clock error that is too small
+        own = replace(fitted.identification, doubted=doubted, accepted=first.accepted)
+        return fitted._replace(identification=own)
 
 
 def _with_samples(
@@ -340,10 +341,10 @@ def _with_samples(
         return recording
     episode = recording.episode
     within = episode.start, episode.keys[-1].stamp
-    found = used_samples(family, measurements, samples, episode.epoch, within)
+    counted = used_samples(family, measurements, samples, episode.epoch, within)
     known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
     return replace(
-        recording, sensors=found, clock=max(known, ROUNDED), is_declared=clock is not None
+        recording, sensors=counted, clock=max(known, ROUNDED), is_declared=clock is not None
     )
 
 
@@ -356,7 +357,7 @@ def _identification(
     widened = max(widening(solution, clock), *(each.widening for each in fits), 1.0)
     root = solution.root * used * widened
     covariance = root @ root.T
-    found = directions(problem, solution.shot)
+    span = directions(problem, solution.shot)
     own = covariance[2 * n :, 2 * n :] / np.outer(family.sizes, family.sizes)
     values, axes = linalg.eigh(own) if own.size else (np.zeros(0), np.zeros((0, 0)))
     axes = axes[:, values > 1.0]
@@ -379,8 +380,8 @@ def _identification(
         stamps=frozen(problem.stamps[solution.counted]),
         shifts=frozen(solution.shifts),
         contacts=tuple(tuple(names[i] for i in hits[k][1]) for k in solution.counted),
-        singular=frozen(found.singular / found.singular[0]),
-        undetermined=combinations_of(problem, np.hstack([found.undetermined, weak])),
+        singular=frozen(span.singular / span.singular[0]),
+        undetermined=combinations_of(problem, np.hstack([span.undetermined, weak])),
         converged=solution.converged
         and solution.rms <= max(_LOST * problem.usual_flight, _EXCESS * (clock or 0.0))
         and solution.counted.size >= _ACCEPTED * (solution.counted.size + recording.outliers),

@@ -48,9 +48,9 @@ def late_start(
         ensemble=1,
     )
     estimates = replay(observer, events, np.array([start]))
-    found = next((each for each in estimates if isinstance(each, Estimate)), None)
-    if found is None:
+    estimate = next((each for each in estimates if isinstance(each, Estimate)), None)
+    if estimate is None:
         return episode, None
-    x = np.concatenate([found.q, found.u])[None]
+    x = np.concatenate([estimate.q, estimate.u])[None]
     state = system.to_frame(np.array([start - episode.epoch]), x)[0]
     return episode._replace(start=start, keys=episode.keys[cut + 1 :]), state

@@ -51,13 +51,13 @@ def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Probl
     Raises:
         IdentificationError: fewer hits and samples than unknowns.
     """
-    found = solved(problem, y, robust=robust)
+    solution = solved(problem, y, robust=robust)
     for _ in range(_WEIGHINGS if problem.sensors else 0):
-        after = problem.weighed_by(found)
-        if after.is_like(problem):
+        reweighed = problem.weighed_by(solution)
+        if reweighed.is_like(problem):
             break
-        problem, found = after, solved(after, found.y, robust=robust)
-    return problem, found
+        problem, solution = reweighed, solved(reweighed, solution.y, robust=robust)
+    return problem, solution
 
 
 def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
@@ -92,8 +92,8 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
         )
     )
     cost = float(np.sum(now.shifts**2)) + now.squares
-    found = now.y, now.t, now.shot, now.shifts
-    return Solution(*found, counted, step.freedom, step.root, converged, errors, cost)
+    motion = now.y, now.t, now.shot, now.shifts
+    return Solution(*motion, counted, step.freedom, step.root, converged, errors, cost)
 
 
 def usual_size(shifts: Vector, freedom: float) -> float:
@@ -179,18 +179,18 @@ class _Iterate(NamedTuple):
         A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
         B = shot.by_instant[:, self.counted]
         d = -(shot.gaps - B @ self.shifts)
-        seen = [_Seen.of(rows, basis, inserted, self) for rows in shot.sensors]
-        whole = np.vstack([A, *(each.A for each in seen)])
+        sampled = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
+        whole = np.vstack([A, *(each.A for each in sampled)])
         if len(whole) < whole.shape[1]:
             raise IdentificationError(
                 f"{len(whole)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
             )
-        count, noises = self.counted.size, sum(each.d.size for each in seen)
+        count, noises = self.counted.size, sum(each.d.size for each in sampled)
         weighed = np.zeros((len(whole), count + noises))
-        weighed[:, :count] = np.vstack([B, *(each.B for each in seen)]) / self.weights
+        weighed[:, :count] = np.vstack([B, *(each.B for each in sampled)]) / self.weights
         weighed[len(A) :, count:] = np.eye(noises)
         x, errors, root = constrained_least_squares(
-            whole, weighed, np.concatenate([d, *(each.d for each in seen)])
+            whole, weighed, np.concatenate([d, *(each.d for each in sampled)])
         )
         e = errors[:count] / self.weights
         r = basis.shape[1]
@@ -202,10 +202,10 @@ class _Iterate(NamedTuple):
         penalty = 2 * float(np.max(np.abs(multipliers), initial=0.0)) + 1e-30
         freedom: float = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
         of_sensors: tuple[float, ...] = ()
-        if seen:
+        if sampled:
             left = redundancies(whole, weighed)
             freedom = float(np.sum(left[:count]))
-            parts = np.split(left[count:], np.cumsum([each.d.size for each in seen])[:-1])
+            parts = np.split(left[count:], np.cumsum([each.d.size for each in sampled])[:-1])
             of_sensors = tuple(
                 float(np.sum(part)) + rows.alone
                 for part, rows in zip(parts, shot.sensors, strict=True)
@@ -221,9 +221,9 @@ class _Iterate(NamedTuple):
         for _ in range(_HALVINGS):
             y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
             y[n2:] = np.clip(y[n2:], low, high)
-            found = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
-            if found.merit(step.penalty) <= before * (1 + 1e-6) + 1e-22:
-                return found, length
+            trial = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
+            if trial.merit(step.penalty) <= before * (1 + 1e-6) + 1e-22:
+                return trial, length
             length /= 2
         return self, 0.0
 
@@ -233,7 +233,7 @@ class _Iterate(NamedTuple):
         return own + self.squares + penalty * float(np.sum(np.abs(self.shot.gaps)))
 
 
-class _Seen(NamedTuple):
+class _GapRows(NamedTuple):
     """Rows of a sensor as those of gaps, ``A x + B e + e' = d``; errors ``e'`` are in s.
 
     The ``e`` are shifts; see ``constrained_least_squares``.
@@ -244,7 +244,9 @@ class _Seen(NamedTuple):
     d: Vector
 
     @classmethod
-    def of(cls, rows: Rows, basis: Matrix, inserted: Sequence[int], now: _Iterate) -> "_Seen":
+    def from_sensor(
+        cls, rows: Rows, basis: Matrix, inserted: Sequence[int], now: _Iterate
+    ) -> "_GapRows":
         clock, B = now.problem.clock, rows.by_instant[:, now.counted]
         A = np.hstack([rows.by_start @ basis, rows.by_instant[:, inserted]])
         return cls(clock * A, clock * B, clock * (rows.residual + B @ now.shifts))

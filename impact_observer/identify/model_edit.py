@@ -27,13 +27,13 @@ def changes(
     """
     by_name = dict(zip(family.names, values.tolist(), strict=True))
     by_name.pop("clock-offset", None)  # it belongs to the sensor
-    found = dict(_of_grounds(document, by_name))
+    entries = dict(_of_grounds(document, by_name))
     for i, guide in enumerate(document.get("friction", [])):
         if (force := by_name.get(f"friction.{guide['name']}")) is not None:
-            found["friction", i, "force"] = force
+            entries["friction", i, "force"] = force
     if "bodies" in document:
-        return {**found, **dict(_of_elements(document, by_name))}
-    return {**found, **dict(_of_matrices(family, values, by_name))}
+        return {**entries, **dict(_of_elements(document, by_name))}
+    return {**entries, **dict(_of_matrices(family, values, by_name))}
 
 
 def _of_grounds(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:

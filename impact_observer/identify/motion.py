@@ -148,10 +148,10 @@ class EquationsOfMotion:
     def _generator_change(self, change: Coefficients, held: Contacts) -> Matrix:
         """The derivative of ``F`` with respect to a parameter."""
         n, R = self._system.n, self.constrained_inverse(held)
-        found = np.zeros((self._size, self._size))
+        dF = np.zeros((self._size, self._size))
         pulled = self._internal_forces(change) - change.M @ self.generator(held)[n : 2 * n]
-        found[n : 2 * n] = R @ pulled
-        return found
+        dF[n : 2 * n] = R @ pulled
+        return dF
 
     def steps(self, moments: Sequence[FlightEnd], s: Vector) -> list[tuple[Matrix, Matrix]]:
         """For each moment the transition matrix to it, and its derivatives by the parameters."""
@@ -171,8 +171,8 @@ class EquationsOfMotion:
                     both = np.zeros((2 * N, 2 * N))
                     both[:N, :N] = both[N:, N:] = balanced
                     both[:N, N:] = generator_change * scale / scale[:, None]
-                    found = linalg.expm(both * lengths)[:, : 2 * n, N:]
-                    L[which, j] = found * scale[: 2 * n, None] / scale
+                    dE = linalg.expm(both * lengths)[:, : 2 * n, N:]
+                    L[which, j] = dE * scale[: 2 * n, None] / scale
         return list(zip(E, L, strict=True))
 
     def lasted(self, k: int, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
@@ -200,15 +200,15 @@ class EquationsOfMotion:
 
     def _rebounds(self, pressed: Contacts, speeds: Vector) -> tuple[Vector, ...]:
         """``eps``, ``d(eps v)/dv``, and ``eps`` by value and by exponent, a number a contact."""
-        found = []
+        rows = []
         for i, speed in zip(pressed, np.abs(speeds).tolist(), strict=True):
             curve, eps = self.numbers.curve(self._system, i), float(self.numbers.eps[i])
             if curve is None:
-                found.append((eps, eps, 1.0, 0.0))
+                rows.append((eps, eps, 1.0, 0.0))
                 continue
             by = curve.sensitivity(speed) if isinstance(curve, PowerLaw) else (0.0, 0.0)
-            found.append((float(curve.restitution_at(np.array(speed))), curve.slope(speed), *by))
-        return tuple(np.array(found).T)
+            rows.append((float(curve.restitution_at(np.array(speed))), curve.slope(speed), *by))
+        return tuple(np.array(rows).T)
 
     def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, Matrix, Matrix]:
         """``W`` and ``X`` of contacts, and what each parameter changes.

@@ -76,12 +76,12 @@ def outliers_by_observer(
     verdicts = [v for v in replay(observer, events, none) if isinstance(v, Verdict)]
     index = {name: i for i, name in enumerate(system.contact_names)}
     received = {(key.stamp, i) for key in recording.episode.keys for i, _ in key.switches}
-    found: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
+    outliers: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
     for (stamp, _, contact), ruling in final_rulings(verdicts).items():
-        if ruling in found and contact in index:
-            found[ruling].add((stamp, index[contact]))
+        if ruling in outliers and contact in index:
+            outliers[ruling].add((stamp, index[contact]))
     return recording.with_outliers(
-        found[Ruling.REJECTED] & received, found[Ruling.INSERTED] - received
+        outliers[Ruling.REJECTED] & received, outliers[Ruling.INSERTED] - received
     )
 
 
@@ -152,7 +152,7 @@ def penetrations(
     system = problem.family.system_at(solution.y[2 * problem.family.system.n :])
     moving = MovingSystem(system)
     ends = np.append(solution.t, np.nan)
-    found = set()
+    hits = set()
     for k, moment in enumerate(problem.moments[:-1]):
         length = float(ends[k + 1] - ends[k])
         if length <= 0:
@@ -173,9 +173,9 @@ def penetrations(
             if i in moment.held:
                 continue
             at = _closing(s, gaps[:, i], float(deep[i]))
-            found.add((recording.episode.epoch + from_seconds(float(ends[k]) + at), int(i)))
+            hits.add((recording.episode.epoch + from_seconds(float(ends[k]) + at), int(i)))
             break
-    return found
+    return hits
 
 
 def _closing(s: Vector, gap: Vector, depth: float) -> float:

@@ -109,13 +109,13 @@ class Problem(NamedTuple):
         by_start = [shot.by_start, *(usual * rows.by_start for rows in shot.sensors)]
         return np.concatenate(values), np.vstack(by_start)
 
-    def weighed_by(self, found: "Solution") -> "Problem":
+    def weighed_by(self, solution: "Solution") -> "Problem":
         """The same, with the deviations of clock and sensors that a solution has shown."""
         sensors = tuple(
             each._replace(deviation=rms) if each.is_learned and rms > 0 else each
-            for each, rms in zip(self.sensors, found.errors, strict=True)
+            for each, rms in zip(self.sensors, solution.errors, strict=True)
         )
-        clock = self.clock if self.is_declared else max(found.rms, LEAST)
+        clock = self.clock if self.is_declared else max(solution.rms, LEAST)
         return self._replace(sensors=sensors, clock=clock)
 
     def is_like(self, other: "Problem") -> bool:

@@ -116,9 +116,9 @@ def fit(
             " parameters; expected more: record longer, or free less"
         )
     if near is not None:
-        found = weighed(problem, near, robust=robust)
-        if found[1].converged or problem.instants:
-            return found
+        reweighed, solution = weighed(problem, near, robust=robust)
+        if solution.converged or problem.instants:
+            return reweighed, solution
     if problem.near is not None:
         return weighed(problem, by_gaps_near(problem, problem.near), robust=robust)
     y = start_of(problem)
@@ -146,17 +146,17 @@ def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[dict[str, f
         return ()
     # Directions of the parameters alone: the initial state may change in any way.
     left, singular, _ = linalg.svd(part, full_matrices=False)
-    found = []
+    combinations = []
     for direction in sparse_basis(left[:, singular > _PART].T):
         largest = np.max(np.abs(direction))
-        found.append(
+        combinations.append(
             {
                 name: float(value * size / largest)
                 for name, value, size in zip(family.names, direction, family.sizes, strict=True)
                 if abs(value) > _PART * largest
             }
         )
-    return tuple(found)
+    return tuple(combinations)
 
 
 def combination(terms: Mapping[str, float]) -> str:

@@ -56,7 +56,7 @@ class SensorFit:
 
 def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
     """How the samples of each sensor fit."""
-    found = []
+    fits = []
     rows = zip(problem.sensors, solution.shot.sensors, solution.errors, strict=True)
     for each, own, rms in rows:
         errors, size = own.errors, 1.0
@@ -64,7 +64,7 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
             squares = float(np.sum((errors / each.deviation) ** 2))
             freedom = squares * (each.deviation / rms) ** 2 if rms else 1.0
             size = float(stats.chi2.sf(squares, max(freedom, 1.0)))
-        found.append(
+        fits.append(
             SensorFit(
                 each.sensor.name,
                 errors.size,
@@ -78,7 +78,7 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
                 _correlated(errors),
             )
         )
-    return tuple(found)
+    return tuple(fits)
 
 
 def _correlated(errors: Vector) -> float:

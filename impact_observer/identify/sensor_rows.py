@@ -116,7 +116,7 @@ def used_samples(
         UsageError: a sensor or a parameter is of a kind that does not go with the other; the
             system does not have what is measured; a sensor is declared to be exact.
     """
-    found = []
+    counted = []
     for i, sensor in enumerate(sensors_of(measurements, family.system)):
         given = sensor.measurement
         _check(family, sensor)
@@ -128,8 +128,8 @@ def used_samples(
         values = values[finite] - sensor.shifts(instants[finite])
         spread = float(np.std(values)) if values.size else 0.0
         deviation = given.deviation or max(spread, np.finfo(float).tiny)
-        found.append(CountedSamples(given, instants[finite] / NS_PER_S, values, deviation))
-    return tuple(found)
+        counted.append(CountedSamples(given, instants[finite] / NS_PER_S, values, deviation))
+    return tuple(counted)
 
 
 def _check(family: ParametricFamily, sensor: DeclaredSensor) -> None:
@@ -167,7 +167,7 @@ class RowMaker:
         self._aside = [*_asides(family, values, every)]
         times = self._late([each.t for each in every], values)
         self._place = [np.searchsorted(moments, each, side="right") for each in times]
-        self._found: list[list[tuple[Matrix, Vector, float]]] = [[] for _ in every]
+        self._flights: list[list[tuple[Matrix, Vector, float]]] = [[] for _ in every]
         self._errors = [np.zeros(each.t.size) for each in every]
 
     def flight(self, k: int, t: float, x: Vector, X: Matrix, closed: Contacts) -> None:
@@ -195,7 +195,7 @@ class RowMaker:
             by[:, n2 : n2 + p] += table[:, n2 : n2 + p]
             if k >= 0:
                 by[:, n2 + p + k] -= table[:, :n2] @ rate
-            self._found[s].append((by, table[:, -1], rest))
+            self._flights[s].append((by, table[:, -1], rest))
 
     def _columns(
         self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
@@ -205,19 +205,19 @@ class RowMaker:
         One of shape (samples, 2n + p) for each sensor.
         """
         n2 = x.size
-        found = [np.zeros((each.size, n2 + self._values.size)) for each in times]
+        tables = [np.zeros((each.size, n2 + self._values.size)) for each in times]
         step, late = self._here.step, self._late(times, self._values)
         for i, aside in enumerate(step * np.eye(n2)):
             more = self._here.values(t, x + aside, late, closed)
             less = self._here.values(t, x - aside, late, closed)
-            for table, one, other in zip(found, more, less, strict=True):
+            for table, one, other in zip(tables, more, less, strict=True):
                 table[:, i] = (one - other) / (2 * step)
         for j, (above, below, high, low) in self._aside:
             more = above.values(t, x, self._late(times, high), closed)
             less = below.values(t, x, self._late(times, low), closed)
-            for table, one, other in zip(found, more, less, strict=True):
+            for table, one, other in zip(tables, more, less, strict=True):
                 table[:, n2 + j] = (one - other) / (high[j] - low[j])
-        return found
+        return tables
 
     def _late(self, times: Sequence[Vector], values: Vector) -> list[Vector]:
         """``times`` by the clock of the impacts, whose offset may be among the parameters."""
@@ -226,16 +226,16 @@ class RowMaker:
 
     def rows(self, moments: int) -> tuple[Rows, ...]:
         """Returns the triangulated rows of each sensor."""
-        found, first = [], 2 * self._n + self._values.size
-        for parts, errors in zip(self._found, self._errors, strict=True):
+        rows, first = [], 2 * self._n + self._values.size
+        for parts, errors in zip(self._flights, self._errors, strict=True):
             table, rest = np.zeros((0, first + moments + 1)), 0.0
             if parts:
                 table = np.vstack([np.column_stack([by, left]) for by, left, _ in parts])
                 table, rest = _triangular(table)
                 rest += sum(each for *_, each in parts)
             by_instant = table[:, first:-1]
-            found.append(Rows(table[:, :first], by_instant, table[:, -1], rest, errors))
-        return tuple(found)
+            rows.append(Rows(table[:, :first], by_instant, table[:, -1], rest, errors))
+        return tuple(rows)
 
 
 class _Expected:
@@ -254,12 +254,12 @@ class _Expected:
         self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
     ) -> list[Vector]:
         """At ``times``, s since the epoch, of a motion that begins with ``x`` at ``t``."""
-        motion, found = self.moving.motion(t, x, closed), []
+        motion, values = self.moving.motion(t, x, closed), []
         for sensor, each in zip(self._sensors, times, strict=True):
             s = np.maximum(each - t, 0.0) if self.moving.guided else each - t
             states = motion.states(s) if s.size else np.zeros((0, x.size))
-            found.append(sensor.values(self.moving, each, states, closed))
-        return found
+            values.append(sensor.values(self.moving, each, states, closed))
+        return values
 
 
 def _asides(
@@ -267,7 +267,7 @@ def _asides(
 ) -> "Sequence[tuple[int, tuple[_Expected, _Expected, Vector, Vector]]]":
     """Index, systems with more and with less of each parameter that is seen, and their values."""
     gaps = [family.system.contact_names.index(s.sensor.gap) for s in every if s.sensor.gap]
-    found = []
+    asides = []
     for j, each in enumerate(family.parameters):
         if not (each.moves or np.any(each.effect.gap[gaps])):
             continue
@@ -275,8 +275,8 @@ def _asides(
         step = _STEP * each.size
         high[j], low[j] = min(values[j] + step, each.high), max(values[j] - step, each.low)
         pair = (_Expected(family.system_at(theta), every) for theta in (high, low))
-        found.append((j, (*pair, high, low)))
-    return found
+        asides.append((j, (*pair, high, low)))
+    return asides
 
 
 def _triangular(table: Matrix) -> tuple[Matrix, float]:

@@ -106,14 +106,14 @@ def smoothed_start(
         )
     except (BagError, DynamicsError):
         return None
-    found = _recording(recording, motion, family)
+    explained = _recording(recording, motion, family)
     as_smoothed = [(each.change.stamp, each.change.hit) for each in motion.account.moments]
-    if found.hits() != as_smoothed:
+    if explained.hits() != as_smoothed:
         return None
     values = {name: value for name, value, _ in motion.parameters}
     theta = [values.get(each.name, each.value) for each in family.parameters]
     state = motion.smoothed.first.mean[: 2 * family.system.n]
-    return SmoothedStart(found, np.concatenate([state, theta]))
+    return SmoothedStart(explained, np.concatenate([state, theta]))
 
 
 def _recording(

@@ -104,10 +104,10 @@ class Observability:
     @property
     def condition(self) -> Vector:
         """Largest over smallest singular value after each event; infinite before full rank."""
-        found = np.full(self.rank.size, np.inf)
+        condition = np.full(self.rank.size, np.inf)
         full = self.rank == self.size
-        found[full] = self.singular[full, 0] / self.singular[full, -1]
-        return found
+        condition[full] = self.singular[full, 0] / self.singular[full, -1]
+        return condition
 
     @property
     def complete(self) -> int | None:
@@ -167,8 +167,8 @@ def observability(
     measured = [(seconds_between(episode.start, s.stamp), sensors[s.sensor]) for s in used]
     factor, singular = _factored(errors, changes, measured)
     counted = [(each, names) for each in changes if (names := errors.informative(each))]
-    found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
-    rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
+    ranks = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
+    rank = np.maximum.accumulate(np.array(ranks, dtype=np.int64))
     directions = linalg.svd(factor)[2]
     undetermined = sparse_basis(directions[rank[-1] :])
     if undetermined.size:
@@ -256,26 +256,26 @@ class _Errors:
         if not delay:
             return self.map[:n], jump @ self.map[n:]
         self._inside = change.t, change.t + delay, self.map
-        found = phase.transition(delay) @ self.map
-        found[n:] = jump @ found[n:]
-        found = phase.transition(-delay) @ found
-        return found[:n], found[n:]
+        errors = phase.transition(delay) @ self.map
+        errors[n:] = jump @ errors[n:]
+        errors = phase.transition(-delay) @ errors
+        return errors[:n], errors[n:]
 
     def measured(self, t: float, sensor: DeclaredSensor, closed: Contacts) -> Matrix:
         """Propagate to a sample at ``t`` (s) while contacts are ``closed``; its row, in m."""
         phase = self._phases.phase(self._phases.independent(closed))
         onset, jump, before = self._inside
         if onset <= t < jump:
-            found = phase.transition(t - onset) @ before
+            errors = phase.transition(t - onset) @ before
         elif t > self._t:
-            found = self.map = phase.transition(t - self._t) @ self.map
+            errors = self.map = phase.transition(t - self._t) @ self.map
             self._t = t
         else:
-            found = self.map
+            errors = self.map
         at = Place(t, round(t * NS_PER_S), np.zeros(2 * self._system.n), closed)
         row, declared = sensor.row(self._moving, at), sensor.measurement
         order = 2 if declared.acceleration else 1 if declared.velocity else 0
-        return np.asarray(self._timescale**order * row.h[None] @ found)
+        return np.asarray(self._timescale**order * row.h[None] @ errors)
 
     def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
         """Gaps that the loads on ``opened`` alone would open in the time scale, m."""
@@ -319,9 +319,9 @@ def _factored(
 
 def _in_all_states(directions: Matrix, scale: Vector) -> Matrix:
     """Rows of uncertain states, in standard deviations, as rows of all states in SI units."""
-    found = np.zeros((len(directions), scale.size))
-    found[:, scale > 0] = directions
-    return found * scale
+    rows = np.zeros((len(directions), scale.size))
+    rows[:, scale > 0] = directions
+    return rows * scale
 
 
 def _with_sign(directions: Matrix) -> Matrix:
