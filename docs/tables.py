@@ -150,7 +150,7 @@ def _topics(each: Interface) -> list[str]:
     if owner not in {"observer", "monitor"}:
         return [each.topic]
     laws = [f"{owner}_{law.replace('-', '_')}" for law in BUILT_IN]
-    return [each.topic, *(f"/{each.of(law)}" for law in laws)]
+    return [each.topic, *(f"/{each.name_under(law)}" for law in laws)]
 
 
 def files() -> dict[Path, str]:

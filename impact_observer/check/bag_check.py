@@ -78,17 +78,17 @@ def check_bag(
     source, check = Salvage(path), BagCheck(path, system)
     for raw in source.raw(progress):
         check.check_message(source.topics[raw.topic], raw)
-    found = [*_damage(source, reason), *_journals(path)]
+    findings = [*_damage(source, reason), *_journals(path)]
     if source.counts:
-        found += check.findings(source.topics)
-    return _report(path, check, found, readable=False)
+        findings += check.findings(source.topics)
+    return _report(path, check, findings, readable=False)
 
 
 def _report(
-    path: Path, check: "BagCheck", found: list[Finding], *, readable: bool = True
+    path: Path, check: "BagCheck", findings: list[Finding], *, readable: bool = True
 ) -> Report:
-    found.sort(key=lambda each: SEVERITIES.index(each.severity))
-    return Report(path, readable, check.counts, found)
+    findings.sort(key=lambda each: SEVERITIES.index(each.severity))
+    return Report(path, readable, check.counts, findings)
 
 
 class BagCheck:
@@ -144,9 +144,9 @@ class BagCheck:
             return Finding(ERROR, info.name, str(error), remedy="record again")
         if not differs:
             return None
-        found = f"the bag defines {info.type} otherwise than this package"
+        fault = f"the bag defines {info.type} otherwise than this package"
         remedy = "read it with the version that made it"
-        return Finding(ERROR, info.name, found, "the same fields", remedy)
+        return Finding(ERROR, info.name, fault, "the same fields", remedy)
 
     def _deserialized(self, kind: str, data: bytes) -> AnyMessage:
         try:
@@ -174,12 +174,12 @@ class BagCheck:
         yield from self._wrong_definitions.values()
         used = {}
         for own in _INTERFACES:
-            used[own], found = _topic_of(own, topics)
-            yield from found
+            used[own], faults = _checked_topic(own, topics)
+            yield from faults
         system = self._system
         if system is None:
-            system, found = self._model_in_bag(used[interfaces.PLANT_MODEL])
-            yield from found
+            system, faults = self._model_in_bag(used[interfaces.PLANT_MODEL])
+            yield from faults
         impacts, span = used[interfaces.IMPACTS], None
         if impacts is None:
             yield from self._no_impacts(topics)
@@ -191,9 +191,9 @@ class BagCheck:
             span = (events.first, events.last) if events.valid else None
         truth = used[interfaces.PLANT_JOINT_STATES]
         if truth is None:
-            found_none = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
+            fault = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
             remedy = "observe needs --rate, and there is nothing to compare with"
-            yield Finding(NOTE, self._name, found_none, remedy=remedy)
+            yield Finding(NOTE, self._name, fault, remedy=remedy)
         elif truth in self._states:
             yield from self._states[truth].findings(system, span)
         yield from self._undefined_types(topics)
@@ -202,14 +202,14 @@ class BagCheck:
         """The system of the model in the bag, and the faults of that model."""
         remedy = "name one with --model MODEL"
         if (model := self._models.get(topic or "")) is None:
-            found = f"carries no model ({interfaces.PLANT_MODEL.topic})"
+            fault = f"carries no model ({interfaces.PLANT_MODEL.topic})"
             remedy += "; contacts and epoch are checked then"
-            return None, [Finding(WARNING, self._name, found, remedy=remedy)]
+            return None, [Finding(WARNING, self._name, fault, remedy=remedy)]
         try:
             return parse_model(model, "model").system, []
         except ModelError as error:
-            found = f"the model it carries is not valid ({error})"
-            return None, [Finding(WARNING, topic or "", found, remedy=remedy)]
+            fault = f"the model it carries is not valid ({error})"
+            return None, [Finding(WARNING, topic or "", fault, remedy=remedy)]
 
     def _is_simulated(self, topic: str | None) -> bool:
         """Whether the model in the bag was published by a simulated plant."""
@@ -229,9 +229,9 @@ class BagCheck:
             remedy = f"play the bag with {others[0]} as /impacts, and record that"
         elif sensors:
             remedy = "detect can make them of its sensors"
-        found = f"no impacts; topics in the bag: {listed(topics, joint=', ')}"
+        fault = f"no impacts; topics in the bag: {listed(topics, joint=', ')}"
         wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
-        yield Finding(ERROR, self._name, found, wanted, remedy)
+        yield Finding(ERROR, self._name, fault, wanted, remedy)
         detect = f"impact-observer detect {quote(str(self._path))} --contact NAME --topic"
         for info in [] if others else sensors:
             what, options = _SENSORS[info.type]
@@ -245,24 +245,26 @@ class BagCheck:
             if not info.definition and info.type not in self._store.fielddefs
         ]
         if undefined:
-            found = f"no definition of the messages on {listed(undefined, joint=', ')}"
+            fault = f"no definition of the messages on {listed(undefined, joint=', ')}"
             remedy = (
                 "they can be copied and played, not read; MCAP and Jazzy bags have definitions"
             )
-            yield Finding(NOTE, self._name, found, remedy=remedy)
+            yield Finding(NOTE, self._name, fault, remedy=remedy)
 
 
-def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | None, list[Finding]]:
-    """The topic of an interface by the rule of ``BagReader.find``, and its faults."""
-    fitting = sorted(topic for topic in topics if own.fits(topic))
-    if not fitting:
+def _checked_topic(
+    own: Interface, topics: Mapping[str, TopicInfo]
+) -> tuple[str | None, list[Finding]]:
+    """The topic of an interface, and its faults."""
+    candidates = own.candidates(topics)
+    if not candidates:
         return None, []
-    if len(fitting) > 1 and own.topic not in fitting:
-        found = f"several topics fit {own.topic}"
+    if len(candidates) > 1:
+        fault = f"several topics fit {own.topic}"
         remedy = f"record one only, or play the bag with one as {own.topic}"
-        return None, [Finding(ERROR, " and ".join(fitting), found, "one of them", remedy)]
-    topic = own.topic if own.topic in fitting else fitting[0]
-    others = [each for each in fitting if each != topic]
+        return None, [Finding(ERROR, " and ".join(candidates), fault, "one of them", remedy)]
+    topic = candidates[0]
+    others = sorted(each for each in topics if own.fits(each) and each != topic)
     notes = [Finding(NOTE, listed(others, joint=", "), f"not used; {topic} is")] if others else []
     if (kind := topics[topic].type) != own.type:
         remedy = "detect makes impacts of such a topic" if kind in _SENSORS else ""
@@ -295,10 +297,10 @@ def _journals(path: Path) -> Iterator[Finding]:
     folder, files = (path, "*.db3") if path.is_dir() else (path.parent, path.name)
     for journal in sorted(folder.glob(f"{files}-wal")):
         if size := journal.stat().st_size:
-            found = f"{size} bytes that are not in the database yet"
+            fault = f"{size} bytes that are not in the database yet"
             database = quote(str(journal.with_name(journal.name.removesuffix("-wal"))))
             remedy = f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'"
-            yield Finding(WARNING, journal.name, found, remedy=remedy)
+            yield Finding(WARNING, journal.name, fault, remedy=remedy)
 
 
 def _bag_name(path: Path) -> str:

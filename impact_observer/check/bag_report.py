@@ -46,7 +46,7 @@ class Report:
         """Print each finding beside its severity, and whether an observer can use the bag."""
         print_facts((each.severity, each.line) for each in self.findings)
         counts = Counter(each.severity for each in self.findings)
-        found = listed(counted(counts[s], s) for s in SEVERITIES if counts[s])
+        numbers = listed(counted(counts[s], s) for s in SEVERITIES if counts[s])
         usable = "an observer can use it" if self.usable else "no observer can use it"
-        verdict = f"{usable} ({found if self.findings else 'no findings'})"
+        verdict = f"{usable} ({numbers if self.findings else 'no findings'})"
         say(f"{self.path}: {verdict}")

@@ -139,9 +139,9 @@ class ContactCheck:
         for name, contact in self._contacts.items():
             fast = contact.fast + contact.pending
             if fast >= _CHATTER and fast > _CHATTER_SHARE * contact.intervals:
-                found = f"{fast} of {contact.hits} impacts follow another in less than"
-                found += f" {FAST / 1e6:g} ms"
-                yield Finding(WARNING, f"{self._topic} {name}", found, remedy=remedy)
+                fault = f"{fast} of {contact.hits} impacts follow another in less than"
+                fault += f" {FAST / 1e6:g} ms"
+                yield Finding(WARNING, f"{self._topic} {name}", fault, remedy=remedy)
         if system is not None:
             if line := too_slow(self._times, system):
                 yield Finding(WARNING, self._topic, line)
@@ -152,9 +152,9 @@ class ContactCheck:
         unknown = [name for name in self._contacts if name not in own]
         if unknown and len(unknown) == len(self._contacts):
             names = listed(unknown, joint=", ")
-            found = f"none of its contacts ({names}) is one of the model {system.name}"
+            fault = f"none of its contacts ({names}) is one of the model {system.name}"
             remedy = "name the model of this rig with --model"
-            yield Finding(ERROR, self._topic, found, listed(own, joint=", "), remedy)
+            yield Finding(ERROR, self._topic, fault, listed(own, joint=", "), remedy)
             return
         for name in unknown:
             events = counted(self._contacts[name].switches, "event")
@@ -166,6 +166,6 @@ class ContactCheck:
                 "they are not applied; rename it in the model or at the sender",
             )
         for name in [each for each in own if each not in self._contacts]:
-            found = f"this contact of the model {system.name} is never reported"
+            fault = f"this contact of the model {system.name} is never reported"
             remedy = "if it was hit, its sensor is silent or has another name"
-            yield Finding(WARNING, f"{self._topic} {name}", found, remedy=remedy)
+            yield Finding(WARNING, f"{self._topic} {name}", fault, remedy=remedy)

@@ -164,9 +164,9 @@ class EventCheck:
                 "was the sender running, and was it subscribed to reliably, transient local?",
             )
         for invalid in self._invalid.values():
-            found = f"{counted(invalid.count, 'message')} cannot be used, the first is"
+            fault = f"{counted(invalid.count, 'message')} cannot be used, the first is"
             remedy = "mend the sender and record again"
-            yield Finding(ERROR, self.topic, f"{found} {invalid.first}", remedy=remedy)
+            yield Finding(ERROR, self.topic, f"{fault} {invalid.first}", remedy=remedy)
         if self.valid:
             places = [*self._without_effect.values()]
             self._faults["without effect"] = Occurrences(len(places), *places[:1])
@@ -179,14 +179,14 @@ class EventCheck:
         epoch = text(min(self._epochs.keys() - {0}, default=0))
         for name, (severity, what, wanted, remedy) in _FAULTS.items():
             if count := self._faults[name].count:
-                found = what.format(
+                fault = what.format(
                     count=count,
                     events=counted(count, "event"),
                     messages=counted(count, "message"),
                     first=self._faults[name].first,
                     back=self._largest_step_back / NS_PER_S,
                 )
-                yield Finding(severity, self.topic, found, wanted.format(epoch=epoch), remedy)
+                yield Finding(severity, self.topic, fault, wanted.format(epoch=epoch), remedy)
 
     def _run_findings(self) -> Iterator[Finding]:
         """Missing numbers and episodes."""
@@ -234,5 +234,5 @@ class EventCheck:
             )
         if len(epochs) > 1:
             span = f"{text(epochs[0])} to {text(epochs[-1])} s"
-            found = f"{len(epochs)} epochs, {span}: at each later one, an observer starts again"
-            yield Finding(NOTE, self.topic, found)
+            fault = f"{len(epochs)} epochs, {span}: at each later one, an observer starts again"
+            yield Finding(NOTE, self.topic, fault)

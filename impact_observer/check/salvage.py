@@ -63,8 +63,8 @@ class Salvage:
         self.last: dict[str, int] = {}
         self.losses: list[str] = []
         inside = path.iterdir() if path.is_dir() else [path]
-        found = [each for each in inside if _STORAGE.fullmatch(each.name) and each.is_file()]
-        self.files = sorted(found, key=_file_order)
+        files = [each for each in inside if _STORAGE.fullmatch(each.name) and each.is_file()]
+        self.files = sorted(files, key=_file_order)
 
     def raw(self, progress: Progress = lambda _done, _total: None) -> Iterator[RawMessage]:
         """The messages in the order of the files."""
@@ -110,15 +110,15 @@ class Salvage:
     def _mcap(self, file: Path, plain: Path) -> _Read:
         with plain.open("rb") as stream:
             records = McapFile(stream)
-            for found in records.messages():
-                if self._has_topic(found):
-                    _, channel, message = found
+            for each in records.messages():
+                if self._has_topic(each):
+                    _, channel, message = each
                     yield records.at, RawMessage(channel.topic, message.log_time, message.data)
         self.losses += [f"{file.name}: {loss}" for loss in records.losses]
 
-    def _has_topic(self, found: McapMessage) -> bool:
+    def _has_topic(self, stored: McapMessage) -> bool:
         """Note the topic of a message; False if the bag cannot have such a message."""
-        schema, channel, message = found
+        schema, channel, message = stored
         topic = channel.topic
         if not 0 <= message.log_time < _LATEST:
             return False

@@ -72,27 +72,27 @@ class StateCheck:
             system: of the model; None where there is none.
             events: first and last stamp of the impacts, ns; None without any.
         """
-        for fault, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
-            if fault.count:
-                have = "has" if fault.count == 1 else "have"
+        for these, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
+            if these.count:
+                have = "has" if these.count == 1 else "have"
                 yield Finding(
                     ERROR,
                     self.topic,
-                    f"{counted(fault.count, 'message')} {have} {what}, the first is {fault.first}",
+                    f"{counted(these.count, 'message')} {have} {what}, the first is {these.first}",
                     "one finite position and velocity for every coordinate, the same throughout",
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
         if self._far.count:
             jumps = counted(self._far.count, "jump")
-            found = f"{jumps} of the stamps, the first is {self._far.first}"
+            fault = f"{jumps} of the stamps, the first is {self._far.first}"
             remedy = "observe --rate makes estimates up to the last stamp; record again"
-            yield Finding(WARNING, self.topic, found, "stamps of one clock", remedy)
+            yield Finding(WARNING, self.topic, fault, "stamps of one clock", remedy)
         if self._names and system is not None and set(self._names) != set(system.coordinates):
-            found = f"states of {listed(self._names, joint=', ')}"
+            fault = f"states of {listed(self._names, joint=', ')}"
             coordinates = listed(system.coordinates, joint=", ")
             wanted = f"the coordinates {coordinates} of the model {system.name}"
             remedy = "compare cannot use them; name the model's coordinates alike"
-            yield Finding(WARNING, self.topic, found, wanted, remedy)
+            yield Finding(WARNING, self.topic, fault, wanted, remedy)
         if events is not None and self.last:
             yield from self._time_findings(*events)
 
@@ -102,9 +102,9 @@ class StateCheck:
         if self.first - step <= first and last <= self.last + step:
             return
         truth = f"the truth is from {text(self.first)} to {text(self.last)} s"
-        found = f"{truth}, the impacts are from {text(first)} to {text(last)} s"
+        fault = f"{truth}, the impacts are from {text(first)} to {text(last)} s"
         if last < self.first or self.last < first:
             remedy = "nothing can be compared; are both stamped by one clock?"
-            yield Finding(WARNING, self.topic, found, remedy=remedy)
+            yield Finding(WARNING, self.topic, fault, remedy=remedy)
         else:
-            yield Finding(NOTE, self.topic, found, remedy="only what is common can be compared")
+            yield Finding(NOTE, self.topic, fault, remedy="only what is common can be compared")

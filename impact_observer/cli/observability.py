@@ -95,7 +95,7 @@ def observe(
     for problem in () if json else recorded.problems:
         say(f"warning: {problem}")
     try:
-        found = observability(
+        result = observability(
             system,
             events,
             deviation=deviation_of(deviation, system),
@@ -106,12 +106,12 @@ def observe(
     except BagError as error:
         raise type(error)(f"{bag}: {error}") from None
     if json:
-        say(json_module.dumps(for_json(found), indent=2, allow_nan=False))
+        say(json_module.dumps(for_json(result), indent=2, allow_nan=False))
     else:
-        print_observability(found)
+        print_observability(result)
     if plot is not None:
         title = f"{system.name}: what the impacts determine of the initial state"
-        save(rank_picture(found, title=title), plot)
+        save(rank_picture(result, title=title), plot)
         if not json:
             say(f"picture: {plot}")
     return 0

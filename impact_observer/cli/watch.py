@@ -52,9 +52,9 @@ def run(args: argparse.Namespace) -> int:
     from dataclasses import asdict
     from json import dumps
 
+    from rich.console import Console
     from rich.live import Live
 
-    from impact_observer.draw.literal_console import LiteralConsole
     from impact_observer.model import read_model
     from impact_observer.ros.session import require_ros
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
     system = None if args.model is None else read_model(args.model).system
     listener = Listener(args.observers, system, window=args.window)
-    console = LiteralConsole(highlight=False, markup=False)
+    console = Console(highlight=False)
 
     def say_line(view: "View") -> None:
         say(dumps(asdict(view)) if args.json else line(view))

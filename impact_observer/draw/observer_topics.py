@@ -47,11 +47,11 @@ class ObserverTopics:
         The monitor of ``observer_<law>`` is ``monitor_<law>``.
         """
         if interface.name.startswith("observer/"):
-            return interface.of(self.prefix)
+            return interface.name_under(self.prefix)
         namespace, _, node = self.prefix.rpartition("/")
         if interface.name.startswith("monitor/"):
             suffix = node.removeprefix("observer") if node.startswith("observer") else f"_{node}"
-            return interface.of(f"{namespace}/monitor{suffix}")
+            return interface.name_under(f"{namespace}/monitor{suffix}")
         return (
             interface.name if interface.name.startswith("/") else f"{namespace}/{interface.name}"
         )
@@ -84,9 +84,9 @@ def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:
 
 def _observer_in(reader: BagReader, prefix: str) -> ObserverTopics:
     """One observer, described by its last state."""
-    bound = interfaces.OBSERVER_BOUND.of(prefix)
+    bound = interfaces.OBSERVER_BOUND.name_under(prefix)
     bounded = bound in reader.topics and reader.topics[bound].count > 0
-    state = interfaces.OBSERVER_STATES.of(prefix)
+    state = interfaces.OBSERVER_STATES.name_under(prefix)
     if state not in reader.topics:
         return ObserverTopics(prefix, bounded)
     tail = deque(reader.raw([state], max(reader.end - _TAIL, 0)), maxlen=1)

@@ -123,14 +123,14 @@ def _facts_grid(facts: Iterable[tuple[str, str]]) -> RenderableType:
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
     for name, text in facts:
-        grid.add_row(_text(name, _STYLES.get(name, "")), _text(text))
+        grid.add_row(literal_text(name, _STYLES.get(name, "")), literal_text(text))
     return grid
 
 
 def print_table(table: TextTable) -> None:
     """Print a table; of a table with a title the title first."""
     if table.title:
-        _print(_text(table.title))
+        _print(literal_text(table.title))
     _print(table_text(table, _width()))
 
 
@@ -146,7 +146,7 @@ def table_text(table: TextTable, width: int) -> RenderableType:
         widest = max(cell_len(row[place]) for row in (table.headings, *table.rows))
         needed += 2 + (min(widest, _FOLDED) if is_words else widest)
         drawn.add_column(
-            _text(heading),
+            literal_text(heading),
             justify="left" if is_words else "right",
             overflow="fold",
             no_wrap=not is_words,
@@ -154,7 +154,7 @@ def table_text(table: TextTable, width: int) -> RenderableType:
     if needed > width:
         return _facts_grid(_upright(table))
     for row in table.rows:
-        drawn.add_row(*map(_text, row))
+        drawn.add_row(*map(literal_text, row))
     return drawn
 
 
@@ -165,8 +165,8 @@ def _upright(table: TextTable) -> Iterator[tuple[str, str]]:
         yield "", ""
 
 
-def _text(text: str, style: str = "") -> Text:
-    """Text that is printed literally: brackets are no markup."""
+def literal_text(text: str, style: str = "") -> Text:
+    """Text for a terminal: control characters are escaped, and brackets are no markup."""
     return Text("\n".join(map(printable, text.split("\n"))), style)
 
 

@@ -205,12 +205,10 @@ class CsvFile:
             remedy = ""
             if self._bare and self._form.time_column is None:
                 remedy = ", or a time; remove lines before it, or name it: --time-column NAME"
-            found = repr(cells[0]) if self._form.time_column is None else ", ".join(cells)
+            seen = repr(cells[0]) if self._form.time_column is None else ", ".join(cells)
             if named := next((cell for cell in cells if cell.lower() in _LIKE_TIME), ""):
                 remedy = f"; --time-column {named} names it, if that is the time"
-            self.wrong(
-                self._line, f"{found} found; expected a header with a column {name}{remedy}"
-            )
+            self.wrong(self._line, f"{seen} found; expected a header with a column {name}{remedy}")
         if len(times) > 1:
             self.wrong(self._line, f"two columns of time, {', '.join(times)}; expected one")
         lower = {each.lower(): each for each in self._wanted}
@@ -227,8 +225,8 @@ class CsvFile:
 
     def _read_unit(self, column: str) -> None:
         """Read the unit of time from the column's name."""
-        found = _UNIT.search(column)
-        unit = (found[1] or found[2]).lower() if found and found.end() == len(column) else ""
+        match = _UNIT.search(column)
+        unit = (match[1] or match[2]).lower() if match and match.end() == len(column) else ""
         if self._unit and unit and unit != self._unit:
             problem = f"the header says {unit}, --time-unit {self._unit}; leave one out"
             self.wrong(self._line, problem)

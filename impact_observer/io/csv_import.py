@@ -198,12 +198,12 @@ def _stamp(path: Path, row: ImpactRow | StateRow, start: int, epoch: int) -> int
 
 def _switches(path: Path, rows: Sequence[ImpactRow]) -> tuple[Switch, ...]:
     """The switches of one event, checked to be different."""
-    found: dict[Switch, ImpactRow] = {}
+    rows_by_switch: dict[Switch, ImpactRow] = {}
     for row in rows:
-        if (other := found.setdefault(row.switch, row)) is not row:
+        if (other := rows_by_switch.setdefault(row.switch, row)) is not row:
             kind = row.switch.kind.name.lower()
             raise UsageError(
                 f"{path}, line {row.line}: {kind} of {row.switch.contact!r} stands in line"
                 f" {other.line} already, at the same time; remove one"
             )
-    return tuple(found)
+    return tuple(rows_by_switch)

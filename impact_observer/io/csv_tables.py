@@ -142,19 +142,19 @@ class StateTable:
 
     def _columns(self) -> list[str]:
         """The columns of positions and velocities, in the order of the model."""
-        found, missing = [], []
+        columns, missing = [], []
         for names in self._names:
             present = [name for name in names if name in self._file.columns]
             if len(present) > 1:
                 self._file.wrong_header(f"columns {' and '.join(present)} found; expected one")
-            found += present
+            columns += present
             missing += [] if present else [names[0]]
         if missing:
             self._file.wrong_header(
                 f"no column {', '.join(missing)}; expected a position q_NAME and a velocity"
                 " u_NAME of each coordinate of the model"
             )
-        return found
+        return columns
 
     def _value(self, line: int, column: str, cell: str) -> float:
         if (number := self._file.number(cell)) is None:

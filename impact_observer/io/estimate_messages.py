@@ -61,5 +61,5 @@ def messages_of(
         (interfaces.OBSERVER_JOINT_STATES, make.joint_state_of(state)),
         (interfaces.OBSERVER_STATES, state),
     ):
-        topic = f"/{own.of(owner)}"
+        topic = f"/{own.name_under(owner)}"
         yield estimate.stamp, topic, serialize(topic, message)

@@ -4,7 +4,7 @@
 Nodes use the names relative to their namespace, bags the absolute ones.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from rosbags.interfaces import (
@@ -123,9 +123,13 @@ class Interface:
         """The absolute name in a bag."""
         return self.name if self.name.startswith("/") else f"/{self.name}"
 
-    def of(self, owner: str) -> str:
+    def name_under(self, owner: str) -> str:
         """The relative name of the same topic of another owner, such as ``observer_geometric``."""
         return f"{owner}/{self.name.rpartition('/')[2]}"
+
+    def candidates(self, topics: Collection[str]) -> list[str]:
+        """This topic of ``topics`` if its absolute name is among them; else all that fit."""
+        return [self.topic] if self.topic in topics else sorted(filter(self.fits, topics))
 
     def fits(self, topic: str) -> bool:
         """Whether an absolute ``topic`` is this one, in any namespace and of any owner.
@@ -136,10 +140,10 @@ class Interface:
         """
         if self.name.startswith("/"):
             return topic == self.name
-        wanted, found = self.name.split("/"), topic.split("/")[1:]
-        if len(found) < len(wanted) or found[-1] != wanted[-1]:
+        wanted, parts = self.name.split("/"), topic.split("/")[1:]
+        if len(parts) < len(wanted) or parts[-1] != wanted[-1]:
             return False
-        owner = found[-2] if len(found) > 1 else ""
+        owner = parts[-2] if len(parts) > 1 else ""
         if len(wanted) == 1:
             return owner != SMOOTHER
         alike = owner == wanted[0] or owner.startswith(f"{wanted[0]}_")

@@ -129,8 +129,8 @@ def with_recorded(reader: BagReader, system: System, epoch: int) -> System:
     Raises:
         BagError: the bag is damaged.
     """
-    found, live = connected(system)
+    system, live = connected(system)
     if live is not None:
         deque(give_recorded(reader, live), maxlen=0)
         live.follow(epoch)
-    return found
+    return system

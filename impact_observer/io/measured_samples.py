@@ -44,10 +44,9 @@ class SensorReader:
         self._delay = from_seconds(measurement.delay)
         self._path = measurement.path() if measurement.field else ()
         if measurement.joint and type_name != interfaces.JOINT_STATE:
-            found = f"{measurement.topic} is {type_name}, which has no joints"
-            raise measurement.wrong(
-                "joint", f"{found}; expected {interfaces.JOINT_STATE}, or field"
-            )
+            problem = f"{measurement.topic} is {type_name}, which has no joints"
+            expected = f"expected {interfaces.JOINT_STATE}, or field"
+            raise measurement.wrong("joint", f"{problem}; {expected}")
 
     def sample(self, message: AnyMessage, received: int) -> SensorSample | None:
         """The sample in a message that was received at the time ``received``, ns.
@@ -84,8 +83,8 @@ class SensorReader:
         except ValueError as error:
             raise given.wrong("field", f"{given.topic}: {error}") from None
         if len(values) != 1:
-            found = f"{given.field} found, {len(values)} numbers; name one of them"
-            raise given.wrong("field", found)
+            problem = f"{given.field} found, {len(values)} numbers; name one of them"
+            raise given.wrong("field", problem)
         return values[0]
 
 
@@ -155,7 +154,7 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
         UsageError: by file and key, where a field or a joint is not there; or no sensor is.
         BagError: the bag is damaged.
     """
-    found, problems = list[tuple[int, SensorSample]](), list[str]()
+    received, problems = list[tuple[int, SensorSample]](), list[str]()
     clock = _clock_of_impacts(reader)
     for topic, readers in _by_topic(reader, measurements, problems).items():
         decode = reader.decoder(topic)
@@ -174,11 +173,11 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
             if len(kept) < len(made):
                 lost = f"{len(made) - len(kept)} samples are left out"
                 problems.append(f"{each.measurement.name}: {lost}: stamped far from all others")
-            found += kept
-    found.sort(key=lambda item: (item[1].stamp, item[1].sensor))
+            received += kept
+    received.sort(key=lambda item: (item[1].stamp, item[1].sensor))
     counted = Counter(problems)
     lines = [line if n == 1 else f"{line} ({n} times)" for line, n in counted.items()]
-    return RecordedSamples([s for _, s in found], [at for at, _ in found], lines)
+    return RecordedSamples([s for _, s in received], [at for at, _ in received], lines)
 
 
 def _tried(
@@ -198,7 +197,7 @@ def _by_topic(
     reader: BagReader, measurements: Sequence[Measurement], problems: list[str]
 ) -> dict[str, list[SensorReader]]:
     """Readers of the sensors whose topics are in the bag."""
-    found: dict[str, list[SensorReader]] = {}
+    readers: dict[str, list[SensorReader]] = {}
     for i, each in enumerate(measurements):
         topic = topic_in(reader, each)
         if topic is None:
@@ -206,10 +205,10 @@ def _by_topic(
             missing = each.wrong("topic", f"no {each.topic} in {reader.path}; it has {in_bag}")
             problems.append(str(missing))
             continue
-        found.setdefault(topic, []).append(SensorReader(each, i, reader.topics[topic].type))
-    if measurements and not found:
+        readers.setdefault(topic, []).append(SensorReader(each, i, reader.topics[topic].type))
+    if measurements and not readers:
         raise UsageError(problems[0])
-    return found
+    return readers
 
 
 def topic_in(reader: BagReader, measurement: Measurement) -> str | None:

@@ -321,13 +321,13 @@ class MessageLimits(NamedTuple):
         """
         longest = max((len(each.contact.encode()) for each in message.switches), default=0)
         frame = len(message.header.frame_id.encode())
-        for name, found, most, what in (
+        for name, number, most, what in (
             ("max_switches", len(message.switches), self.max_switches, "switches"),
             ("max_name", longest, self.max_name, "bytes in the name of a contact"),
             ("max_frame", frame, self.max_frame, "bytes in the name of its frame"),
         ):
-            if found > most:
-                raise MessageError(f"{found} {what}; {name} allows {most}")
+            if number > most:
+                raise MessageError(f"{number} {what}; {name} allows {most}")
 
 
 _LIMITS = MessageLimits()

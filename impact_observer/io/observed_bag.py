@@ -217,14 +217,14 @@ def check_size(
     size = count * (_MOST_FIXED + 2 * (names + 16 * n) + 8 * covariance)
     folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
     free = shutil.disk_usage(folder).free
-    found = ""
+    excess = ""
     if count > most:
-        found = f"{count} estimates; --most-estimates allows {most}"
+        excess = f"{count} estimates; --most-estimates allows {most}"
     elif size > free:
-        found = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
-    if found:
+        excess = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
+    if excess:
         raise UsageError(
-            f"{reader.path}: {found}; they would go on until {text(int(stamps[-1]))} s: is that"
+            f"{reader.path}: {excess}; they would go on until {text(int(stamps[-1]))} s: is that"
             " stamp right (`impact-observer check`)? Otherwise lower --rate"
         )
 

@@ -97,9 +97,9 @@ class BagReader:
                 for topic, connections in self._connections.items()
             }
         if self.topics and not any(map(self._is_here, self.topics)):
-            found = ", ".join(self.topics)
+            in_bag = ", ".join(self.topics)
             self.close()
-            raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {found}")
+            raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {in_bag}")
         self._store: Typestore | None = None
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
@@ -131,15 +131,13 @@ class BagReader:
         Raises:
             BagError: several topics fit, none of them at the top.
         """
-        fitting = [topic for topic in self.topics if self._is_here(topic) and wanted.fits(topic)]
-        if wanted.topic in fitting:
-            return wanted.topic
-        if len(fitting) > 1:
+        candidates = wanted.candidates([*filter(self._is_here, self.topics)])
+        if len(candidates) > 1:
             raise UnfitBagError(
-                f"{self.path}: {' and '.join(fitting)} both fit {wanted.topic}; name the one meant"
-                " with --namespace"
+                f"{self.path}: {' and '.join(candidates)} both fit {wanted.topic}; name the one"
+                " meant with --namespace"
             )
-        return fitting[0] if fitting else None
+        return candidates[0] if candidates else None
 
     def _is_here(self, topic: str) -> bool:
         """Whether a topic is in the selected namespace."""
@@ -283,8 +281,8 @@ class BagReader:
 
     def _check_type(self, topic: str, wanted: str) -> None:
         """Check the type of a topic."""
-        if (found := self._topic(topic).type) != wanted:
-            raise UnfitBagError(f"{self.path}: {topic} is {found}; expected {wanted}")
+        if (type_name := self._topic(topic).type) != wanted:
+            raise UnfitBagError(f"{self.path}: {topic} is {type_name}; expected {wanted}")
 
     def model_text(self) -> str | None:
         """The text of the model in the bag, as it was last published; None without one.
@@ -300,8 +298,8 @@ class BagReader:
     def _topic(self, topic: str) -> TopicInfo:
         """A topic, checked to be in the bag."""
         if topic not in self.topics:
-            found = ", ".join(self.topics) or "none"
-            raise UnfitBagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
+            in_bag = ", ".join(self.topics) or "none"
+            raise UnfitBagError(f"{self.path}: no topic {topic}; topics in the bag: {in_bag}")
         return self.topics[topic]
 
     def _values(
@@ -393,8 +391,8 @@ def named_topic(reader: BagReader, name: str) -> str:
     """
     topic = f"/{name.strip('/')}"
     if topic not in reader.topics:
-        found = ", ".join(reader.topics) or "none"
-        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {found}")
+        in_bag = ", ".join(reader.topics) or "none"
+        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {in_bag}")
     return topic
 
 

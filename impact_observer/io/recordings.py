@@ -224,10 +224,10 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
     """
     topic = reader.find(interfaces.IMPACTS)
     if topic is None:
-        found = ", ".join(reader.topics) or "none"
+        in_bag = ", ".join(reader.topics) or "none"
         raise UnfitBagError(
             f"{reader.path}: has no impacts; expected {interfaces.IMPACT_EVENT} on"
-            f" {interfaces.IMPACTS.topic}, topics in the bag: {found}; impact-observer detect"
+            f" {interfaces.IMPACTS.topic}, topics in the bag: {in_bag}; impact-observer detect"
             " makes them of a sensor's signal"
         )
     return in_order(reader.events(topic))
@@ -246,11 +246,13 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
     """
     prefix = topic.rpartition("/")[0]
     verdicts = f"{prefix}/verdicts"
-    found = outcomes_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None)
+    outcomes = outcomes_of(
+        events, reader.verdicts(verdicts) if verdicts in reader.topics else None
+    )
     if f"{prefix}/measurements" not in reader.topics:
-        return found
+        return outcomes
     used = Counter(each.accepted for each in reader.sample_verdicts(f"{prefix}/measurements"))
-    return replace(found, measured=(used[True], used[False]))
+    return replace(outcomes, measured=(used[True], used[False]))
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:

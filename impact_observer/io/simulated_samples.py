@@ -94,13 +94,15 @@ def type_of(measurement: Measurement) -> str:
     """
     if measurement.joint:
         return interfaces.JOINT_STATE
-    found = _TYPES.get(str(measurement.path()[0]))
-    if found is None:
+    type_name = _TYPES.get(str(measurement.path()[0]))
+    if type_name is None:
         wanted = f"expected one that begins with {', '.join(_TYPES)}"
         raise measurement.wrong("field", f"{measurement.field} cannot be simulated; {wanted}")
-    if found == _TYPES["data"] and measurement.stamp == "header":
-        raise measurement.wrong("stamp", f"header found, but {found} has none; expected receive")
-    return found
+    if type_name == _TYPES["data"] and measurement.stamp == "header":
+        raise measurement.wrong(
+            "stamp", f"header found, but {type_name} has none; expected receive"
+        )
+    return type_name
 
 
 class SampleSimulation:
@@ -211,8 +213,8 @@ def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
 
 def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedMessage]:
     """The messages of all sensors on a run of a plant, in order of arrival."""
-    found = (message for at in _states(run) for message in simulation.messages_at(*at))
-    return sorted(found, key=lambda each: each.arrival)
+    messages = (message for at in _states(run) for message in simulation.messages_at(*at))
+    return sorted(messages, key=lambda each: each.arrival)
 
 
 def _put(message: AnyMessage, path: FieldPath, value: float) -> None:

@@ -183,8 +183,8 @@ class BagWriter:
             UsageError: as of :meth:`write`.
         """
         type_name = self._topic(topic).type
-        if (found := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
-            raise UsageError(f"{self.path}: {topic} is {type_name}; not {found}")
+        if (given := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
+            raise UsageError(f"{self.path}: {topic} is {type_name}; not {given}")
         return bytes(self._store.serialize_cdr(message, type_name))
 
     def write_raw(self, topic: str, log_time: int, data: bytes) -> None:

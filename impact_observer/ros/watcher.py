@@ -21,7 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from impact_observer.draw.observer_topics import ObserverTopics
-from impact_observer.draw.reports import figure
+from impact_observer.draw.reports import figure, literal_text
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Verdict
@@ -40,7 +40,6 @@ from impact_observer.io.messages import (
 )
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import with_unit
-from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -458,7 +457,7 @@ def screen(view: View, console: Console, height: int | None = None) -> Renderabl
         for k in range(0, shown, columns):
             grid.add_row(*panels[k : k + columns])
         hidden = ", ".join(each.name.lstrip("/") for each in view.observers[shown:])
-        foot = [Text(f"shown with --observers: {hidden}", "dim")] if hidden else []
+        foot = [literal_text(f"shown with --observers: {hidden}", "dim")] if hidden else []
         picture = Group(*head, grid, *foot)
         if height is None or len(console.render_lines(picture, pad=False)) <= height:
             return picture
@@ -476,8 +475,8 @@ def _head(view: View) -> list[RenderableType]:
     words = [view.model or "no model", f"{_time(view)} ({clock})", _impacts(view)]
     if not view.truth:
         words.append("no truth")
-    warnings = [Text(each, "bold yellow") for each in view.warnings]
-    return [Text("   ".join(words), "bold"), *warnings]
+    warnings = [literal_text(each, "bold yellow") for each in view.warnings]
+    return [literal_text("   ".join(words), "bold"), *warnings]
 
 
 def _panel(view: ObserverView, whole: View, verdicts: int, levels: str) -> Panel:
@@ -485,17 +484,18 @@ def _panel(view: ObserverView, whole: View, verdicts: int, levels: str) -> Panel
     parts: list[RenderableType] = [Text(f"V  {_distance(view, whole)}")]
     if view.history:
         parts.append(Text(_chart(view.history, levels), "cyan", no_wrap=True, overflow="crop"))
-    parts += map(Text, _own_error(view))
+    parts += map(literal_text, _own_error(view))
     level = 0 if view.health is None else min(view.health[0], len(_STYLES) - 1)
-    parts.append(Text(f"health  {_health(view)}", _STYLES[level]))
-    parts += [Text(f"sensor  {name}: {message}") for name, (_, message) in view.sensors.items()]
+    parts.append(literal_text(f"health  {_health(view)}", _STYLES[level]))
+    parts += [literal_text(f"sensor  {name}: {text}") for name, (_, text) in view.sensors.items()]
     parts.append(_table(view.lines) if view.lines else Text("no estimate yet"))
     counts = [f"{n} {ruling}" for ruling, n in sorted(view.counts.items())]
     parts.append(Text(f"events  {', '.join(counts) or 'waiting for impacts ...'}"))
     epoch = view.epoch or whole.epoch
     parts += [_verdict(*each, epoch) for each in view.verdicts[:verdicts]]
     law = f" ({view.law})" if view.law else ""
-    return Panel(Group(*parts), title=Text(f"{view.name.lstrip('/')}{law}"), title_align="left")
+    title = literal_text(f"{view.name.lstrip('/')}{law}")
+    return Panel(Group(*parts), title=title, title_align="left")
 
 
 def _own_error(view: ObserverView) -> list[str]:
@@ -541,7 +541,7 @@ def _table(lines: Sequence[StateLine]) -> Table:
     for heading in columns:
         table.add_column(heading, justify="right" if heading.strip() else "left", no_wrap=True)
     for cells in zip(*columns.values(), strict=True):
-        table.add_row(*map(printable, cells))
+        table.add_row(*map(literal_text, cells))
     return table
 
 
@@ -587,7 +587,9 @@ def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
         verdict.reason,
         f"{latency * 1e3:.1f} ms" if latency > 0 else "",
     ]
-    return Text("  ".join(filter(None, words)), no_wrap=True, overflow="ellipsis")
+    shown = literal_text("  ".join(filter(None, words)))
+    shown.no_wrap, shown.overflow = True, "ellipsis"
+    return shown
 
 
 def _health(view: ObserverView) -> str:

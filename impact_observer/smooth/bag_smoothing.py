@@ -36,10 +36,10 @@ from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Stamps
 
 _ESTIMATES = tuple(
-    f"/{each.of(interfaces.SMOOTHER)}"
+    f"/{each.name_under(interfaces.SMOOTHER)}"
     for each in (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
 )
-_VERDICTS = f"/{interfaces.OBSERVER_VERDICTS.of(interfaces.SMOOTHER)}"
+_VERDICTS = f"/{interfaces.OBSERVER_VERDICTS.name_under(interfaces.SMOOTHER)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Estimates
 
 STATES, JOINTS = interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES
-TYPES = {f"/{each.of('smoother')}": each.type for each in (STATES, JOINTS)} | {
+TYPES = {f"/{each.name_under('smoother')}": each.type for each in (STATES, JOINTS)} | {
     each.topic: each.type for each in (STATES, JOINTS)
 }
 

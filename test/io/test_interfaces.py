@@ -50,7 +50,8 @@ def test_table_offers_the_quality_of_the_contract() -> None:
 def test_names_are_relative_for_nodes_and_absolute_in_bags() -> None:
     """The clock is absolute for both."""
     assert interfaces.IMPACTS.topic == "/impacts"
-    assert interfaces.OBSERVER_STATES.of("observer_geometric") == "observer_geometric/state"
+    states = interfaces.OBSERVER_STATES.name_under("observer_geometric")
+    assert states == "observer_geometric/state"
     assert interfaces.SIMULATED_CLOCK.topic == interfaces.SIMULATED_CLOCK.name == "/clock"
 
 

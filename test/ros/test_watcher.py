@@ -344,6 +344,21 @@ def test_the_screen_names_what_is_missing(
     assert words in "\n".join(shown(view))
 
 
+def test_words_of_strangers_do_not_control_the_terminal() -> None:
+    """Control characters in diagnostics, verdicts and warnings are escaped."""
+    verdict = Verdict(EPOCH, Ruling.REJECTED, 1, "\x1b[2Jstop", "\x1b]0;reason")
+    observer = replace(
+        FILTER,
+        health=(1, "\x1b[31m"),
+        sensors={"e\x1b": (0, "\x1b[H")},
+        verdicts=((verdict, 0.0),),
+    )
+    text = "\n".join(shown(replace(BOTH, observers=(observer,), warnings=("\x1b[1A",))))
+    assert "\x1b" not in text
+    for escaped in ("\\x1b[2Jstop", "\\x1b]0;", "\\x1b[31m", "e\\x1b: \\x1b[H", "\\x1b[1A"):
+        assert escaped in text
+
+
 def test_a_line_says_the_same_in_short() -> None:
     """The line holds V, agreement and warnings of every observer."""
     assert line(BOTH) == (
