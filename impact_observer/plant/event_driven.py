@@ -215,7 +215,7 @@ class Plant:
         return Watched.gaps(system, opened).and_also(*watched).along(phase)
 
     def _end(self, limit: int) -> Switching | None:
-        """The end of the phase, if it is found and its stamp is not after ``limit`` (ns)."""
+        """The end of the phase, if it is computed and its stamp is not after ``limit`` (ns)."""
         if self._crossing is None or self._start.shifted_by(self._crossing[0]).stamp > limit:
             return None
         s, which = self._crossing
@@ -242,7 +242,7 @@ class Plant:
     def _hit(self, x: Vector, crossed: dict[End, set[int]]) -> set[int]:
         """The contacts that impact at ``x``.
 
-        Where a load ends a phase at its start, gaps are zero that open: these do not.
+        A gap that is zero and opens is no impact, where a load ends a phase at its start.
         """
         hit, n = crossed[End.GAP], self.system.n
         if not (hit and crossed[End.LOAD]):
@@ -263,7 +263,7 @@ class Plant:
         return self._gripped(instant, x, x, (contact,), grip)
 
     def _jump_or_end(self, limit: int) -> Switching | None:
-        """The jump of the velocities of a contact that was hit, or what comes before."""
+        """The jump of the velocities of a contact that was hit, or an earlier switching."""
         (due, contact), *others = self._pending
         s = self._start.until(due.stamp) + due.remainder
         if self._crossing is not None and self._crossing[0] < s:
@@ -280,7 +280,7 @@ class Plant:
         return self._switched(due, x, after, (), self.closed)
 
     def _out(self, instant: Instant, x: Vector, reopened: set[int], out: set[int]) -> Switching:
-        """Contacts ``out`` of their stops: those that have not ``reopened`` come to rest."""
+        """Contacts ``out`` of their stops; contacts that have not ``reopened`` come to rest."""
         self._left = self._pending, tuple(i for i in self._inside if i not in out)
         if turned := out - reopened:
             return self._impact(instant, x, tuple(sorted({*self.closed, *turned})))

@@ -25,7 +25,7 @@ class Run:
         states: true states (q, u), shape (samples, 2n); at the stamp of a switching, the state
             after the switching.
         switchings: all changes of contacts up to the last stamp.
-        events: events of an ideal sensor; ``simulate_sensor`` gives those of a real sensor.
+        events: events of an ideal sensor; for a real sensor see ``simulate_sensor``.
     """
 
     epoch: int

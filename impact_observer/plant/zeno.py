@@ -55,7 +55,7 @@ class ZenoCutoff:
         q, u = x[: system.n], x[system.n :]
         gamma = system.contact_speed(u).tolist()
         rounding = self._phases.speed_tolerance(before).tolist()
-        # What gaps are rounded against: the sum of all modes' magnitudes.
+        # Gaps are rounded against the sum of all modes' magnitudes.
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
         law = self._phases.unloaded()
@@ -68,7 +68,7 @@ class ZenoCutoff:
             return 0.0 if gamma[i] <= rounding[i] else self._flight(gamma[i], fall, lowest[i])
 
         # A contact that still closes hits again at once: Newton's law allows it after separating.
-        # No contact comes back faster than with the whole acceleration: this mostly decides.
+        # No contact comes back faster than with the whole acceleration, which mostly decides.
         resting = [
             i
             for i in contacts

@@ -28,22 +28,21 @@ from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 from impact_observer.states import Vector
 
 _SETTLED = 16
-"""Events after which a hypothesis has found the errors of clock and model at an event."""
+"""Events after which a hypothesis has learned the errors of clock and model at an event."""
 FLIGHTS = 8.0
-"""Flights of a chattering sequence, in deviations of stamps, below which they are left out."""
+"""Longest flight of a chattering sequence that is left out, in deviations of stamps."""
 
 
 class Moment(NamedTuple):
-    """An instant at which contacts switch, as it is accounted for.
+    """An instant at which contacts switch, by an account.
 
     Attributes:
-        change: what the contacts do then; at the stamp where it was reported.
-        clock: standard deviation of the stamp, s; of one that is inserted without meaning.
-        error: of the model in the flight before it, and at its impact.
-        is_inserted: whether it was missed by the sensor, so that its instant follows from the
-            motion alone.
-        until: stamp until which further impacts of the contact are left out, as it chatters until
-            it stays closed, ns; 0 for none.
+        change: the change of the contacts, at the reported stamp.
+        clock: standard deviation of the stamp, s; without meaning for an inserted moment.
+        error: error of the model in the flight before the moment, and at the impact.
+        is_inserted: whether the moment is a missed detection: only the motion gives the instant.
+        until: stamp until which further impacts of the contact, which chatters until it stays
+            closed, are left out, ns; 0 without chatter.
     """
 
     change: ContactChange
@@ -57,10 +56,10 @@ class EventAccount(NamedTuple):
     """The meaning of each event of a recording.
 
     Attributes:
-        moments: those that are true, and those inserted, in order.
-        verdicts: the final ones, in order.
-        reported: the moments if all events are as they were reported, and none was missed.
-        samples: of sensors, and which of them the filter has rejected.
+        moments: true and inserted moments, in order.
+        verdicts: the final verdicts, in order.
+        reported: the moments if all events are as reported, without missed detections.
+        samples: samples of sensors, and which of them the filter has rejected.
     """
 
     moments: tuple[Moment, ...]
@@ -87,8 +86,8 @@ class EventAccount(NamedTuple):
     def in_dead_time(self, dead_time: float) -> set[int]:
         """Indices of the inserted moments that the sensor could not report.
 
-        They are within its ``dead_time``, s, after a report of the contact, or the end of a rest
-        that has begun so.
+        Such a moment is within the ``dead_time``, s, after a report of the contact, or the end of
+        a rest that began within the dead time.
         """
         last, rests, unreported = dict[int, float](), set[int](), set[int]()
         reports = deque(self.reported if dead_time else ())
@@ -119,7 +118,7 @@ class _Trace(NamedTuple):
     """The meaning of an event, and the likeliest hypothesis just after the event.
 
     Attributes:
-        change: as it was reported.
+        change: the reported change.
         notes: of the hypothesis on the latest events.
         clock: standard deviation of a stamp, s.
         error: of the model.
@@ -132,7 +131,7 @@ class _Trace(NamedTuple):
 
 
 class TracedLaw(MinimumVariance):
-    """The law of least variance; it remembers what it decided after each event.
+    """The law of least variance that keeps its decisions after each event.
 
     Attributes:
         traces: by stamp and sequence number of the event.
@@ -179,7 +178,7 @@ class TracedLaw(MinimumVariance):
     def struck(
         self, change: ContactChange, posterior: Belief, since: float, s: float
     ) -> tuple[Belief, Vector] | None:
-        """Returns None: ``correct`` takes every event, and notes what it decided."""
+        """Returns None: ``correct`` takes every event, and notes the decision."""
         del change, posterior, since, s
         return None
 
@@ -209,7 +208,7 @@ def account_of(
 ) -> EventAccount:
     """The account of ``events`` by an ``observer`` with this ``law`` that has received none yet.
 
-    It has ``samples`` of its sensors, too. ``progress`` is called with the number of events done.
+    ``samples`` are those of its sensors. ``progress`` is called with the number of events done.
 
     Raises:
         ImpactLawError, UsageError: as ``Observer.receive``.
@@ -250,7 +249,7 @@ def start_of(events: Sequence[ImpactEvent], epoch: int) -> int:
 def _samples(
     observer: Observer, law: TracedLaw, samples: Sequence[SensorSample], epoch: int
 ) -> UsedSamples:
-    """The ``samples`` as readings, with what was learned of their sensors."""
+    """The ``samples`` as readings, with the learned noise of their sensors."""
     sensors, readings = observer.samples.sensors, list[Reading]()
     for sensor, stamp, value in samples:
         known = SensorState(law.variances.get(sensor, -1.0))
@@ -302,7 +301,7 @@ def _moments(
 
 
 def _switch(contact: int, kind: Kind, note: Note | None) -> tuple[int, Kind]:
-    """How a ``contact`` switched that is reported to, by the ``note`` on it."""
+    """The contact that switched, and how, by the ``note`` on a reported ``contact``."""
     if note is None:
         return contact, kind
     settles = kind is Kind.IMPACT and note.kind is Kind.CLOSE
@@ -310,10 +309,10 @@ def _switch(contact: int, kind: Kind, note: Note | None) -> tuple[int, Kind]:
 
 
 def _merged(moments: Sequence[Moment]) -> Iterator[Moment]:
-    """The moments, with the end of a chattering sequence as one at which the contact closes.
+    """The moments, with the end of a chattering sequence as one moment that closes the contact.
 
-    There flights are as short as the stamps are wrong: neither order nor number of the impacts
-    says more than the first of them.
+    The flights of that end are as short as the errors of stamps: order and number of its impacts
+    say no more than the first impact.
     """
     k, since = 0, 0
     while k < len(moments):
@@ -345,7 +344,7 @@ def _explained(
 
 
 def _chatters(moment: Moment, after: Moment) -> bool:
-    """Whether the same contact hits again, by stamps that do not tell when."""
+    """Whether the same contact hits again within the errors of the stamps."""
     flight = seconds_between(moment.change.stamp, after.change.stamp)
     hit, before = moment.change.hit, moment.change.before
     return (

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chain of a recording: its moments, rests, and what sensors measure in between.
+"""The chain of a recording: its moments, rests, and samples of sensors in between.
 
-At first the path of the filter through the account is what the motion is linearised about. Samples
-whose flight is without noise are functions of the state at its start, so they are measured there,
-all at once; else each is a step of the chain. Near an instant that is uncertain, or too soon after
-an impact, they are left out.
+The first linearisation is about the path of the filter through the account. The samples of a
+flight without process noise are functions of the state at the flight's start: all are measured
+there at once. In a flight with noise each sample is a step of the chain. Samples near an uncertain
+instant, or too soon after an impact, are left out.
 """
 
 import math
@@ -28,9 +28,9 @@ from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples, measure
 from impact_observer.states import Vector
 
 _MARGIN = 5.0
-"""Deviations of an instant within which a sample may be before it or after it."""
+"""Distance of a sample from an instant, in deviations, below which the order is uncertain."""
 _SURE = 3.0
-"""Deviations of a filter's start, relative to those that are known."""
+"""Deviations of a filter's start, relative to the given ones."""
 
 
 class Node(NamedTuple):
@@ -38,8 +38,8 @@ class Node(NamedTuple):
 
     Attributes:
         moment: its index; -1 for the start.
-        is_rest: whether it is the rest of contacts after the moment.
-        group: which samples of the flight after the moment it measures, from 1 on; 0 for none.
+        is_rest: whether the step measures that contacts rest after the moment.
+        group: number of the measured group of samples in the flight after the moment; 0 for none.
     """
 
     moment: int
@@ -48,7 +48,7 @@ class Node(NamedTuple):
 
     @property
     def is_after(self) -> bool:
-        """Whether its state is one after the moment, without the error of the instant."""
+        """Whether the state is after the moment, without the error ``e`` of the instant."""
         return self.is_rest or bool(self.group)
 
 
@@ -66,10 +66,10 @@ class _Group(NamedTuple):
 
 
 class Arc(Linearised):
-    """A recording from its first state on, as its account has it.
+    """A recording from its first state on, by its account.
 
     Attributes:
-        samples: of what is measured beside the impacts.
+        samples: samples of sensors beside the impacts.
     """
 
     def __init__(
@@ -86,9 +86,9 @@ class Arc(Linearised):
         self._measured: tuple[Path | None, dict[int, list[_Group]]] = (None, {})
 
     def predicted(self, about: Normal | None = None) -> Path:
-        """The path of the filter, from the first state on, or from one that is known better.
+        """The path of the filter from the first state, or from the posterior ``about``.
 
-        Then deviations are larger than those of ``about`` by ``_SURE``.
+        The deviations of ``about`` are multiplied by ``_SURE``.
 
         Raises:
             DynamicsError: the filter's state grows beyond all bounds.
@@ -125,7 +125,7 @@ class Arc(Linearised):
         return Path(start, early, x, doubt, state.constants, deviations)
 
     def beginning(self, count: int) -> "Arc":
-        """The first moments, at most ``count``; itself if it has no more."""
+        """The arc of the first ``count`` moments; this arc if it has no more."""
         if len(self.moments) <= count:
             return self
         return Arc(self.filter, self._t, self._state, self.moments[:count], self.samples)
@@ -164,7 +164,7 @@ class Arc(Linearised):
     def sampled(
         self, path: Path, times: Mapping[int, Sequence[float]]
     ) -> tuple["Arc", Path, list[int]]:
-        """The arc and path with moments at ``times`` at which nothing happens; where these are.
+        """Arc and path with more moments, without a switch, at ``times``; indices of these.
 
         ``times`` (s since the epoch) are ascending, by the moment that they follow.
         """
@@ -189,7 +189,7 @@ class Arc(Linearised):
         return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
 
     def arrival(self, path: Path, k: int) -> Step:
-        """From where the moment before has left the chain to the ``k``-th, and its measurement."""
+        """From the node before the ``k``-th moment to the moment, and its measurement."""
         t = self.instant(path, k)
         groups = self._groups(path).get(k - 1)
         if groups:
@@ -199,7 +199,7 @@ class Arc(Linearised):
         return self._stamped(path, k).preceded_by(flown)
 
     def sampling(self, path: Path, k: int, j: int) -> Step:
-        """To the ``j``-th group of samples after the ``k``-th moment, which it measures."""
+        """The flight to the ``j``-th group of samples after the ``k``-th moment, and the group."""
         groups = self._groups(path)[k]
         since = groups[j].since
         if j:
@@ -235,11 +235,11 @@ class Arc(Linearised):
         return self._measured[1]
 
     def _margin(self, moment: Moment) -> float:
-        """How near a moment a sample may come before it or after it, s."""
+        """Largest distance of a sample from a moment that leaves the sample out, s."""
         return _MARGIN * moment.clock + 2 * moment.change.delay(self.filter.system)
 
     def _places(self, path: Path) -> tuple[Vector, Vector]:
-        """The instants of all moments of a path, and how near samples may come to them, s."""
+        """The instants of all moments of a path, and their margins for samples, s."""
         instants, margins = list[float](), list[float]()
         for k, moment in enumerate(self.moments):
             instants.append(self.instant(path, k))
@@ -252,7 +252,7 @@ class Arc(Linearised):
     def _flights(
         self, instants: Vector, margins: Vector, *, everything: bool = False
     ) -> dict[int, list[int]]:
-        """The samples of each flight: those that are used, or rejected ones as well."""
+        """Indices of used samples in each flight; with ``everything`` also of rejected ones."""
         if not self.samples.readings:
             return {}
         some = self.samples._replace(rejected=frozenset()) if everything else self.samples
@@ -274,7 +274,7 @@ class Arc(Linearised):
     def _corrected(
         self, t: float, state: GaussianState, reading: Reading, moment: Moment
     ) -> GaussianState:
-        """The filter's state after a sample, from that at ``t``, s since the epoch."""
+        """The filter's posterior of a sample, from the ``state`` at ``t``, s since the epoch."""
         level = level_of(moment, ErrorKind.ACCELERATION)
         prior = self.filter.predict(t, state, level).prior(reading.t - t)
         return self._sample_filter.after(reading, prior, reading.known).state

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An account of the first events, found backward in time from a later motion that is certain.
+"""An account of the first events, backward in time from a later motion that is certain.
 
-What the filter decides while it knows little may be wrong for good. From a moment on from which
-its account is right, the smoothed state before that moment is exact enough to be followed back:
-where a gap falls to zero going back, its contact has hit. If an event was reported there, it was
-that; otherwise it was missed. The motion is smoothed again with each moment that is found, before
-it is followed further.
+Early decisions of the filter may be wrong for good. Where the account from a moment on is right,
+the smoothed state before that moment is exact enough to be followed back. Where a gap falls to
+zero backward in time, the contact has hit: the impact is a reported event near that instant, or a
+missed detection. Each new moment is added and the motion smoothed again, before the next search.
 """
 
 import math
@@ -30,7 +29,7 @@ from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector
 
 _KEPT = 16
-"""Moments after an instant that tell of its state."""
+"""Moments after an instant from which its state is smoothed."""
 _SAMPLES = 24.0
 """Instants in the model's time scale at which gaps are looked at."""
 _GATE = 5.0
@@ -38,7 +37,7 @@ _GATE = 5.0
 _VAGUE = 0.2
 """Largest deviation of a predicted instant, relative to the model's time scale."""
 _SOFT = 0.1
-"""Restitution below which the speed before an impact is not guessed from that after it."""
+"""Least restitution by which the speed before an impact is guessed from the speed after."""
 
 _FALSE = "spurious: the smoothed motion does not hit then"
 _MISSED = "IMPACT missed: the smoothed motion hits then"
@@ -83,7 +82,7 @@ class Retracing:
             return None
 
     def _followed_back(self, known: EventAccount, first: int, x: Vector) -> EventAccount | None:
-        """``account``; raises a DynamicsError if the motion grows beyond all bounds."""
+        """As ``account``; raises a DynamicsError if the motion grows beyond all bounds."""
         moments, clock = [*known.moments[first:]], known.moments[first].clock
         reported = [each for each in known.reported if each.change.stamp < moments[0].change.stamp]
         taken: set[int] = set()
@@ -158,7 +157,7 @@ class Retracing:
     def _reported(
         self, hit: _Hit, reported: Sequence[Moment], clock: float, after: Moment
     ) -> Moment | None:
-        """The event that may have been an impact, the nearest of several; None for none."""
+        """The nearest reported event within the gate of ``hit``; None without one."""
         near = [
             each
             for each in reported
@@ -174,9 +173,9 @@ class Retracing:
     def _joined(
         self, known: EventAccount, moments: Sequence[Moment], first: int, taken: set[int]
     ) -> EventAccount:
-        """The account with ``moments``, where that from the ``first`` on is the ``known`` one.
+        """The account with ``moments``; from the ``first`` moment on, that of ``known``.
 
-        Of the events reported before, those at the stamps ``taken`` are true.
+        Of the events reported before, the events at the stamps ``taken`` are true.
         """
         since = known.moments[first].change.stamp
         verdicts = [each for each in known.verdicts if each.stamp >= since]

@@ -78,14 +78,14 @@ def smooth_bag(
 
     Args:
         reader: the bag to read.
-        model: that explains its events.
+        model: the model of the recorded system.
         options: of the observer.
         output: the bag to make.
-        measurements: what sensors measure beside the impacts.
+        measurements: measurements of sensors beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
         most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
-        progress: called with what is being done, how much of it is done, and all of it.
+        progress: see ``Progress``.
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.

@@ -3,15 +3,15 @@
 
 An estimate with a square root ``S`` of its covariance stands for ``z = mean + S zeta``, where
 ``zeta`` are independent errors of variance one. A step and its measurement turn the errors: by an
-orthogonal matrix those before it are functions of the innovation, which is known, of the errors
-after it, and of others that no later measurement concerns. So going back from the end the mean and
-covariance of ``zeta`` given all measurements follow by orthogonal matrices alone, and the smoothed
-state is ``mean + S E[zeta]``. Nothing is inverted and no covariances are subtracted: jumps without
-rebound, exact measurements and stamps of 1 ns do no harm, and no smoothed variance exceeds the
-filtered one.
+orthogonal matrix the errors before the step are functions of the innovation, which is known, of
+the errors after the step, and of errors that no later measurement concerns. A backward pass of
+orthogonal matrices gives the mean and covariance of ``zeta`` given all measurements; the smoothed
+state is ``mean + S E[zeta]``. No matrix is inverted and no covariances are subtracted: jumps
+without rebound, exact measurements and stamps of 1 ns do no harm, and no smoothed variance exceeds
+the filtered one.
 
-It is the smoother of Bryson and Frazier (Bierman, Factorization Methods for Discrete Sequential
-Estimation, 1977, chapter 10) with the adjoint state and its covariance scaled by ``S``.
+The method is the smoother of Bryson and Frazier (Bierman, Factorization Methods for Discrete
+Sequential Estimation, 1977, chapter 10) with the adjoint state and its covariance scaled by ``S``.
 """
 
 import math
@@ -35,11 +35,11 @@ class Step(NamedTuple):
         A: shape (d', d).
         b: shape (d',).
         N: shape (d', any).
-        H: shape (k, d'); k is 0 where nothing is measured.
+        H: shape (k, d'); k is 0 without a measurement.
         y: shape (k,).
         V: shape (k, any), of rank k unless ``H`` and the prior make the innovation's covariance
             regular.
-        density: what the evidence has besides, such as the logarithm of a factor of units.
+        density: a further term of the evidence, such as the logarithm of a factor of units.
     """
 
     A: Matrix
@@ -52,13 +52,13 @@ class Step(NamedTuple):
 
     @classmethod
     def unmeasured(cls, A: Matrix, b: Vector, N: Matrix | None = None) -> "Step":
-        """A step after which nothing is measured; ``N`` is None for no noise."""
+        """A step without a measurement; ``N`` is None without noise."""
         d = len(b)
         noise = np.zeros((d, 0)) if N is None else N
         return cls(A, b, noise, np.zeros((0, d)), np.zeros(0), np.zeros((0, 0)))
 
     def preceded_by(self, first: "Step") -> "Step":
-        """The step that does ``first``, which measures nothing, and then this one."""
+        """One step for ``first``, which has no measurement, and then this step."""
         assert not first.y.size, "a measurement cannot be put off"
         noise = np.hstack([self.A @ first.N, self.N])
         return self._replace(A=self.A @ first.A, b=self.A @ first.b + self.b, N=noise)
@@ -92,35 +92,35 @@ class Normal(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """How the errors before a step follow from those after it.
+    """The errors before a step as a function of the errors after the step.
 
     Attributes:
         known: their mean by the innovation, shape (c,).
-        Q: their rows of the orthogonal matrix for the errors after it, then for those that no
-            later measurement concerns, shape (c, any).
+        Q: their rows of the orthogonal matrix, first for the errors after the step, then for
+            errors that no later measurement concerns, shape (c, any).
     """
 
     known: Vector
     Q: Matrix
 
     def back(self, later: Normal) -> Normal:
-        """The errors before the step, from those after it."""
+        """The errors before the step, from the errors after the step."""
         d = later.mean.size
         root = np.hstack([self.Q[:, :d] @ later.root, self.Q[:, d:]])
         return Normal(self.known + self.Q[:, :d] @ later.mean, _lower(root))
 
 
 class Chain:
-    """Steps from what is known of a first state.
+    """Steps from the prior of a first state.
 
     Attributes:
         first: the state before the first step.
         count: number of steps.
-        step: the step of an index; each is asked for twice.
-        evidence: logarithm of the probability density of all measurements; known once ``states``
-            has begun, as are
-        squares: sum of the squares of all normalised innovations, and
-        rows: their number, which that is on average.
+        step: gives the step of an index; called twice for each step.
+        evidence: logarithm of the probability density of all measurements. ``states`` sets
+            ``evidence``, ``squares`` and ``rows`` when it begins.
+        squares: sum of the squares of all normalised innovations; its mean is ``rows``.
+        rows: number of normalised innovations.
     """
 
     def __init__(self, first: Normal, count: int, step: Callable[[int], Step]) -> None:
@@ -129,10 +129,10 @@ class Chain:
         self.evidence, self.squares, self.rows = 0.0, 0.0, 0
 
     def states(self) -> Iterator[tuple[int, Normal]]:
-        """The states after each step given all measurements, the last one first.
+        """Index and state after each step given all measurements, the last step first.
 
-        With each its index; at last -1 and the first state. The forward pass keeps only every so
-        many states, so that the memory grows with the square root of their number.
+        The index -1 comes last, with the first state. The forward pass keeps one state a block of
+        steps, so that the memory grows with the square root of the number of steps.
 
         Raises:
             DynamicsError: an innovation has the variance 0.
@@ -172,7 +172,7 @@ def _given(state: Normal, errors: Normal) -> Normal:
 def _joint(before: Normal, step: Step) -> tuple[Vector, Matrix]:
     """The mean after a step, and a root of measurement and state together.
 
-    Of at least as many columns as rows; first those of the measurement's errors.
+    The root has at least as many columns as rows; the measurement's errors come first.
     """
     (k, d), own = step.H.shape, step.V.shape[1]
     root = np.concatenate([step.A.dot(before.root), step.N], axis=1)
@@ -183,9 +183,9 @@ def _joint(before: Normal, step: Step) -> tuple[Vector, Matrix]:
 
 
 def _corrected(mean: Vector, joint: Matrix, step: Step) -> tuple[Normal, Vector, float]:
-    """The state after a measurement, of the triangular root of both.
+    """The state after a measurement, the normalised innovation, and the log density.
 
-    Then the normalised innovation, and the logarithm of the measurement's probability density.
+    ``joint`` is the triangular root of measurement and state.
     """
     k = len(step.H)
     if not k:
@@ -209,10 +209,10 @@ def _filtered(before: Normal, step: Step) -> tuple[Normal, Vector, float]:
 
 
 def _turned(before: Normal, step: Step) -> tuple[Normal, _Turn]:
-    """The state after a step and its measurement, and how errors go back through it."""
+    """The state after a step and its measurement, and the turn of the errors."""
     mean, joint = _joint(before, step)
     rows, columns = joint.shape
-    # LAPACK's routines themselves: of small matrices checks cost more than they do.
+    # LAPACK's routines without scipy's checks, which cost more for small matrices.
     reflected, tau = linalg.lapack.dgeqrf(joint.T)[:2]
     whole = np.zeros((columns, columns), order="F")
     whole[:, :rows] = reflected

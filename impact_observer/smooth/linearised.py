@@ -41,7 +41,7 @@ from impact_observer.states import Matrix, Vector
 IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
 _ROUNDED = 1e-13
-"""Rounding of a state of the path, relative to its size."""
+"""Rounding of a state of the path, relative to the state's size."""
 
 
 def followed(x: Vector) -> Vector:
@@ -82,7 +82,8 @@ class Path(NamedTuple):
 class _Jump(NamedTuple):
     """The jump at a moment as a linear function of ``(e, x)``.
 
-    One that lasts is after the moment; the motion after it is followed back to the moment.
+    An impact of finite duration jumps after the moment; the motion after the jump is followed
+    back to the moment.
 
     Attributes:
         value: the state after it, at the instant of the moment, shape (2n,).
@@ -104,8 +105,8 @@ class Linearised:
 
     Attributes:
         moments: of the account.
-        first: the state before them, what is known of it without them.
-        filter: of whose system it is.
+        first: prior of the state at the start.
+        filter: the filter of the system.
     """
 
     def __init__(
@@ -140,15 +141,15 @@ class Linearised:
         return self._members.at(path.constants[: self._p])
 
     def noise_after(self, k: int) -> ProcessNoise | None:
-        """The noise of the flight after the ``k``-th moment; None for none."""
+        """The process noise of the flight after the ``k``-th moment; None without noise."""
         is_last = k + 1 == len(self.moments)
         level = 0.0 if is_last else level_of(self.moments[k + 1], ErrorKind.ACCELERATION)
         return self.filter.noise_of(level)
 
     def log_slope(self, path: Path, k: int) -> float:
-        """Logarithm of what turns densities of guards into such of instants, at a moment.
+        """Logarithm of the factor from densities of guards to densities of instants, at a moment.
 
-        0 for one that measures nothing. A contact that separates cannot hit.
+        Returns 0 if the moment has no measurement. A contact that separates cannot hit.
         """
         return self._log_slope(k, self._guard(path, k))
 
@@ -168,7 +169,7 @@ class Linearised:
     def gap_deviation(self, k: int, root: Matrix) -> float:
         """Standard deviation of the gap of the contact that hits at the ``k``-th moment, m.
 
-        ``root`` is of (q, u, constants); 0 where none hits.
+        ``root`` is of (q, u, constants). Returns 0 if no contact hits.
         """
         hit, n = self.moments[k].change.hit, self._size // 2
         return float(np.linalg.norm(self.filter.system.W[:, hit[0]] @ root[:n])) if hit else 0.0
@@ -214,9 +215,9 @@ class Linearised:
         return Step.unmeasured(A, b, root)
 
     def resting(self, path: Path, k: int) -> Step:
-        """The jump at the ``k``-th moment, after which closed contacts are measured to rest.
+        """The jump at the ``k``-th moment, and the measurement that closed contacts rest.
 
-        Not one that chatters until then: it is put to rest earlier than it is.
+        A contact that still chatters is not measured: the account closes the contact too early.
         """
         change, x, member = self.moments[k].change, self._jumped(path, k), self.member(path)
         new = tuple(i for i in change.closed if i not in change.before)
@@ -350,11 +351,11 @@ class Linearised:
                 return moving.moved(t, x, s, closed)
             motion = moving.motion(t, x, closed)
             self._moved = path, k, since, motion
-        assert motion is not None, "it is of this path"
+        assert motion is not None, "kept for this path"
         return motion.state(s), transition_of(motion, s)
 
     def _projection(self, path: Path, k: int) -> Step:
-        """From (x, constants) after a rest was measured to closed contacts exactly at rest."""
+        """From (x, constants) after the rest measurement to closed contacts exactly at rest."""
         x, size = self._jumped(path, k), self._size
         rest = self._rested(path, k, x)
         A, b = np.eye(size + self._count), np.zeros(size + self._count)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The events of a recording, smoothed: what each was, and the motion that explains them all."""
+"""The smoothed events of a recording: their account, and the motion that explains them all."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ from impact_observer.smooth.smoother import OTHER, Smoothed, smooth
 from impact_observer.stamps import MAX_STAMP, Elapsed
 
 Progress: TypeAlias = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and all of it."""
+"""Called with the name of the job, the part done, and the total."""
 
 _MOST_ROUNDS = 2
 """Rounds in which other accounts of the events are tried."""
@@ -36,10 +36,10 @@ _SEARCHED = 80
 _RETRACED = 4
 """Moments from which the motion is followed back."""
 _UNLIKELY = 0.003
-"""Odds of another account below which it is not told."""
+"""Least odds of another account that is reported."""
 _SURE, _WIDER = 3.0, (0.0, 0.1, 0.3)
-"""Standard deviations with which filters of other accounts begin, relative to those of the
-smoothed start and to those that are declared.
+"""Standard deviations of the start of filters of other accounts, relative to the smoothed and to
+the declared ones.
 """
 
 
@@ -49,7 +49,7 @@ def no_progress(what: str, done: int, total: int) -> None:
 
 
 def no_inputs(observer: Observer) -> None:
-    """Give it nothing."""
+    """Give the observer no inputs."""
     del observer
 
 
@@ -74,11 +74,11 @@ def smoothed_runs(
         options: of the observer.
         elements: of which the system was assembled.
         measurements: what sensors measure beside the impacts.
-        samples: what they have measured, in order of stamps.
+        samples: samples of these sensors, in order of stamps.
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
         unknowns: parameters to estimate; None for those that the options name.
-        thorough: whether other accounts are tried although the motion explains all events.
+        thorough: whether other accounts are tried if the motion explains all events.
 
     Raises:
         UsageError: an option cannot be used.
@@ -114,7 +114,7 @@ def smoothed_runs(
 
 
 def _own(options: Options) -> Options:
-    """The options of the filter that decides what each event was."""
+    """The options of the filter that makes the account."""
     return replace(options, law=TracedLaw.name, ensemble=1)
 
 
@@ -122,8 +122,8 @@ class _Trial(NamedTuple):
     """An account of the events, and the motion that explains it best.
 
     Attributes:
-        law: that has made the account.
-        account: what each event was.
+        law: the law that has made the account.
+        account: the meaning of each event.
         smoothed: the motion.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
     """
@@ -150,7 +150,7 @@ def _evidence(trial: _Trial) -> float:
 
 
 def _doubt(best: _Trial, trials: Sequence[_Trial]) -> Doubt:
-    """The likeliest other account of the events, or motion by it, whose first state is another."""
+    """The likeliest other account of the events, or other motion, with another first state."""
     doubt, rival = NO_DOUBT, best.smoothed.rival
     if rival.odds > _UNLIKELY:
         until = best.account.moments[rival.until].change.stamp
@@ -178,7 +178,7 @@ def _same_from(account: EventAccount, other: EventAccount) -> int:
 
 
 class _Run:
-    """The events of one run of the sender, and what is declared of them."""
+    """The events of one run of the sender, and their declarations."""
 
     def __init__(
         self,
@@ -196,12 +196,12 @@ class _Run:
         self._trials = list[_Trial]()
 
     def motion(self, *, thorough: bool) -> SmoothedMotion:
-        """The motion by the account that all events together make likeliest.
+        """The motion by the likeliest account of all events.
 
-        The filter decides on the first events while it knows little. So other accounts of them
-        are tried: all as they were reported, those found backward from later moments, and those
-        of filters that begin about the smoothed start, until none is likelier. Unless it is to be
-        ``thorough`` that is for a motion that does not explain all events.
+        The filter's first decisions are uncertain. So other accounts of the first events are
+        tried, until no account is likelier: all events as reported, accounts by ``Retracing``, and
+        accounts of filters that begin about the smoothed start. Unless ``thorough``, they are
+        tried only if the motion does not explain all events.
         """
         few = self._events[:_SEARCHED]
         best = self._tried(few)
@@ -225,7 +225,7 @@ class _Run:
         )
 
     def _searched(self, best: "_Trial", events: Sequence[ImpactEvent]) -> "_Trial":
-        """The likeliest account of ``events``, from a first one on."""
+        """The likeliest account of ``events``, in a search that begins with ``best``."""
         tried, reported = {best.account.decisions}, best.account.as_reported()
         if reported.decisions in tried and best.smoothed.is_settled:
             return best
@@ -240,7 +240,7 @@ class _Run:
         return best
 
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
-        """The likeliest account whose first moments are found backward, from several moments."""
+        """The likeliest of ``best`` and accounts that are retraced from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
         if law.system.guides or np.any(law.system.contact_time):
             return best  # a guide that sticks forgets how it came to rest; hits begin before
@@ -264,7 +264,7 @@ class _Run:
         tried: set[tuple[object, ...]],
         events: Sequence[ImpactEvent],
     ) -> "_Trial":
-        """The likeliest account of filters that begin near the smoothed start of the best."""
+        """The likeliest of ``best`` and accounts of filters that begin near its smoothed start."""
         for wider in _WIDER:
             observer, law = self._observer(best.smoothed, best.epoch, wider)
             account = self._account(observer, law, events)
@@ -290,7 +290,7 @@ class _Run:
     def _likelier(
         self, best: "_Trial", law: TracedLaw, account: EventAccount, epoch: int
     ) -> "_Trial":
-        """The best trial or that of another account, which may have no motion."""
+        """The likelier of ``best`` and the trial of ``account``, if that has a motion."""
         try:
             return max(best, self._evaluated(law, account, epoch), key=_evidence)
         except DynamicsError:
@@ -318,7 +318,7 @@ class _Run:
         return law.prior(x, law.uncertainty.root(system.n))
 
     def _with_all_inputs(self, law: TracedLaw, epoch: int) -> TracedLaw:
-        """``law``, or where inputs are live one like it that has forgotten none of them."""
+        """``law``; for a live system a fresh law with all recorded inputs."""
         if law.system.live is None:
             return law
         observer, law = self._observer()
@@ -336,13 +336,13 @@ class _Run:
     ) -> tuple[Observer, TracedLaw]:
         """An observer that has received nothing, as declared or ``about`` a smoothed start.
 
-        There its deviations are ``_SURE`` times those of the smoothed state, and ``wider`` times
-        those that are declared.
+        About a smoothed start the deviations are ``_SURE`` times the smoothed ones, and ``wider``
+        times the declared ones.
         """
         made = self._make()
         self._give(made)
         law = made.law
-        assert isinstance(law, TracedLaw), "it was asked for"
+        assert isinstance(law, TracedLaw), "made with this law"
         if about is not None:
             start = start_of(self._events, epoch)
             n, first = law.system.n, about.first

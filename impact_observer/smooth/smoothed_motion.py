@@ -31,13 +31,13 @@ LAW = "smoother"
 
 
 _ONE_START_IN = 1e-6
-"""Share of true starts that are farther from the declared one than what is not told."""
+"""Share of true starts that are so far from the declared start that a warning is due."""
 _DOUBTED = (
     "the model may not explain the impacts; `identify BAG --check --clock-error S` tests it, see"
     " docs/misfit.md"
 )
 _ONE_MOTION_IN = 1e-3
-"""Share of true motions that explain the events less well than one that is warned of."""
+"""Share of true motions that explain the events less well: below this share a warning is due."""
 _IMPLAUSIBLE = (
     "fewer than one in a thousand true motions explain the impacts as badly as the smoothed one,"
     " and where guides rub another may be likelier: declare the start (--initial, --deviation);"
@@ -48,14 +48,14 @@ _FAR = 5.0
 
 
 class Doubt(NamedTuple):
-    """Another account of the first events, or motion that explains them, nearly as likely.
+    """Another account of the first events, or another motion, nearly as likely.
 
     Attributes:
-        odds: of that one to the one that is taken; 0 for none.
-        far: by how much its first state differs, in standard deviations.
+        odds: of the other to the chosen one; 0 without another.
+        far: distance of the first states, in standard deviations.
         until: stamp from which on both accounts are the same, or of the last event that both
             motions explain, ns.
-        is_motion: whether it is another motion by the same account.
+        is_motion: whether the account is the same, and only the motion another.
     """
 
     odds: float = 0.0
@@ -65,7 +65,7 @@ class Doubt(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The warning; empty where there is none."""
+        """The warning; empty without a doubt."""
         if not self.odds:
             return ""
         if self.is_motion:
@@ -86,12 +86,12 @@ NO_DOUBT = Doubt()
 
 
 class SmoothedMotion:
-    """The motion in one run of the sender, as all of its events tell it.
+    """The motion in one run of the sender, by all of its events.
 
     Attributes:
         start: stamp of the first state, ns.
         smoothed: its states at the moments.
-        account: what each event was.
+        account: the meaning of each event.
         doubt: another account of the first events.
     """
 
@@ -141,7 +141,7 @@ class SmoothedMotion:
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
         """The states at ``stamps`` (ns, ascending, shape (samples,)); none before the start.
 
-        At an impact it is the state just after it.
+        The state at an impact is that just after the impact.
         """
         stamps = stamps[np.searchsorted(stamps, self.start) :]
         order = np.maximum.accumulate(self._jumps) if self._jumps.size else self._jumps
@@ -176,7 +176,7 @@ class SmoothedMotion:
         return self.smoothed.arc.noise_after(k) is not None
 
     def _sampled(self, stamps: Mapping[int, Stamps]) -> Iterator[Normal]:
-        """States at ``stamps`` of flights with noise, which both ends of a flight tell of."""
+        """States at ``stamps`` in flights with process noise, smoothed from both ends."""
         if not stamps:
             return iter(())
         times = {
@@ -186,13 +186,13 @@ class SmoothedMotion:
         return at_samples(self.smoothed, times)
 
     def _given(self, k: int, stamps: Stamps, states: Iterator[Normal]) -> Iterator[Estimates]:
-        """The next ``states``, which are those at ``stamps`` after the ``k``-th moment."""
+        """Estimates of the next ``states``, at ``stamps`` after the ``k``-th moment."""
         size = 2 * self._law.system.n
         for stamp, z in zip(stamps.tolist(), states, strict=False):
             yield self._estimate(stamp, k, z.mean[:size], z.root[:size])
 
     def _predicted(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
-        """States after the last moment: those of the filter, from the smoothed state on."""
+        """Predictions of the filter after the last moment, from the smoothed state."""
         t = self.smoothed.arc.instant(self.smoothed.path, k)
         prediction = self._prediction(k, t)
         for stamp in stamps.tolist():
@@ -212,7 +212,7 @@ class SmoothedMotion:
         return self._law.predict(t, belief, state.closed)
 
     def _state(self, z: Normal, k: int) -> GaussianState:
-        """The state (q, u, constants) after the ``k``-th moment as the filter has it."""
+        """The state ``z`` after the ``k``-th moment as a state of the filter."""
         size, closed = 2 * self._law.system.n, self.smoothed.arc.closed_after(k)
         others = np.zeros((z.mean.size, 0))
         parameters = self._law.filter.members.family.size
@@ -268,10 +268,10 @@ class SmoothedMotion:
 
     @cached_property
     def early_doubt(self) -> tuple[str, int]:
-        """Why the first states are in doubt, and until which stamp (ns); empty if they are not.
+        """Why the first states are in doubt, and until which stamp (ns); empty without a doubt.
 
         Another account is nearly as likely; or the smoothed start is as far from the declared one
-        as one true start in a million is, which is how most wrong accounts end.
+        as one true start in a million. Most wrong accounts lead to such a start.
         """
         if self.doubt.odds:
             return self.doubt.text, self.doubt.until
@@ -292,7 +292,7 @@ class SmoothedMotion:
 
     @cached_property
     def unexplained(self) -> int:
-        """How many reported instants the motion does not explain: they are too far from it."""
+        """Number of reported instants that are too far from the motion."""
         return sum(
             abs(residual) > _FAR
             or self.smoothed.arc.log_slope(self.smoothed.path, k) <= IMPOSSIBLE
@@ -311,7 +311,7 @@ class SmoothedMotion:
 
     @cached_property
     def _widened(self) -> float:
-        """By how much deviations are larger than those of a motion that explains the stamps."""
+        """Factor of all deviations; above 1 if the motion does not explain the stamps."""
         squares = [each * each for each in self._residuals.values()]
         rms = math.sqrt(sum(squares) / len(squares)) if self.unexplained else 1.0
         factor = max(1.0, rms, 1.0 if self.smoothed.is_settled else self.smoothed.change)
@@ -319,7 +319,7 @@ class SmoothedMotion:
 
     @cached_property
     def misfit(self) -> str:
-        """The warning that the motion does not explain the impacts; empty while it does."""
+        """The warning that the motion does not explain the impacts; empty without a misfit."""
         if self.unexplained:
             return (
                 f"{self.unexplained} of {len(self.account.moments)} impacts are more than"
@@ -340,7 +340,7 @@ class SmoothedMotion:
 
     @property
     def filtered_parameters(self) -> Parameters:
-        """Values that only the filter has learned: noise, and parameters in a misfit."""
+        """Values from the filter that the smoother has not: noise, and parameters in a misfit."""
         own = {name for name, *_ in self.parameters}
         learned = self._law.last.parameters if self._law.last else ()
         return tuple(each for each in learned if each[0] not in own)

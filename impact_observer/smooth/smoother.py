@@ -6,9 +6,9 @@ smoothed, which gives a better path, until the change is small against the devia
 Newton's method for the likeliest motion (Bell, The iterated Kalman smoother as a Gauss-Newton
 method, 1994).
 
-Where guides rub, whether one sticks depends on the state, and several motions may explain the
-events locally best. So filters that begin elsewhere, and then about the smoothed start, give other
-first paths, until none leads to a likelier motion.
+Where guides rub, several motions may be locally the likeliest, as the state decides which guide
+sticks. So filters that begin elsewhere, and then about the smoothed start, give other first paths,
+until no path leads to a likelier motion.
 """
 
 import itertools
@@ -30,11 +30,11 @@ from impact_observer.smooth.chain import Chain, Normal, Step
 from impact_observer.smooth.linearised import Path, followed
 
 SETTLED = 1e-3
-"""Change of the path, in standard deviations, below which it is linearised no more."""
+"""Change of the path, in standard deviations, that ends the linearisations."""
 MOST_ROUNDS = 20
 """Most linearisations."""
 _MOST_WORSE = 3
-"""Linearisations without a smaller change than before, after which there are no more."""
+"""Most linearisations in a row that do not make the change smaller."""
 _MOST_STARTS = 3
 """Most filters after the first from whose path a motion with friction is smoothed."""
 _FEW_MOMENTS = 2
@@ -44,23 +44,23 @@ _SETTLING, _AGREES = 1.0, 0.1
 OTHER = 3.0
 """Deviations by which the first state of another motion differs."""
 _MORE = 2.0
-"""How much smaller than the declared deviation of a coordinate its smoothed one is then."""
+"""Least ratio of a declared deviation to the smoothed one, for starts elsewhere."""
 _PLAUSIBLE, _ENOUGH = 0.2, 100.0
-"""Chance of a motion, and how much smaller all of its deviations are than the declared ones, with
-which no other is tried: another would hardly explain as exact events as well.
+"""Chance of a motion, and least ratio of declared to smoothed deviations, above which no other
+motion is tried: another motion would hardly explain such exact events as well.
 """
 _AWAY, _NEARER = 1.5, 1 / 6
-"""Distance of these from the declared start, in its deviations, and what of its deviations they
-have: a half, divided by ``Arc.predicted``'s factor.
+"""Distance of starts elsewhere from the declared start, in its deviations, and the part of its
+deviations that they have: a half, divided by ``Arc.predicted``'s factor.
 """
 _MOST_GATES = 4
 """Most times that samples are chosen again by their distance from the smoothed motion."""
 _LIKELIER = 0.1
-"""Logarithm of the factor by which a motion is likelier that is preferred to another one."""
+"""Logarithm of the least odds for which one motion is preferred to another."""
 _ROOM = 0.4
-"""Distance by which an instant may move at once, relative to that to the one before or after."""
+"""Largest move of an instant at once, relative to the distance from its neighbour."""
 _FEW_NUMBERS = 2**20
-"""Most numbers in the covariances of all nodes of which the steps are kept."""
+"""Most numbers in the covariances of all nodes for which steps are cached."""
 _IN_MEMORY = 2**23
 """Most numbers that are kept in memory."""
 
@@ -69,9 +69,9 @@ class Rival(NamedTuple):
     """Another motion that explains the first of the same events.
 
     Attributes:
-        odds: of it to the one that is taken; 0 for none.
-        far: by how much its first state differs, in standard deviations.
-        until: index of the last of these events' moments.
+        odds: of this motion to the chosen one; 0 without a rival.
+        far: distance of the first states, in standard deviations.
+        until: index of the last moment of these events.
     """
 
     odds: float = 0.0
@@ -84,14 +84,14 @@ class Smoothed(NamedTuple):
 
     Attributes:
         arc: the recording.
-        path: that it is linearised about.
+        path: the path of the linearisation.
         first: the state (q, u, constants) at the start.
-        known: at each node of the arc, of (e, q, u, constants) at a moment.
+        known: the posterior at each node of the arc, of (e, q, u, constants) at a moment.
         evidence: logarithm of the probability density of the reported instants, 1/s each.
         chance: that a true motion explains the events less well.
         change: that another linearisation would make, in standard deviations.
         rounds: linearisations.
-        rival: the likeliest other motion that was found, where guides rub.
+        rival: the likeliest other motion, where guides rub.
     """
 
     arc: Arc
@@ -106,9 +106,9 @@ class Smoothed(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether another linearisation would change it by less than its deviations.
+        """Whether another linearisation would change the motion by less than its deviations.
 
-        By much less where guides rub: there wrong motions settle slowly.
+        Where guides rub the limit is lower: wrong motions settle slowly.
         """
         return self.change < (_AGREES if self.arc.filter.system.guides else _SETTLING)
 
@@ -126,7 +126,7 @@ class Smoothed(NamedTuple):
         return float(np.max(moved / np.maximum(both, STILL)))
 
     def instant(self, k: int) -> tuple[float, float]:
-        """By how much the ``k``-th moment was before its stamp, and the deviation of that, s."""
+        """The lead of the ``k``-th moment over its stamp, and the standard deviation, s."""
         z = self.known.state(Node(k))
         early = float(self.path.early[k] + z.mean[0])
         return early, float(z.deviations[0])
@@ -134,7 +134,7 @@ class Smoothed(NamedTuple):
     def state_after(self, k: int) -> Normal:
         """The state (q, u, constants) just after the ``k``-th moment; -1 for the start.
 
-        At the instant of the path.
+        The state is that at the instant of the path.
         """
         if k < 0:
             return self.first
@@ -154,7 +154,7 @@ class KnownStates:
         self._roots = _room(len(nodes), d * d)
 
     def set(self, i: int, z: Normal) -> None:
-        """Keep what is known at the ``i``-th node."""
+        """Keep the result ``z`` at the ``i``-th node."""
         d = z.mean.size
         self._means[i, :d] = z.mean
         self._roots[i, : d * d] = z.root.ravel()
@@ -167,10 +167,10 @@ class KnownStates:
 
 
 def _room(rows: int, columns: int) -> NDArray[np.float64]:
-    """Zeros, shape (rows, columns), in a file without a name where they are many."""
+    """Zeros, shape (rows, columns); large arrays are mapped to a file without a name."""
     if rows * columns <= _IN_MEMORY:
         return np.zeros((rows, columns))
-    file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as what is mapped)
+    file = tempfile.TemporaryFile()  # noqa: SIM115 (the mapped array keeps the file open)
     return np.memmap(file, np.float64, "w+", shape=(rows, columns))
 
 
@@ -202,8 +202,8 @@ def _elsewhere(
 ) -> tuple[Smoothed, list[Smoothed]]:
     """The likeliest motion of filters that begin elsewhere, and all that explain the first events.
 
-    They begin as far from the declared start as that may be wrong, along each axis of which the
-    events say more; the first moments tell.
+    The filters begin as far from the declared start as its deviations allow, along each axis that
+    the events determine better. The first moments decide.
     """
     arc, size = best.arc, 2 * best.arc.filter.system.n
     few = arc.beginning(_FEW_MOMENTS * size)
@@ -229,7 +229,7 @@ def _elsewhere(
 
 
 def _rival(best: Smoothed, tried: Sequence[Smoothed]) -> Rival:
-    """The likeliest of those ``tried`` that begins elsewhere than the best."""
+    """The likeliest motion of ``tried`` that begins elsewhere than the best motion."""
     most = max((each.evidence for each in tried if each.is_settled), default=math.inf)
     rival = Rival()
     for each in tried:
@@ -254,7 +254,7 @@ def _begun(
 
 
 def _gated(motion: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
-    """The motion with the samples that are near it: at first the filter has chosen them."""
+    """The motion with the samples within their gates; the filter has made the first choice."""
     for _ in range(_MOST_GATES if motion.arc.samples.readings else 0):
         arc = motion.arc.gated(motion.path)
         if arc.samples.rejected == motion.arc.samples.rejected:
@@ -292,8 +292,8 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
 def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iterator[Normal]:
     """The states (q, u, constants) at ``times`` (s since the epoch) in flights with noise.
 
-    ``times`` are ascending, by the moment that the flight follows. Each is a moment of its own at
-    which nothing happens.
+    ``times`` are ascending, by the moment that the flight follows. Each time is a moment of its
+    own without a switch.
     """
     arc, path, wanted = smoothed.arc.sampled(smoothed.path, times)
     _, known, _ = _linear(arc, path)
@@ -329,7 +329,7 @@ def _linear(arc: Arc, path: Path) -> tuple[Normal, KnownStates, Chain]:
 def _improved(
     arc: Arc, path: Path, first: Normal, known: KnownStates
 ) -> tuple[Path | None, float]:
-    """The path of the smoothed motion, and how far it is from ``path``, in deviations.
+    """The path of the smoothed motion, and its distance from ``path``, in deviations.
 
     The path is None if its states grow beyond all bounds.
     """
@@ -352,7 +352,7 @@ def _improved(
         moved = np.append(now - path.x[k], constants - path.constants)
         x[k] = arc.moved_before(path, k, now, -e)
         deviations = np.hypot(z.deviations[1:], arc.rounding(now))
-        # Of an inserted moment in a chattering sequence the instant is rounding.
+        # The instant of an inserted moment in a chattering sequence is rounding.
         far = np.abs(moved) / np.maximum(deviations, STILL)
         largest = max(largest, float(np.max(far)) * is_measured)
     if not np.max(np.abs(x), initial=0.0) <= LARGEST_STATE:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of what is measured beside the impacts, as rows of the chain.
+"""Samples of sensors beside the impacts, as rows of the chain.
 
-Those of a flight without noise are functions of the state at its start: an orthogonal matrix turns
-their rows into as many as the state has numbers, and one for what is left of them.
+The samples of a flight without process noise are functions of the state at its start. An
+orthogonal matrix turns their rows into a row for each number of the state, and a residual.
 """
 
 import math
@@ -24,7 +24,7 @@ class UsedSamples(NamedTuple):
 
     Attributes:
         readings: in order of their instants; the noise of each sensor is known.
-        rejected: indices of those that their gates reject.
+        rejected: indices of readings that their gates reject.
     """
 
     readings: tuple[Reading, ...] = ()
@@ -37,8 +37,8 @@ class UsedSamples(NamedTuple):
 
         Args:
             instants: of the moments, s since the epoch, shape (k,).
-            hits: whether contacts hit then: then samples that are blanked say nothing after it.
-            margins: how near a moment a sample may come before it or after it, s, shape (k,).
+            hits: whether contacts hit at each moment, which begins the blanking of sensors.
+            margins: distance from each moment within which samples are left out, s, shape (k,).
         """
         flights: dict[int, list[int]] = {}
         order = np.maximum.accumulate(instants) if instants.size else instants
@@ -60,10 +60,10 @@ class UsedSamples(NamedTuple):
         return flights
 
     def left_out(self, used: int) -> float:
-        """Logarithm of the density of those that are not among the number ``used``.
+        """Logarithm of the density of the samples that are left out; ``used`` counts the others.
 
-        A rejected one is as likely as one at its gate, another as any that is expected. So
-        accounts of the events compare whatever samples they use.
+        A rejected sample counts like one at its gate, any other like an expected one. So accounts
+        that use different samples compare.
         """
         total = 0.0
         for i in self.rejected:
@@ -93,7 +93,7 @@ def measured(H: Matrix, y: Vector, deviations: Vector) -> Step:
     blank, unmoved = np.zeros((d, 0)), np.eye(d)
     if k <= d:
         return Step(unmoved, np.zeros(d), blank, H, y, np.diag(deviations))
-    order = np.argsort(deviations)  # exact rows first: they must not drown
+    order = np.argsort(deviations)  # exact rows first, against rounding
     rows = np.column_stack([H, y])[order] / deviations[order, None]
     R = triangular(rows.T).T
     residual = float(R[d, d])

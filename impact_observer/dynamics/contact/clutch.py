@@ -32,7 +32,7 @@ _INSTANT = 1e-12
 _PATIENCE = 30
 """Most doublings of the least length of a phase after that."""
 _MOST = 8
-"""Phases without length in a row that count as contact changes and not as rounding."""
+"""Most phases without length in a row that count as contact changes; more are rounding."""
 _SEARCHED = 20_000
 """Windows of one motion in which changes are searched for: an hour of a contact that is closed."""
 
@@ -65,10 +65,10 @@ class Clutches:
         stopped: tuple[int, ...],
         opened: tuple[int, ...],
     ) -> Watch:
-        """What ends ``phase``, by the loads of its contacts and by its guides.
+        """The guard functions that end ``phase``: loads of its contacts, and its guides.
 
-        Also the speeds of ``slipping`` contacts, reactions of those ``stopped``, and gaps of those
-        ``opened``.
+        Further guards are the speeds of ``slipping`` contacts, the reactions of ``stopped``
+        contacts, and the gaps of ``opened`` contacts.
         """
         watched = [Watched.speeds(self.system, slipping), Watched.guides(self.system, phase)]
         if stopped:
@@ -105,7 +105,7 @@ class Part:
 class Piecewise(Motion):
     """A motion phase after phase, computed as far as requested; requests do not change it.
 
-    After ``_SEARCHED`` windows its phase stays, so that a stamp of another day costs seconds.
+    After ``_SEARCHED`` windows the phase stays, so that a stamp of another day costs seconds.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class Piecewise(Motion):
     ) -> None:
         """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on.
 
-        The gaps of ``fixed`` ones stay closed.
+        The gaps of ``fixed`` contacts stay closed.
         """
         self.t = t
         self._clutches = clutches
@@ -145,8 +145,8 @@ class Piecewise(Motion):
     def transition(self, s: float) -> Matrix:
         """Propagation of a small difference of two states by ``s`` seconds, shape (2n, 2n).
 
-        Where a guide stops to slip, or turns, the motions do so at different instants: a saltation
-        matrix (``docs/theory/method.md``). Where one begins to slip it is the identity.
+        Two motions in which a guide stops to slip, or turns, do so at different instants: a
+        saltation matrix (``docs/theory/method.md``), the identity where a guide begins to slip.
         """
         self._extend(s)
         last = bisect([part.start for part in self._parts], s) - 1
@@ -197,8 +197,8 @@ class Piecewise(Motion):
         """Least length of the present phase, s.
 
         Loads and speeds that vanish together may alternate at one instant without end, as their
-        signs are rounding. Then a phase lasts at least a time within rounding and, where that does
-        not end it, longer and longer.
+        signs are rounding. Then a phase lasts at least a time within rounding, and that time
+        doubles as long as the alternation goes on.
         """
         if self._short_phases <= _MOST:
             return 0.0
@@ -232,7 +232,7 @@ class Piecewise(Motion):
     ) -> Part:
         """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``.
 
-        Those ``stopped`` before, or now, have ``g = 0``.
+        Contacts that are ``stopped``, before or now, have ``g = 0``.
         """
         grip = persistent_contacts(self._clutches.phases, self._fixed, self.t + start, x, slow)
         return self._begun(start, x, grip, stopped)

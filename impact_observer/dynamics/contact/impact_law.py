@@ -3,7 +3,7 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W = B^T B``,
-``B = L^-1 W``, ``M = L L^T``. Where a restitution depends on the speed of approach it is that at
+``B = L^-1 W``, ``M = L L^T``. A restitution that depends on the speed of approach is evaluated at
 the contact's own ``|gamma-|``.
 """
 
@@ -24,7 +24,7 @@ from impact_observer.states import Matrix, Vector
 _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _NOISE = 1e-14
-"""Contact speed that several contacts may have by rounding, relative to the same."""
+"""Contact speed of several contacts that is rounding, relative to the same."""
 _EIGENVALUE = 1e-12
 """Negative eigenvalue of ``G - E G E`` that is rounding, ``G`` having a unit diagonal."""
 _REPEATS = 64
@@ -59,7 +59,7 @@ class ImpactLaw:
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
         """Velocities ``u+`` after an impact on the ``active`` contacts, shape (n,), m/s.
 
-        They are equal to ``u`` when all active contacts separate anyway.
+        The result equals ``u`` if all active contacts separate already.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.
@@ -74,7 +74,7 @@ class ImpactLaw:
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
     def velocity_held(self, u: Vector, active: Sequence[int], closed: Sequence[int]) -> Vector:
-        """The same where the contacts ``closed``, a part of ``active``, stay closed.
+        """Velocities ``u+`` where the contacts ``closed``, a part of ``active``, stay closed.
 
         Newton's law allows ``gamma+ < 0`` where ``gamma- > 0`` (a replica's contact that was
         separating): such a contact hits again, at once. Repetitions that do not end are ended by a

@@ -31,12 +31,12 @@ _ZERO = 1e-11
 
 
 class Grip(NamedTuple):
-    """What closed contacts and guides do.
+    """The closed contacts, and the loads of contacts and guides.
 
     Attributes:
         closed: contacts that stay closed, as indices.
         held: contacts and guides that carry the loads, independent of each other, as indices.
-        loads: those of guides that are not held, N.
+        loads: loads of guides that are not held, N.
     """
 
     closed: tuple[int, ...]
@@ -74,10 +74,9 @@ def persistent_contacts(
 
 
 class _Decisions(NamedTuple):
-    """What has been decided: contacts that press, guides that stick, and loads of guides.
+    """Decisions: contacts that press, guides that stick, and loads of guides.
 
-    Those that are undecided are each with the sign of the direction in which they would open, or
-    slip.
+    Each undecided contact or guide has the sign of the direction in which it would open or slip.
     """
 
     pressing: list[int]
@@ -90,7 +89,7 @@ class _Decisions(NamedTuple):
     ) -> Vector:
         """Decide by the accelerations, with ``slow`` guides.
 
-        Returns that with all loads, as ``Phases.white``.
+        Returns the acceleration with all loads, as ``Phases.white``.
         """
         m, most = phases.system.m, phases.system.friction
         contacts = [i for i, _ in self.undecided]
@@ -121,7 +120,7 @@ class _Decisions(NamedTuple):
         return acceleration
 
     def decide(self, phases: Phases, free: Vector, zero: float) -> Vector:
-        """The same by accelerations, or a derivative of them, of those that are undecided."""
+        """Decide on the undecided by accelerations or a derivative of them."""
         waiting = list(self.undecided)
         index = [i for i, _ in waiting]
         D = phases.B[:, index] / (phases.lengths[index] * [sign for _, sign in waiting])
@@ -146,7 +145,7 @@ class _Decisions(NamedTuple):
         return np.asarray(acceleration)
 
     def grip(self, phases: Phases) -> Grip:
-        """What is left undecided stays closed, or sticks."""
+        """The grip, in which undecided contacts stay closed and undecided guides stick."""
         m = phases.system.m
         idle = [i for i, _ in self.undecided]
         closed = tuple(sorted([*self.pressing, *(i for i in idle if i < m)]))
@@ -162,7 +161,7 @@ def ended(
     contacts: Iterable[int],
     ends: Iterable[int],
 ) -> Grip:
-    """What ``closed`` contacts and guides do where it would be what it was, though it has ended.
+    """The grip after a phase that has ended though ``persistent_contacts`` would not change it.
 
     A load that reaches its bound too slowly to see its sign may not go beyond it, and a speed that
     vanishes may not turn: ``contacts`` are released, and of the guides' ``Rubbing.ends`` those

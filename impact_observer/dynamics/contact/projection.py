@@ -83,10 +83,7 @@ class PositionProjection:
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
     def _solve(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix, Matrix, Vector]:
-        """``Z`` and the amplitudes of elastic modes that it has, in roots of J/m^2.
-
-        With the contacts' directions, and their gaps in the rest position.
-        """
+        """``Z``, its amplitudes of elastic modes in roots of J/m^2, ``W_A`` and ``q_r,A``."""
         elastic, rigid, _, _ = self._split(active)
         Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
         return Z, frozen(elastic), self._directions[:, list(active)], self._q_r[list(active)]
@@ -103,10 +100,10 @@ class PositionProjection:
         return frozen(np.where(sprung[:, None], elastic.T @ elastic, inverse.T @ rigid))
 
     def _split(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """How unit gaps are closed: elastic modes only as far as rigid ones cannot close them.
+        """Amplitudes that close unit gaps: elastic modes close only what rigid modes cannot.
 
-        Amplitudes of elastic and of rigid modes, those of rigid motion alone, each shape
-        (modes, |A|), and what rigid motion cannot close, shape (|A|, |A|).
+        Amplitudes of elastic modes, of rigid modes, and of rigid motion alone, each shape
+        (modes, |A|), and the gaps that rigid motion cannot close, shape (|A|, |A|).
         """
         W = self._directions[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic

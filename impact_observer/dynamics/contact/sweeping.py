@@ -44,8 +44,8 @@ class SweepingProcess:
         """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
 
         The state (q, u), shape (2n,), has ``g = 0`` and ``gamma >= 0`` on them, and no gap
-        negative. Where no position has that, no plant can have this ``chi``: then the other gaps
-        may become negative. Those ``without`` a stop may be.
+        negative. Without such a position no plant can have this ``chi``: then the other gaps may
+        become negative. The gaps of contacts ``without`` a stop may always be negative.
         """
         return _SweepingMotion(self, t, x, closed, without)
 

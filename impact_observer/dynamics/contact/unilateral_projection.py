@@ -23,9 +23,9 @@ class _Support(NamedTuple):
     """Which contacts stop their gaps, as indices.
 
     Attributes:
-        pressed: those that take a reaction.
-        undecided: those whose reaction and rate are both zero.
-        stopping: those that must be stopped, whether anything presses them or not.
+        pressed: contacts that take a reaction.
+        undecided: contacts whose reaction and rate are both zero.
+        stopping: contacts that must be stopped, pressed or not.
     """
 
     pressed: tuple[int, ...]
@@ -56,8 +56,8 @@ class UnilateralProjection:
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,): ``g = 0`` on the ``active`` contacts and no gap negative.
 
-        Where there is no such position, no plant can have this ``chi``: then only ``g = 0`` on
-        ``active`` holds, and other gaps may be negative.
+        Without such a position no plant can have this ``chi``: then only ``g = 0`` on ``active``
+        holds, and other gaps may be negative.
         """
         after = self._projection.position_after(q, active)
         # One coordinate is rounded against the others that move with it.
@@ -99,7 +99,7 @@ class UnilateralProjection:
             others: indices of those whose values become zero or positive.
 
         Returns:
-            None where they cannot.
+            None if some value becomes negative whatever is stopped.
         """
         free, directions = self._independent(active, others)
         A, contacts = list(active), list(free)
@@ -141,7 +141,7 @@ class UnilateralProjection:
     ) -> _Support:
         """The support from the exact projection, by exchanges of contacts where necessary.
 
-        They are necessary where ``K`` is singular and a rigid motion is almost balanced.
+        Exchanges are necessary where ``K`` is singular and a rigid motion is almost balanced.
         """
         projection, W = self._projection, self._system.W
         a, first = len(active), pressed
