@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package's errors: one line that names the thing, what was found, what is wanted.
+"""The package's errors: one line with the thing, the value found and the value expected.
 
 The rule of exit codes: 2 is wrong use, an argument or a file that is not what the command takes,
 such as one of another kind, or a bag without the topic or the model that is needed; 1 is a failed
@@ -33,7 +33,7 @@ class UnsetError(UsageError):
     """A required option is not set.
 
     Attributes:
-        option: its name.
+        option: name of the option.
     """
 
     def __init__(self, option: str, message: str) -> None:
@@ -69,7 +69,7 @@ class ModelError(UsageError):
 
 
 class BagError(ImpactObserverError):
-    """A bag that cannot be read, written or used for what is asked."""
+    """A bag that cannot be read, written or used for the job."""
 
 
 class UnfitBagError(BagError, UsageError):
@@ -100,7 +100,7 @@ class ImpactLawError(DynamicsError):
         restitution: Iterable[float],
         remedy: str = "",
     ) -> "ImpactLawError":
-        """Name the contacts, the problem, contact speeds (m/s), restitution, and what to do."""
+        """Name the contacts, the problem, contact speeds (m/s), restitution and remedy."""
         return cls(
             f"contacts {', '.join(map(repr, contacts))}: {problem} for contact speeds"
             f" {', '.join(f'{speed:g}' for speed in speeds)} m/s with restitution"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The input of an observer: the switching function ``chi`` as a stream of events.
 
-These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without needing ROS.
+The classes mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without ROS.
 """
 
 from collections.abc import Iterable
@@ -32,14 +32,14 @@ class Switch:
     """One contact that switches.
 
     Raises:
-        UsageError: a kind that is none.
+        UsageError: ``kind`` is no ``Kind``.
     """
 
     contact: str
     kind: Kind = Kind.IMPACT
 
     def __post_init__(self) -> None:
-        """Check the kind: a caller of one's own may give its name."""
+        """Check the kind: a caller may give the name of a kind."""
         if type(self.kind) is not Kind:
             names = ", ".join(f"Kind.{each.name}" for each in Kind)
             raise UsageError(f"kind: {self.kind!r} found; expected one of {names}")
@@ -57,7 +57,7 @@ class ImpactEvent:
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 when unknown to the sender.
 
     Raises:
-        UsageError: a stamp that is no integer, or ``switches`` that are none.
+        UsageError: a stamp is no integer, or one of ``switches`` is no ``Switch``.
     """
 
     stamp: int
@@ -67,7 +67,7 @@ class ImpactEvent:
     epoch: int = 0
 
     def __post_init__(self) -> None:
-        """Check the types: a caller of one's own may give seconds, or a contact's name."""
+        """Check the types: a caller may give seconds, or a contact's name."""
         for name in ("stamp", "epoch"):
             if type(value := getattr(self, name)) is not int:
                 object.__setattr__(self, name, whole_stamp(value, name))
@@ -121,7 +121,7 @@ class Verdict(NamedTuple):
         contact: the contact; empty when the verdict is on the whole event.
         reason: why, in plain words; empty when applied like any other.
         innovation: normalised innovation in standard deviations; -1 where a law has none.
-        revises: whether it replaces an earlier verdict.
+        revises: whether this verdict replaces an earlier one.
     """
 
     stamp: int
@@ -138,10 +138,10 @@ class SmoothedImpact(NamedTuple):
 
     Attributes:
         stamp: the instant, ns.
-        reported: as the sensor stamped it, ns; 0 where it missed it.
-        sequence: of the event; 0 where there is none or the sender does not count.
-        contact: its name.
-        ruling: applied, or inserted where the sensor missed it.
+        reported: the sensor's stamp, ns; 0 for a missed detection.
+        sequence: number of the event; 0 without an event, or if the sender does not count.
+        contact: name of the contact.
+        ruling: applied, or inserted for a missed detection.
         deviation: standard deviation of the instant, s.
     """
 
@@ -158,12 +158,12 @@ class MeasurementVerdict(NamedTuple):
 
     Attributes:
         stamp: when the sample holds, ns.
-        name: of the sensor.
-        value: as it was measured.
-        innovation: the value less what the estimate predicts of it, in the same unit.
-        normalized: the magnitude of that in standard deviations; -1 where a law has none.
-        accepted: whether it was used.
-        reason: why it was not used, or only in part; empty otherwise.
+        name: name of the sensor.
+        value: the value measured.
+        innovation: the value minus its prediction by the estimate, in the same unit.
+        normalized: magnitude of the innovation in standard deviations; -1 if a law has none.
+        accepted: whether the sample was used.
+        reason: why the sample was not used, or only in part; empty otherwise.
     """
 
     stamp: int
@@ -186,7 +186,7 @@ DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Ruling]:
     """The last deciding ruling on each switch, by stamp, sequence and contact.
 
-    That a message came twice or too late does not change an earlier ruling.
+    A message that came twice or too late does not change an earlier ruling.
     """
     last: dict[tuple[int, int, str], Ruling] = {}
     for each in verdicts:

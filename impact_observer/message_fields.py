@@ -24,7 +24,7 @@ def parse_path(text: str) -> FieldPath:
     """The parts of a path such as ``wrench.force.z`` or ``data[3]``.
 
     Raises:
-        ValueError: it is no path; its text is to follow the key.
+        ValueError: ``text`` is no path; the caller puts the key before the message.
     """
     if not _PATH.fullmatch(text):
         raise ValueError(f"{text!r} found; expected a path such as wrench.force.z or data[3]")
@@ -35,7 +35,8 @@ def numbers_at(message: object, path: FieldPath) -> tuple[float, ...]:
     """The numbers at ``path``: one, or the components of a vector or an array.
 
     Raises:
-        ValueError: there is no such field, or it holds no numbers; its text is to follow the key.
+        ValueError: the field is missing or holds no numbers; the caller puts the key before the
+            message.
     """
     value = message
     for depth, part in enumerate(path):
@@ -84,6 +85,6 @@ def _names(message: object) -> list[str]:
 
 
 def _list_of_fields(message: object) -> str:
-    """Which fields a message has, to be appended to an error."""
+    """The fields of a message, as the end of an error line."""
     names = _names(message)
     return f"; its fields: {', '.join(names)}" if names else ""

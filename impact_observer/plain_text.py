@@ -7,13 +7,13 @@ import unicodedata
 from typing import TextIO
 
 _CONTROL = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Categories of characters that control, direct or break a text instead of being seen."""
+"""Categories of characters that control, direct or break a text and are not visible."""
 
 
 def printable(text: str) -> str:
     """``text`` with its control characters escaped, so that it cannot control a terminal.
 
-    Line ends and tabs are escaped too: what is shown stays one line.
+    Line ends and tabs are escaped too: the text stays one line.
     """
     if text.isprintable():
         return text

@@ -2,7 +2,7 @@
 """How a process ends: in order after a signal, in one line after an error.
 
 All commands and nodes run inside :func:`run`. A signal raises ``KeyboardInterrupt`` once, so that
-the ``with`` and ``finally`` blocks of a command finish what was begun.
+the ``with`` and ``finally`` blocks of a command finish their work.
 """
 
 import ctypes
@@ -97,7 +97,7 @@ class Stop:
         received.count += 1
         if received.count == self._raising:
             raise KeyboardInterrupt
-        # Streams of Python cannot be entered twice, so these lines go round them.
+        # Python's streams are not reentrant, so the lines bypass the streams.
         if received.count == self._raising + 1:
             os.write(2, b"ending already; once more ends it at once, with work unfinished\n")
         elif received.count > self._raising:
@@ -112,7 +112,7 @@ def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
     Args:
         program: begin of the line.
         job: returns an exit code.
-        own: whether the process ends after ``job``: then signals have their default effect.
+        own: whether the process ends after ``job``; signals then have their default effect.
 
     Returns:
         The exit code of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and
@@ -169,11 +169,11 @@ def one_line(error: BaseException) -> str:
 
 
 def _report(program: str, error: BaseException, number: int | None) -> int:
-    """Write why a process ends; the exit code."""
+    """Write why a process ends, and return the exit code."""
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
     if isinstance(error, BrokenPipeError):
-        # The reader of our output has closed the pipe; Python would report that again at exit.
+        # The reader of our output has closed the pipe; Python would report the error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     by_user = number in (None, signal.SIGINT)
@@ -208,6 +208,6 @@ def _hooks(program: str) -> Iterator[None]:
 
 
 def _say(line: str) -> None:
-    """Write a line to standard error, unless that is closed."""
+    """Write a line to standard error, unless the stream is closed."""
     with suppress(OSError, ValueError):
         say(line, file=sys.stderr)

@@ -24,7 +24,7 @@ def shared(relative: str) -> Path:
     """The shared file or folder ``relative``, such as ``config/two_mass.yaml``.
 
     Raises:
-        UsageError: it is in none of the places where the package installs its files.
+        UsageError: no folder of the package's shared files has ``relative``.
     """
     for root in _roots():
         if (path := root / relative).exists():
@@ -33,14 +33,14 @@ def shared(relative: str) -> Path:
 
 
 MOST_BYTES = 10_000_000
-"""Largest file of text that is read as a whole: it takes minutes to parse a larger one."""
+"""Largest text file that is read as a whole: parsing a larger file takes minutes."""
 
 
 def read_text(path: Path) -> str:
     """The text of a file.
 
     Raises:
-        UsageError: it is no text, or too large.
+        UsageError: the file is no text, or too large.
     """
     try:
         if (size := path.stat().st_size) > MOST_BYTES:
@@ -58,7 +58,7 @@ def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[P
     """Path and text of a file, or of a sample in ``folder`` by its name; ``wanted`` is expected.
 
     Raises:
-        UsageError: there is no such file, or it is no text.
+        UsageError: the file is missing, or no text.
     """
     path = Path(source)
     if not path.is_file():

@@ -22,9 +22,9 @@ _EXAMPLE = "round(1e9 * seconds)"
 MOST_SAMPLES = 100_000_000
 """Largest number of samples in a grid."""
 _LEAST_EPOCH = NS_PER_S // 1000
-"""Below this an epoch is not the stamp of a clock, ns."""
+"""An epoch below this bound is not the stamp of a clock, ns."""
 _LONG = 365 * 86_400 * NS_PER_S
-"""Time from an epoch to an impact beyond which they are of different clocks or units, ns."""
+"""A longer time from an epoch to an impact shows different clocks or units, ns."""
 
 
 class Instant(NamedTuple):
@@ -51,14 +51,14 @@ class Instant(NamedTuple):
 
 
 class Elapsed(float):
-    """Seconds since the epoch, with what the float is rounded by: 1e-11 s after a day.
+    """Seconds since the epoch, with the rounding error of the float: 1e-11 s after a day.
 
-    It is a ``float`` to all that needs no more. Sums with seconds and differences of two keep what
-    is rounded; sums with arrays do not.
+    Code that needs no more uses the ``float``. Sums with seconds and differences of two times keep
+    the rounding error; sums with arrays lose the error.
 
     Attributes:
         ns: whole nanoseconds.
-        remainder: the time minus these, s, in [-0.5e-9, 0.5e-9].
+        remainder: the time minus ``ns``, s, in [-0.5e-9, 0.5e-9].
     """
 
     ns: int
@@ -89,13 +89,13 @@ class Elapsed(float):
         return self + -other
 
     def __eq__(self, other: object) -> bool:
-        """Whether they are the same, also in what is rounded."""
+        """Whether two times are equal, rounding errors included."""
         if isinstance(other, Elapsed):
             return self.ns == other.ns and self.remainder == other.remainder
         return super().__eq__(other)
 
     def __ne__(self, other: object) -> bool:
-        """Whether they are not the same."""
+        """Whether two times differ."""
         return not self == other
 
     __hash__ = float.__hash__
@@ -105,7 +105,7 @@ def whole_stamp(stamp: object, name: str = "stamp") -> int:
     """A ``stamp`` of any integer type as an int, ns.
 
     Raises:
-        UsageError: it is no integer, such as seconds as a float; the line has its ``name``.
+        UsageError: ``stamp`` is no integer, such as seconds as a float; the line has the ``name``.
     """
     try:
         return index(stamp)  # type: ignore[arg-type]
@@ -117,7 +117,7 @@ def whole_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     """An array of stamps of any integer type, ns, of the same shape.
 
     Raises:
-        UsageError: they are no integers, such as seconds as floats.
+        UsageError: the array holds no integers, such as seconds as floats.
     """
     array = np.asarray(stamps)
     if array.size and array.dtype.kind not in "iu":
@@ -170,12 +170,12 @@ def text(stamp: int) -> str:
 
 
 def odd_epoch(epoch: int, stamp: int, what: str = "an impact at") -> str:
-    """Why an epoch is hardly that of an impact, such as one in another unit; empty where it is.
+    """Why an epoch hardly belongs to an impact, such as another unit; empty for a fitting epoch.
 
     Args:
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 for unknown, which is not odd.
-        stamp: of the impact, ns.
-        what: has the stamp, if it is no impact.
+        stamp: stamp of the impact, ns.
+        what: words for the thing stamped, if no impact.
     """
     if not epoch:
         return ""

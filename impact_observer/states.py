@@ -21,7 +21,7 @@ def frozen(values: object) -> NDArray[np.float64]:
 
 
 NO_COVARIANCE = frozen(np.empty((0, 0)))
-"""The covariance of a law without any."""
+"""The empty covariance of a law that has no covariance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Estimates:
     """Estimates between two events that differ in stamp and state only.
 
     Attributes:
-        first: the first of them.
+        first: the first estimate.
         stamps: when each holds, ns, ascending, shape (k,), at least one.
         x: states (q, u), shape (k, 2n).
     """
@@ -81,13 +81,13 @@ class Estimates:
     x: Matrix
 
     def __iter__(self) -> Iterator[Estimate]:
-        """Each of them."""
+        """Each estimate."""
         n = self.first.q.size
         for stamp, x in zip(self.stamps.tolist(), self.x, strict=True):
             yield replace(self.first, stamp=stamp, q=x[:n], u=x[n:])
 
     def part(self, begin: int, end: int) -> "Estimates":
-        """Some of them, at least one."""
+        """The estimates from place ``begin`` to before ``end``, at least one."""
         if end - begin == self.stamps.size:
             return self
         n, x = self.first.q.size, self.x[begin]

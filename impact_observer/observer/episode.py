@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The events of a recording as an observer applies them: those of its last episode, in order."""
+"""The events of a recording's last episode, in the order in which an observer applies them."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,8 +44,8 @@ def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
     """Yields the changes of the contacts at each event; all contacts are open at first.
 
     Args:
-        keys: in order, each once.
-        start: stamp from which their seconds count, ns.
+        keys: events in order, each once.
+        start: stamp at which the seconds of the changes are zero, ns.
     """
     for key, (closed, meaning) in zip(keys, interpretations(keys), strict=True):
         t = seconds_between(start, key.stamp)
@@ -67,7 +67,7 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     ``events`` are in order of reception, or as ``sender_runs.in_order`` has them.
 
     Raises:
-        BagError: it contains no impact of the system's contacts.
+        BagError: the episode contains no impact of the system's contacts.
     """
     index = {name: i for i, name in enumerate(system.contact_names)}
     last = _latest(events)

@@ -19,10 +19,10 @@ from impact_observer.stamps import NS_PER_S, seconds_between
 NEAR_NUMBERS = 1000
 """Largest difference of the sequence numbers of two events whose stamps jitter has swapped."""
 NEAR_STAMPS = NS_PER_S
-"""Largest difference of their stamps, ns: more than jitter, less than a history."""
+"""Largest difference of the stamps of two such events, ns: above jitter, below a history."""
 
 LatestSequences: TypeAlias = Mapping[int, tuple[int, int]]
-"""By index of a contact, the sequence number of the event that has set it, and its stamp (ns)."""
+"""Sequence number and stamp (ns) of the event that has set a contact, by its index."""
 
 Superseding: TypeAlias = Sequence[tuple[int, int]]
 """Indices of contacts of whose IMPACT a CLOSE supersedes, each with the number of that event."""
@@ -37,7 +37,7 @@ class EventKey(NamedTuple):
 
     Attributes:
         stamp: ns.
-        sequence: of the event; 0 where the sender does not count.
+        sequence: number of the event; 0 if the sender does not count.
         switches: index of a contact and how it switches, in the event's order.
         sample: instead of an event, the number that a sensor has measured; empty for an event.
     """
@@ -62,8 +62,8 @@ class OverruledSwitch(NamedTuple):
     """A switch whose effect another event changes.
 
     Attributes:
-        contact: its index.
-        reported: the kind that its event reports.
+        contact: index of the contact.
+        reported: the kind that the event reports.
         applied: the kind that is applied; None for none.
         by: sequence number of the other event.
     """
@@ -75,7 +75,7 @@ class OverruledSwitch(NamedTuple):
 
     @property
     def is_superseded(self) -> bool:
-        """Whether a CLOSE has replaced it, so that it has no effect at all."""
+        """Whether a CLOSE has replaced the switch, so that the switch has no effect."""
         return self.reported is Kind.IMPACT and self.applied is None
 
     @property
@@ -90,9 +90,9 @@ class Interpretation(NamedTuple):
     """The effect of an event among the others.
 
     Attributes:
-        switches: those to apply, in the order of ``EventKey``.
+        switches: the switches to apply, in the order of ``EventKey``.
         latest: sequence numbers after the event.
-        overruled: those of its switches whose effect another event changes.
+        overruled: the switches of the event whose effect another event changes.
     """
 
     switches: tuple[tuple[int, Kind], ...]
@@ -103,7 +103,7 @@ class Interpretation(NamedTuple):
 def interpret(
     event: EventKey, closed: Contacts, latest: LatestSequences, superseding: Superseding = ()
 ) -> Interpretation:
-    """Interpret ``event`` after those before it; one without a number is ordered by its stamp.
+    """Interpret ``event`` after the events before; an unnumbered event is ordered by its stamp.
 
     Args:
         event: the event.
@@ -128,7 +128,7 @@ def interpret(
 def _overruled(
     switch: tuple[int, Kind], newest: int, closed: Contacts, superseding: Superseding
 ) -> OverruledSwitch | None:
-    """How another event changes a switch, if that is ``_newest_near``; None if none does."""
+    """How an event of ``superseding`` or number ``newest`` changes a switch; None if neither."""
     contact, kind = switch
     if kind is Kind.IMPACT:
         for closing, number in superseding:
@@ -141,9 +141,9 @@ def _overruled(
 
 
 def _newest_near(event: EventKey, latest: tuple[int, int] | None) -> int:
-    """The number of what has set a contact, if jitter may have swapped it with ``event``.
+    """The number of the event that set a contact, if jitter may have swapped it with ``event``.
 
-    That is higher, but not by a leap; 0 where it is not.
+    Such a number is higher, but not by a leap; otherwise 0 is returned.
     """
     if latest is None or not event.sequence:
         return 0
@@ -153,12 +153,12 @@ def _newest_near(event: EventKey, latest: tuple[int, int] | None) -> int:
 
 
 def disorder(event: EventKey, meaning: Interpretation, latest: LatestSequences) -> float:
-    """By how much the stamp of ``event`` is later than that of one that came after it, s.
+    """By how much ``event`` is stamped later than an event that was sent after it, s.
 
     Args:
         event: the event.
-        meaning: of the event.
-        latest: sequence numbers before it.
+        meaning: interpretation of the event.
+        latest: sequence numbers before the event.
     """
     if not meaning.overruled:
         return 0.0
@@ -168,9 +168,9 @@ def disorder(event: EventKey, meaning: Interpretation, latest: LatestSequences) 
 
 
 def superseding(i: int, events: Sequence[EventKey]) -> Superseding:
-    """By which of ``events``, in order, CLOSE supersedes an IMPACT of the ``i``-th: the first.
+    """The first of ``events``, in order, whose CLOSE supersedes an IMPACT of the ``i``-th event.
 
-    It follows at the same stamp; where the ``i``-th has no number, it is any of that stamp.
+    The CLOSE follows at the same stamp; for an unnumbered event, any CLOSE of the stamp counts.
     """
     event = events[i]
     hits = {contact for contact, kind in event.switches if kind is Kind.IMPACT}

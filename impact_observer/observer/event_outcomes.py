@@ -18,16 +18,16 @@ class EventOutcomes:
     """The events that an observer used, by its final verdicts.
 
     Attributes:
-        instants: stamps of what it applied or inserted, openings included, ns, ascending,
+        instants: stamps of events applied or inserted, openings included, ns, ascending,
             shape (events,).
         reported: those of ``instants`` at which an event was reported, shape (reported,). An
-            estimate may be published before it arrives; an inserted impact has no such event.
-        impacts: stamp (ns) and contact of each impact among them, ascending.
+            estimate may be published before the event arrives; an inserted impact has no event.
+        impacts: stamp (ns) and contact of each impact applied or inserted, ascending.
         rulings: how many switches were finally applied, rejected and inserted, without
-            insertions that were withdrawn; None where there are no verdicts. All events then
-            count as applied.
+            insertions that were withdrawn; None without verdicts. All events then count as
+            applied.
         measured: how many samples of sensors were used, and how many were not, by the verdicts on
-            them; None where there are none.
+            samples; None without such verdicts.
     """
 
     instants: Stamps

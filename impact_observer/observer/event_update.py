@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One event applied: interpret it, predict the belief to its stamp, correct that by the law."""
+"""Applies one event: interpret, predict the belief to the stamp, correct the belief by the law."""
 
 import math
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from impact_observer.states import Vector
 
 
 class EventUpdate:
-    """Makes the entries of a timeline, each from the one before.
+    """Makes the entries of a timeline, each from the entry before.
 
     Attributes:
-        law: what the replicas do at an event, and in between.
-        test: of their synchronization.
+        law: the law that corrects and predicts the belief.
+        test: the test of the replicas' synchronization.
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
-        sensors: of what is measured beside the impacts.
+        sensors: the sensors beside the impacts.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class EventUpdate:
         self.sensors = sensors
 
     def apply(self, previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
-        """The entry of ``event``, from the one before it.
+        """The entry of ``event``, from the ``previous`` entry.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -102,7 +102,7 @@ class EventUpdate:
         return self.law.correct(change, belief), belief.x
 
     def _measured(self, previous: Entry, event: EventKey, value: float) -> Entry:
-        """The entry of a sample; one that is not used leaves the motion as it is.
+        """The entry of a sample; a sample that is not used leaves the motion unchanged.
 
         Raises:
             DynamicsError: the estimate is not finite.
@@ -149,7 +149,7 @@ class EventUpdate:
         )
 
     def prediction(self, entry: Entry) -> Prediction:
-        """The prediction from the belief of ``entry``, made once."""
+        """The prediction from the belief of ``entry``, made at the first call."""
         if entry.prediction is None:
             t = Elapsed(entry.since - (self.epoch or entry.since))
             entry.prediction = self.law.predict(t, entry.belief, entry.closed)
@@ -157,7 +157,7 @@ class EventUpdate:
 
 
 def _silenced(reading: Reading, previous: Entry) -> str:
-    """Why a sample says nothing so soon after an impact; empty where it does."""
+    """Why a sample is too soon after an impact to be used; empty if not too soon."""
     onset, ago = previous.belief.onset, reading.since_impact
     if onset is not None and ago < 2 * onset.lasts:
         return f"contact: an impact that lasts {2 * onset.lasts:.3g} s was {ago:.3g} s ago"

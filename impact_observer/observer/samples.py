@@ -12,18 +12,18 @@ from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import MAX_STAMP
 
 MOST_KEPT = 20_000
-"""Samples that are kept to be used again, or until they can be used: those of 20 s at 1 kHz."""
+"""Most samples kept for a rerun or until their use: those of 20 s at 1 kHz."""
 MOST_VERDICTS = 100_000
-"""Verdicts that wait to be taken."""
+"""Most verdicts kept until ``take``."""
 
 
 class SensorSample(NamedTuple):
     """One sample of a sensor.
 
     Attributes:
-        sensor: its index among those of the observer.
+        sensor: index of the sensor among those of the observer.
         stamp: when the value holds, ns; a known delay is subtracted.
-        value: as it was measured.
+        value: the value measured.
     """
 
     sensor: int
@@ -32,19 +32,19 @@ class SensorSample(NamedTuple):
 
 
 class SampleStream:
-    """Samples that have come, and what became of them.
+    """The received samples, and the verdicts on them.
 
     Attributes:
-        sensors: whose samples.
-        waiting: those that are not in the timeline yet.
-        counts: of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate, ``unused``,
-            ``invalid``, and ``dropped`` as too many were waiting.
+        sensors: the sensors whose samples are received.
+        waiting: samples that are not in the timeline yet.
+        counts: counts of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate,
+            ``unused``, ``invalid``, and ``dropped`` as too many were waiting.
         newest: the latest stamp of each sensor, ns; 0 before the first.
-        verdicts: that nobody has taken yet.
+        verdicts: verdicts not taken yet.
     """
 
     def __init__(self, sensors: Sequence[DeclaredSensor]) -> None:
-        """Nothing has come."""
+        """Start with no sample."""
         self.sensors = sensors
         self.waiting: deque[EventKey] = deque(maxlen=MOST_KEPT)
         self.counts: list[Counter[str]] = [Counter() for _ in sensors]
@@ -54,7 +54,7 @@ class SampleStream:
         self._again: set[EventKey] = set()
 
     def add_samples(self, samples: Iterable[SensorSample]) -> None:
-        """Take samples; one that is no number has its verdict at once."""
+        """Receive samples; a sample that is no number is judged invalid at once."""
         for sensor, stamp, value in samples:
             self.counts[sensor]["samples"] += 1
             if not (abs(value) <= LARGEST_STATE and 0 < stamp <= MAX_STAMP):
@@ -71,7 +71,7 @@ class SampleStream:
             self._recent.append(key)
 
     def judge(self, key: EventKey, outcome: SampleOutcome) -> None:
-        """Note what became of a sample, at first."""
+        """Note the first outcome of a sample; outcomes of a rerun are not noted."""
         if key in self._again:
             self._again.discard(key)
             return
@@ -87,20 +87,20 @@ class SampleStream:
         self.verdicts.append(MeasurementVerdict(stamp, name, value, *outcome))
 
     def again(self, since: int) -> None:
-        """Use the latest samples from ``since`` (ns) on in another run of the sender."""
+        """Use the kept samples from ``since`` (ns) on in another run of the sender."""
         used = {*self._recent} - {*self.waiting}
         self.waiting = deque((e for e in self._recent if e.stamp >= since), maxlen=MOST_KEPT)
         self._again = used & {*self.waiting}
 
     def clear(self) -> None:
-        """Forget all samples, but not what became of them."""
+        """Forget all samples, but keep their counts and verdicts."""
         self.waiting.clear()
         self._recent.clear()
         self._again.clear()
         self.newest = [0] * len(self.sensors)
 
     def take(self) -> tuple[MeasurementVerdict, ...]:
-        """The verdicts since the last time."""
+        """Return the verdicts since the last call."""
         verdicts = tuple(self.verdicts)
         self.verdicts.clear()
         return verdicts
