@@ -92,9 +92,8 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
             continue
         if each is interfaces.PHASE_REFERENCE and live.drive is None:
             continue
-        decode = reader.decoder(topic)
-        for raw in reader.raw([topic]):
-            yield from give(live, each, decode(raw.data))
+        for _, message in reader.messages(topic):
+            yield from give(live, each, message)
 
 
 def first_pulse(reader: BagReader) -> int:
@@ -104,11 +103,9 @@ def first_pulse(reader: BagReader) -> int:
         BagError: the bag is damaged.
     """
     topic = reader.find(interfaces.PHASE_REFERENCE)
-    decode = None if topic is None else reader.decoder(topic)
-    for raw in () if topic is None else reader.raw([topic]):
-        assert decode is not None, "there is a topic"
+    for _, message in () if topic is None else reader.messages(topic):
         with suppress(MessageError):
-            return read_pulse(decode(raw.data))
+            return read_pulse(message)
     return 0
 
 

@@ -157,8 +157,7 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
     received, problems = list[tuple[int, SensorSample]](), list[str]()
     clock = _clock_of_impacts(reader)
     for topic, readers in _by_topic(reader, measurements, problems).items():
-        decode = reader.decoder(topic)
-        own = [(raw.log_time, decode(raw.data)) for raw in reader.raw([topic])]
+        own = [*reader.messages(topic)]
         for each in readers:
             made = [(at, s) for at, m in own if (s := _tried(each, m, at, problems)) is not None]
             if own and not made:
@@ -225,11 +224,11 @@ def _clock_of_impacts(reader: BagReader) -> float | None:
     topic = reader.find(interfaces.IMPACTS)
     if topic is None:
         return None
-    decode, late = reader.decoder(topic), list[float]()
-    for raw in reader.raw([topic]):
-        stamp = header_stamp(decode(raw.data))
+    late = list[float]()
+    for log_time, message in reader.messages(topic):
+        stamp = header_stamp(message)
         if stamp is not None:
-            late.append((raw.log_time - stamp) / NS_PER_S)
+            late.append((log_time - stamp) / NS_PER_S)
         if len(late) == _COMPARED:
             break
     return statistics.median(late) if late else None

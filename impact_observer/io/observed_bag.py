@@ -104,7 +104,7 @@ def observe_bag(
         samples = () if measured is None else measured.samples
         items = replay_batches(observer, events, stamps, rejects=True, samples=samples)
         loud = set() if measured is None else measured.published
-        made = messages.of(_with_samples(items, observer, loud))
+        made = messages.serialized(_with_samples(items, observer, loud))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
         rulings = count_rulings(messages.final, {event.stamp for event in events})
@@ -148,7 +148,7 @@ def _with_samples(
 def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
     """The events of a bag whose forcing begins at ``epoch`` (ns); 0 to take it from the events.
 
-    Where they do not say it, it is the first pulse of the drive, if the bag has any.
+    If no event has an epoch, the first pulse of the drive is the epoch, if the bag has a pulse.
 
     Raises:
         UsageError: the events say another epoch.
@@ -249,10 +249,10 @@ class _ObserverMessages:
         self._progress = progress
         self._bound = -1.0
 
-    def of(
+    def serialized(
         self, items: Iterable[Estimates | Verdict | MeasurementVerdict]
     ) -> Iterator[tuple[int, str, bytes]]:
-        """Log times (ns), topics and messages of ``items``."""
+        """Yields log time (ns), topic and bytes of each message of ``items``."""
         make, serialize = bag_messages(), self._serialize
         for log_time, item in in_log_order(items):
             if isinstance(item, Verdict):
