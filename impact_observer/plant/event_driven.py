@@ -102,7 +102,7 @@ class Plant:
                 self._begin(start, switching.after, grip)
 
     def next_switching(self, limit: int) -> Switching | None:
-        """What the contacts do next, if its stamp is not after ``limit`` (ns).
+        """The next switching of the contacts, if its stamp is not after ``limit`` (ns).
 
         A second call before ``cross`` costs nothing.
 

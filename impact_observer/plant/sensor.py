@@ -243,7 +243,7 @@ class SensorSimulation:
         heapq.heappush(self._in_transport, (arrival, self._sequence, event))
 
     def _clock(self, stamp: int) -> int:
-        """What the sensor's clock shows at ``stamp``: above zero, and what a message can carry."""
+        """The sensor's clock at ``stamp``, within the stamps that a message can carry."""
         gained = self._sensor.clock_drift * seconds_between(self._epoch, stamp)
         shown = stamp + from_seconds(self._sensor.clock_offset + gained) + self._tick // 2
         latest = MAX_STAMP // self._tick
@@ -251,7 +251,7 @@ class SensorSimulation:
 
 
 def _drawn_timing(draws: Sequence[np.random.Generator]) -> tuple[float, float]:
-    """Of a message: a standard normal number for jitter, an exponential one for transport."""
+    """Draws for a message: a standard normal jitter, an exponential transport time."""
     jitter, transport = draws
     return jitter.standard_normal(), transport.standard_exponential()
 

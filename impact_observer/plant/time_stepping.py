@@ -152,7 +152,7 @@ class TimeSteppingPlant:
         return np.hstack([q + part * (end.q - q), u + part * (end.free - u)])
 
     def _switching(self, place: _Place) -> Switching | None:
-        """What switches at ``place``, by the rule in ``docs/theory/method.md``."""
+        """The switching at ``place``, by the rule in ``docs/theory/method.md``."""
         done, coming, was_closed = place.done, place.coming, set(self.closed)
         closing = was_closed.union(done.closed)
         hit, hit_next = closing > was_closed, not closing.issuperset(coming.closed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The account of a recording: what each of its events was, by the likeliest hypothesis at the end.
+"""The account of a recording: the meaning of each event, by the likeliest hypothesis at the end.
 
 The observer runs through the recording first. A hypothesis keeps its latest decisions only; those
 on older events are the ones of the last hypothesis that still had them.

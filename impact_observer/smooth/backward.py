@@ -70,7 +70,7 @@ class Retracing:
         self._step = filter_.phases.scales.timescale / _SAMPLES
 
     def account(self, known: EventAccount, first: int, x: Vector) -> EventAccount | None:
-        """The account whose moments from the ``first`` on are those of ``known``.
+        """The account whose moments from the ``first`` on are the moments of ``known``.
 
         ``x`` is about the state just before that moment, shape (2n,). Returns None if the motion
         cannot be followed back: a contact is closed, instants are too vague, or the motion grows

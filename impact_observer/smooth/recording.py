@@ -73,11 +73,11 @@ def smoothed_runs(
         events: in order of reception, or as ``sender_runs.in_order`` has them.
         options: of the observer.
         elements: of which the system was assembled.
-        measurements: what sensors measure beside the impacts.
+        measurements: measurements of sensors beside the impacts.
         samples: samples of these sensors, in order of stamps.
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
-        unknowns: parameters to estimate; None for those that the options name.
+        unknowns: parameters to estimate; None for the parameters of the options.
         thorough: whether other accounts are tried if the motion explains all events.
 
     Raises:

@@ -90,7 +90,7 @@ class MoreauScheme:
     def step(self, k: int, q: Vector, u: Vector) -> TimeStep:
         """Step number ``k``, from ``k h`` to ``(k + 1) h`` seconds since the epoch.
 
-        It begins with ``q`` (m) and ``u`` (m/s), shape (n,) each.
+        The step begins with ``q`` (m) and ``u`` (m/s), shape (n,) each.
 
         Raises:
             ImpactLawError: the law has no solution on the active contacts.
@@ -140,7 +140,7 @@ class MoreauScheme:
         )
 
     def _candidates(self, A: Matrix, B: Matrix, d: Vector) -> Iterator[Vector]:
-        """Impulses after each projection; first from the equations of those that press."""
+        """Impulses after each projection; first from the equations of contacts that press."""
         jump = np.zeros(len(B))
         for _ in range(_PROJECTIONS):
             start = jump - self._relaxation * (jump + self._R @ jump)

@@ -58,7 +58,7 @@ class SweepingProcess:
         closed: tuple[int, ...],
         at_stop: tuple[int, ...],
     ) -> tuple[int, ...]:
-        """Those of the contacts ``at_stop``, with ``g = 0``, that stop their gaps now.
+        """The contacts of ``at_stop``, with ``g = 0``, that stop their gaps now.
 
         Where reaction and rate are both zero the next derivatives decide, and so on. The contacts
         of ``phase`` take the loads; its gaps ``closed`` ones fixed. ``x`` is (q, u), shape (2n,),
@@ -94,7 +94,7 @@ class SweepingProcess:
     def _open(
         self, closed: tuple[int, ...], stopped: tuple[int, ...], kept: tuple[int, ...]
     ) -> tuple[int, ...]:
-        """Those of the contacts ``kept`` whose gaps can change while others are fixed."""
+        """The contacts of ``kept`` whose gaps can change while others are fixed."""
         phases, fixed = self.clutches.phases, (*closed, *stopped)
         return tuple(i for i in kept if i not in stopped and phases.independent((i,), fixed))
 

@@ -50,7 +50,7 @@ class UnilateralProjection:
         self.is_possible = lru_cache(KEPT)(self._is_possible)
 
     def rounding(self, q: Vector) -> Vector:
-        """What the gaps of positions as large as ``q`` are rounded against, m, shape (m,)."""
+        """Scale of the rounding of gaps at positions as large as ``q``, m, shape (m,)."""
         return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
@@ -119,7 +119,7 @@ class UnilateralProjection:
     def _independent_of(
         self, active: tuple[int, ...], others: tuple[int, ...]
     ) -> tuple[tuple[int, ...], Matrix]:
-        """Those of ``others`` that do not depend on the ``active`` ones, and their directions.
+        """The contacts of ``others`` that are independent of ``active``, and their directions.
 
         A direction, one a column, is the part that is orthogonal to the active ones in the metric
         of the position jump, shape (n, contacts).
