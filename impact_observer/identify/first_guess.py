@@ -22,7 +22,7 @@ _LOST = 0.02
 _TRIES = 40
 """Most evaluations of one search for the least gaps; ten are usual."""
 _FEW = 12
-"""The same where the search begins near the answer."""
+"""Most evaluations of a search that begins near the answer."""
 _PRIOR_WEIGHT = 0.03
 """Weight of the prior on the parameters in the first search, m for an error of their size."""
 _START_WEIGHT = 1e-6
@@ -44,9 +44,9 @@ def start_of(problem: Problem) -> Vector:
 
 
 def own_impacts(problem: Problem, y: Vector) -> Shot:
-    """The motion of ``y`` switched where its own gaps vanish; at the stamps if that is far away.
+    """The motion of ``y`` switched where its own gaps vanish; at the stamps if these are far away.
 
-    What changes the size of a motion changes its gaps at the stamps, unless they are zero.
+    A change of the motion's size changes the gaps at the stamps, unless these gaps are zero.
     """
     at_stamps = shot = problem.shot(y)
     t = problem.stamps
@@ -113,7 +113,7 @@ def _least_gaps(
     sizes = np.concatenate([np.full(2 * n, _START_WEIGHT), prior / family.sizes])
     pull = np.diag(sizes)[0 if problem.near is None else 2 * n :]
     given = np.concatenate([np.zeros(2 * n), family.nominal])
-    # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
+    # The solver asks for residuals and derivatives at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)
     usual, moved = float(np.median(np.abs(begin.gaps))), problem.moved(begin)
     trials = count(1)
@@ -145,8 +145,8 @@ class Directions(NamedTuple):
     """Directions of initial state and parameters.
 
     Attributes:
-        determined: those that move the gaps, as columns, shape (2n + p, rank).
-        undetermined: those that move no gap, shape (2n + p, 2n + p - rank).
+        determined: directions that move the gaps, as columns, shape (2n + p, rank).
+        undetermined: directions that move no gap, shape (2n + p, 2n + p - rank).
         singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
     """
 
@@ -159,7 +159,8 @@ def directions(problem: Problem, shot: Shot) -> Directions:
     """The directions of ``y`` that the gaps determine, and the others.
 
     Directions are of unit length where states are in units of the motion's largest, and parameters
-    in units of their sizes. Positions count between impacts too: at them a ball is at its floor.
+    in units of their sizes. Positions between impacts count too: at impacts a
+    ball is at the floor.
     """
     n = problem.family.system.n
     reach = np.max(np.abs(shot.states), axis=0)

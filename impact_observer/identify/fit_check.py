@@ -43,7 +43,7 @@ class FitCheck:
 
 
 def check_fit(fitted: Identification) -> FitCheck:
-    """Check the fitted model.
+    """Test the shifts and the sensors of a fitted model.
 
     Under the right model the shifts are the errors of a clock: independent, and of its size.
     """

@@ -2,8 +2,8 @@
 """A motion switched at given instants, of systems whose flights are no single linear phase.
 
 Guides stick, slip and turn at instants that depend on the motion, and samples of a force change
-it anywhere. Its derivative by the state is that of the observer's own motions, with the saltation
-of guides; that by a parameter is a difference of motions.
+the motion anywhere. The derivative by the state is that of the observer's own motions, with the
+saltation of guides. The derivative by a parameter is a difference of motions.
 """
 
 from collections.abc import Sequence
@@ -65,13 +65,13 @@ class GeneralMotion(EquationsOfMotion):
         return np.array(x), np.eye(x.size, x.size + self._family.size + len(moments))
 
     def rate(self, k: int, z: Vector, after: float = 0.0) -> Vector:
-        """``dz/dt`` before the jump at a moment, or ``after`` so many seconds without one."""
+        """``dz/dt`` before the jump at moment ``k``, or ``after`` s later without the jump."""
         return self._moving.rate_of(float(self._t[k]) + after, z, self._before(k))
 
     def flown(self, k: int, z: Vector, Z: Matrix) -> tuple[Vector, Matrix, Vector]:
-        """``z`` and its derivatives from the moment before to just before another one.
+        """``z`` and its derivatives from moment ``k - 1`` to just before moment ``k``.
 
-        And its derivative by the instant of the moment before.
+        The third value is the derivative of ``z`` by the instant of moment ``k - 1``.
         """
         start, closed = float(self._t[k - 1]), self._before(k)
         begun = self._moving.rate_of(start, z, closed)

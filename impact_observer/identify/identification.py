@@ -44,8 +44,8 @@ _SUSPICIOUS = 0.01
 _EXCESS = 1.5
 """Error of stamps over a declared one above which outliers are searched."""
 _LOST = 0.02
-"""Error of stamps, relative to the time between two, above which nothing is explained, unless it
-is as declared.
+"""Error of stamps, relative to the time between two, above which nothing is explained, unless
+so large an error is declared.
 """
 _WRONG = 0.03
 """Declared error of the model, as an error of the stamps relative to the time between two."""
@@ -64,22 +64,22 @@ class Identification:
         recording: the events, with rejected and inserted impacts.
         values: of the parameters, shape (p,), SI units.
         covariance: of initial state and parameters, shape (2n + p, 2n + p), widened.
-        widened: factor by which standard errors are wider than white errors of the clock give
-            them, because the model does not explain the shifts so.
+        widened: factor by which standard errors exceed those of white clock errors, because such
+            errors do not explain the shifts.
         start: initial state (q, u) in the system's frame, shape (2n,), at ``recording.start``.
         clock: standard deviation of a stamp on which the errors rest, s.
-        declared: whether it was declared; else it is estimated from the shifts.
+        declared: whether ``clock`` was declared; else the shifts give the estimate.
         rms: of the shifts, over their degrees of freedom, s.
         freedom: degrees of freedom of the shifts.
         stamps: of the impacts that were compared, s since the epoch, shape (counted,).
         shifts: instants of the motion minus these stamps, s, shape (counted,).
-        contacts: the contacts of each.
+        contacts: names of the contacts of each of these impacts.
         singular: singular values of the gaps with respect to the unknowns, each in its unit, over
             the largest, shape (2n + p,).
         undetermined: combinations of parameters that the impacts do not determine: the change
             of each by name, in its unit.
         converged: whether the fit converged to a motion that explains the stamps.
-        held_back: the last impacts, predicted from a fit of the others; None if none are.
+        held_back: the last impacts, predicted from a fit of the others; None if none were.
         doubted: most impacts that were rejected and inserted in any search for outliers.
         accepted: standard deviation of a stamp estimated with all impacts accepted, s.
         sensors: how samples of what is measured beside the impacts fit.
@@ -137,7 +137,7 @@ class Identification:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without warnings of overflow and the like: far from the answer a trial motion may grow."""
+    """Suppress warnings of overflow: far from the answer a trial motion may grow."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
@@ -217,12 +217,12 @@ class _Report:
         self._progress(text)
 
     def __call__(self, text: str) -> None:
-        """So far it is."""
+        """Report how far the present step is."""
         self._progress(f"{self._stage}: {text}")
 
 
 class _Fitted(NamedTuple):
-    """A fit, and what it was of."""
+    """A fit, with its problem and solution."""
 
     identification: Identification
     problem: Problem
@@ -260,15 +260,15 @@ class _Search(NamedTuple):
         return self._without_outliers(_Fitted(first, problem, solution))
 
     def _explains(self, problem: Problem, solution: Solution) -> bool:
-        """Whether a fit leaves nothing to be searched."""
+        """Whether a fit is good enough to need no search for outliers."""
         clock = self.clock
         least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
         return solution.converged and solution.rms <= least
 
     def _smoothed(self, clock: float) -> _Fitted | None:
-        """The fit that begins at the smoothed motion, where stamps are too near each other.
+        """The fit that begins at the smoothed motion; None unless stamps are too near each other.
 
-        ``clock`` is the standard deviation of one, s, about.
+        ``clock`` is the approximate standard deviation of a stamp, s.
         """
         if self.family.system.guides or not is_crowded(self.whole, clock):
             return None

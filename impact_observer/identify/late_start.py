@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The start of a fit whose motions are not linear in the initial state.
 
-Guides that rub make it hard to find from nothing, and much of it is forgotten where they stick. So
-the fit begins later, at the estimate of a geometric replica that has followed the first impacts.
+Guides that rub make the initial state hard to find, and where guides stick the motion forgets much
+of the initial state. So the fit begins later, at the estimate of a geometric replica that has
+followed the first impacts.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ def late_start(
 ) -> tuple[Episode, Vector | None]:
     """The rest of an episode, and the state (q, u) in the frame where it begins, shape (2n,).
 
-    The whole episode, and None, where no contact opens in time.
+    Returns the whole episode and None if no contact opens in time.
     """
     lasts = 1 + from_seconds(float(np.max(system.contact_time, initial=0.0)))
     after = [each.stamp for each in episode.keys[1:]]

@@ -44,9 +44,9 @@ _WEIGHINGS = 8
 
 
 def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Problem, Solution]:
-    """The most likely motion, with the deviations of clock and sensors that it shows.
+    """The most likely motion, with the deviations of clock and sensors that the motion shows.
 
-    Where these are declared, or there are no samples to be weighed, they stay.
+    Declared deviations stay, and all deviations stay if no samples are to be weighed.
 
     Raises:
         IdentificationError: fewer hits and samples than unknowns.
@@ -61,10 +61,10 @@ def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Probl
 
 
 def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
-    """The most likely motion, from that of a ``y`` near it.
+    """The most likely motion, searched from a ``y`` nearby.
 
-    If ``robust`` a few shifts may be large. They count as if they were drawn from a Cauchy
-    distribution, by weights that are renewed at every step.
+    If ``robust`` a few shifts may be large: weights, renewed at every step, make the shifts count
+    as if drawn from a Cauchy distribution.
 
     Raises:
         IdentificationError: fewer hits than unknowns.
@@ -99,7 +99,7 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
 def usual_size(shifts: Vector, freedom: float) -> float:
     """Standard deviation of a stamp that a few large shifts do not change, s.
 
-    As many shifts as there are unknowns can be fitted to zero: the median is that of the others.
+    A fit can make as many shifts zero as it has unknowns: the median is that of the others.
     """
     sizes = np.sort(np.abs(shifts))
     middle = (sizes.size - freedom) + (freedom - 1) / 2
@@ -109,9 +109,9 @@ def usual_size(shifts: Vector, freedom: float) -> float:
 class _Step(NamedTuple):
     """A Gauss-Newton step.
 
-    ``t`` are the new instants, s, and ``penalty`` (s^2/m) is that on a gap in the merit function,
-    larger than any multiplier; ``of_sensors`` are the degrees of freedom of the errors of each;
-    see ``Solution`` for the others.
+    ``t`` are the new instants, s. ``penalty`` (s^2/m) weighs a gap in the merit function, and is
+    larger than any multiplier. ``of_sensors`` are the degrees of freedom of each sensor's errors.
+    ``Solution`` explains the others.
     """
 
     dy: Vector
@@ -150,7 +150,7 @@ class _Iterate(NamedTuple):
         return sum(rows.squares for rows in self.shot.sensors) * self.problem.clock**2
 
     def weighted(self) -> "_Iterate":
-        """The same with smaller weights for shifts that are larger than usual."""
+        """The iterate with smaller weights for shifts that are larger than usual."""
         sizes = np.abs(self.shifts)
         if not np.any(sizes):
             return self
@@ -213,7 +213,7 @@ class _Iterate(NamedTuple):
         return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty, of_sensors)
 
     def towards(self, step: _Step) -> tuple["_Iterate", float]:
-        """The first of 1, 1/2, 1/4 .. of ``step`` that lowers the merit function, and which."""
+        """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which."""
         before = self.merit(step.penalty)
         low, high = self.problem.family.bounds
         n2 = self.y.size - low.size
@@ -234,7 +234,7 @@ class _Iterate(NamedTuple):
 
 
 class _GapRows(NamedTuple):
-    """Rows of a sensor as those of gaps, ``A x + B e + e' = d``; errors ``e'`` are in s.
+    """Rows of a sensor in the form of gaps, ``A x + B e + e' = d``, with errors ``e'`` in s.
 
     The ``e`` are shifts; see ``constrained_least_squares``.
     """

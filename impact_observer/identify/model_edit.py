@@ -26,7 +26,7 @@ def changes(
         values: of the parameters, shape (p,).
     """
     by_name = dict(zip(family.names, values.tolist(), strict=True))
-    by_name.pop("clock-offset", None)  # it belongs to the sensor
+    by_name.pop("clock-offset", None)  # belongs to the sensor
     entries = dict(_of_grounds(document, by_name))
     for i, guide in enumerate(document.get("friction", [])):
         if (force := by_name.get(f"friction.{guide['name']}")) is not None:

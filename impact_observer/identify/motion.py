@@ -8,7 +8,7 @@ Computing integrals involving the matrix exponential, 1978)::
 
     exp(s [[F, F'], [0, F]]) = [[E, L], [0, E]],    dz(s) = E dz(0) + L z(0)
 
-that with respect to an instant is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
+The derivative by an instant is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
 ``R = S (S^T M S)^-1 S^T``, where ``S`` spans the free directions, with ``dR = -R dM R``. At an
 impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX = -R dM X``. Where
 ``E`` depends on the speed of approach, its derivative counts.
@@ -34,8 +34,8 @@ class FlightEnd(NamedTuple):
         t: as recorded, s since the epoch.
         hit: contacts that impact or close; empty where contacts only open.
         pressed: closed contacts that take an impulse.
-        held: those that stay closed from now on, independent of each other.
-        measured: whether it has a stamp; else it was inserted as missed.
+        held: contacts that stay closed from now on, independent of each other.
+        measured: whether the moment has a stamp; else the moment was inserted as missed.
     """
 
     t: float
@@ -72,7 +72,7 @@ class EquationsOfMotion:
     ) -> tuple[Vector, Matrix]:
         """``z`` at ``t0``, and its derivatives by initial state, parameters and instants.
 
-        ``x`` is the state (q, u) then; it is switched by ``moments`` at ``t``.
+        ``x`` is the state (q, u) at ``t0``; ``moments`` switch the motion at ``t``.
         """
         n, forcing = self._system.n, self._system.forcing
         p = len(self._changes)
@@ -91,14 +91,14 @@ class EquationsOfMotion:
         return z, Z
 
     def rate(self, k: int, z: Vector, after: float = 0.0) -> Vector:
-        """``dz/dt`` before the jump at a moment, or ``after`` so many seconds without one."""
+        """``dz/dt`` before the jump at moment ``k``, or ``after`` s later without the jump."""
         del after
         return self.generator(self._held[k]) @ z
 
     def flown(self, k: int, z: Vector, Z: Matrix) -> tuple[Vector, Matrix, Vector]:
-        """``z`` and its derivatives from the moment before to just before another one.
+        """``z`` and its derivatives from moment ``k - 1`` to just before moment ``k``.
 
-        And its derivative by the instant of the moment before.
+        The third value is the derivative of ``z`` by the instant of moment ``k - 1``.
         """
         z, Z = self._by(self._steps[k], z, Z)
         return z, Z, -self.rate(k, z)
@@ -106,7 +106,7 @@ class EquationsOfMotion:
     def moved(self, k: int, z: Vector, Z: Matrix, s: float, after: float) -> tuple[Vector, Matrix]:
         """``z`` and its derivatives ``s`` seconds later than ``after`` a moment.
 
-        No contact is closed then.
+        All contacts are open.
         """
         del k, after
         return self._by(self._step(s), z, Z)

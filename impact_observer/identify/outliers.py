@@ -88,7 +88,7 @@ def outliers_by_observer(
 def outliers_by_motion(
     recording: Recording, problem: Problem, solution: Solution, clock: float | None
 ) -> Recording:
-    """The recording with one more outlier, or all missed impacts; the same where none is left.
+    """The recording with one more outlier, or all missed impacts; unchanged if none is left.
 
     ``clock`` is the standard deviation of a stamp, s; None to estimate it from the shifts.
     """
@@ -148,7 +148,7 @@ def _moved(
 def penetrations(
     recording: Recording, problem: Problem, solution: Solution, deviation: float
 ) -> set[Hit]:
-    """Returns where a fitted motion goes deeper through a stop than the stamps explain."""
+    """The hits at which a fitted motion goes deeper through a stop than the stamps explain."""
     system = problem.family.system_at(solution.y[2 * problem.family.system.n :])
     moving = MovingSystem(system)
     ends = np.append(solution.t, np.nan)
@@ -165,7 +165,7 @@ def penetrations(
             np.max(np.abs(motion.states(s)[:, system.n :] @ system.W), axis=0), 1e-30
         )
         for hit in moment.hit:
-            if system.contact_time[hit]:  # it is within its stop until the gap reopens
+            if system.contact_time[hit]:  # a body stays within its stop until the gap reopens
                 gaps[: int(np.argmax(gaps[:, hit] >= 0)), hit] = 0.0
         reach = np.max(np.abs(gaps), axis=0)
         deep = -np.min(gaps, axis=0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording that a motion is to explain, and what explains it."""
+"""A recording that a motion is to explain, and the motion that explains the recording."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -22,7 +22,7 @@ _KNOWN = 0.02
 Instants: TypeAlias = Mapping[tuple[float, Contacts], float]
 """By stamp (s since the epoch) and contacts that hit: when a moment was, s since the epoch."""
 AT_STAMPS: Instants = MappingProxyType({})
-"""Nothing is known but the stamps."""
+"""No instants: only the stamps are known."""
 
 
 def no_report(text: str) -> None:
@@ -40,7 +40,7 @@ class Problem(NamedTuple):
         near: initial state and parameters to begin with, shape (2n + p,); None for none.
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, by which samples are weighed.
-        is_declared: whether that is declared; else the shifts show it.
+        is_declared: whether ``clock`` is declared; else the shifts show the deviation.
         instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
         report: receives how far a fit is.
     """
@@ -74,7 +74,7 @@ class Problem(NamedTuple):
     def usual_flight(self) -> float:
         """The time between two moments by which errors of the stamps are judged, s.
 
-        The median; the mean where bounces settle, of which the median is one.
+        The median; the mean where bounces settle, since there the median is one bounce.
         """
         if not self.instants:
             return self.interval
@@ -88,7 +88,7 @@ class Problem(NamedTuple):
     def shot(self, y: Vector, t: Vector | None = None) -> Shot:
         """The motion of ``y`` switched at ``t``, by default at the stamps.
 
-        At the first of the moments only where ``t`` is shorter, with the samples until the next.
+        A shorter ``t`` switches at the first moments alone, with the samples until the next one.
         """
         t, sensors = self.stamps if t is None else t, self.sensors
         if t.size < len(self.moments):
@@ -101,16 +101,16 @@ class Problem(NamedTuple):
         return self.clock * (float(np.sqrt(np.mean(shot.speeds**2))) or 1.0)
 
     def gaps_of(self, shot: Shot, usual: float) -> tuple[Vector, Matrix]:
-        """The gaps that should vanish, and their derivatives by initial state and parameters.
+        """The residuals in m, and their derivatives by initial state and parameters.
 
-        The gaps, and errors of samples: one of a standard deviation is a gap of ``usual``, m.
+        Gaps come first, then errors of samples: one standard deviation is a gap of ``usual``, m.
         """
         values = [shot.gaps, *(-usual * rows.residual for rows in shot.sensors)]
         by_start = [shot.by_start, *(usual * rows.by_start for rows in shot.sensors)]
         return np.concatenate(values), np.vstack(by_start)
 
     def weighed_by(self, solution: "Solution") -> "Problem":
-        """The same, with the deviations of clock and sensors that a solution has shown."""
+        """The problem with the deviations of clock and sensors that a solution has shown."""
         sensors = tuple(
             each._replace(deviation=rms) if each.is_learned and rms > 0 else each
             for each, rms in zip(self.sensors, solution.errors, strict=True)
@@ -119,7 +119,7 @@ class Problem(NamedTuple):
         return self._replace(sensors=sensors, clock=clock)
 
     def is_like(self, other: "Problem") -> bool:
-        """Whether its deviations are nearly those of another."""
+        """Whether the deviations are nearly those of another problem."""
         mine, theirs = (
             np.array([p.clock, *(each.deviation for each in p.sensors)]) for p in (self, other)
         )

@@ -33,10 +33,10 @@ class Recording:
         episode: the recorded events.
         rejected: impacts that are rejected as spurious.
         inserted: impacts that are taken for missed.
-        state: (q, u) at the start, about, shape (2n,); None where nothing is known of it.
+        state: (q, u) at the start, about, shape (2n,); None if unknown.
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, declared or a first guess.
-        is_declared: which of both.
+        is_declared: whether ``clock`` is declared.
         settled: impacts of bounces that settle; of each row the first stands for all, as the
             closing of its contact.
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
@@ -124,7 +124,7 @@ class Recording:
         )
 
     def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:
-        """Samples that are certain to be before or after any impact, which ``lasts`` so many s."""
+        """Samples that are certain to be outside any impact; an impact ``lasts`` so many s."""
         hits = [key.stamp for key in self.episode.keys] + [stamp for stamp, _ in self.inserted]
         impacts = np.array([seconds_between(self.episode.epoch, s) for s in sorted({*hits})])
         margin = NEAR * self.clock

@@ -16,7 +16,7 @@ ROUNDED = 1e-9 / np.sqrt(12)
 _PARTS = 5
 """Parts of a recording that are left out in turn."""
 _SINGULAR = 1e-2
-"""Share of a part's shifts below which they follow from the others: nothing is left to judge."""
+"""Share of a part's shifts below which the others determine these: none is left to judge."""
 
 
 class HeldBack(NamedTuple):
@@ -45,7 +45,7 @@ class HeldBack(NamedTuple):
 
     @staticmethod
     def between(first: Solution, every: Solution) -> "HeldBack":
-        """From a fit of the first impacts and one of all."""
+        """Compare a fit of the first impacts with one of all."""
         impacts = every.shifts.size - first.shifts.size
         more = max(every.cost - first.cost, 0.0)
         residual = float(np.sqrt(more / impacts))
@@ -77,7 +77,7 @@ def whiteness(shifts: Vector) -> float:
 def independence(shifts: Vector) -> float:
     """``whiteness`` of shifts of stamps, s; 1 where they are the rounding of the stamps.
 
-    That of a periodic motion repeats itself, and says nothing against the model.
+    The rounding of a periodic motion repeats itself, and says nothing against the model.
     """
     is_rounding = np.sum(shifts**2) <= shifts.size * (2.0 * ROUNDED) ** 2
     return 1.0 if is_rounding else whiteness(shifts)

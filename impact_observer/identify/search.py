@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the motion that explains a recording, and for what in it is no true impact."""
+"""The search for the motion that explains a recording, and for the outliers of the recording."""
 
 from collections.abc import Mapping
 
@@ -26,7 +26,7 @@ from impact_observer.states import Matrix, Vector
 _ROUNDS = 12
 """Most rounds of rejecting and inserting impacts."""
 _HOPELESS = 4
-"""Fits in a row that do not converge, after which there are no more rounds."""
+"""Fits in a row that do not converge, after which no more rounds follow."""
 _STILL = 1e-9
 """Contact speed of no motion, m/s."""
 _FEWEST = 3
@@ -38,7 +38,7 @@ _GATINGS = 5
 
 
 def gated(problem: Problem, solution: Solution) -> tuple[Problem, Solution]:
-    """Without samples that their gates reject, fitted again."""
+    """The fit without the samples that gates reject."""
     for _ in range(_GATINGS):
         sensors = tuple(
             each.within_gate(rows.errors)
@@ -51,7 +51,7 @@ def gated(problem: Problem, solution: Solution) -> tuple[Problem, Solution]:
 
 
 def last_impacts(problem: Problem, solution: Solution, share: float) -> HeldBack | None:
-    """The last impacts as the others predict them; None where one of the parts has too few."""
+    """The last impacts as the others predict them; None if one of the parts has too few."""
     count = int(share * solution.counted.size)
     if not problem.family.size or count < _FEWEST or solution.freedom - count < _FEWEST:
         return None
@@ -77,8 +77,8 @@ def without_outliers(
 ) -> tuple[Recording, Problem, Solution]:
     """The recording in which the fitted motion finds no further outlier, and the fit.
 
-    It is searched near initial state and parameters ``near``, if given. ``clock`` is the standard
-    deviation of a stamp, s; None if it is not known.
+    The search begins near initial state and parameters ``near``, if given. ``clock`` is the
+    standard deviation of a stamp, s; None if unknown.
     """
     problem, solution = fit(recording.problem(family), near, robust=True)
     failures = 0

@@ -21,10 +21,10 @@ class SensorFit:
     Attributes:
         name: of the sensor.
         samples: how many were compared.
-        near: how many were left out, as they are near impacts.
+        near: how many were left out near impacts.
         rejected: how many its gate rejected.
         deviation: of its noise, declared or learned, in its unit.
-        is_declared: which of both.
+        is_declared: whether ``deviation`` is declared.
         rms: of the errors over their degrees of freedom, in its unit.
         size: probability of errors this large under the declared deviation; 1 without one.
         white: probability of autocorrelations this large of independent errors (Ljung and Box).

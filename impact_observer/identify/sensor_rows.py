@@ -2,8 +2,8 @@
 """Samples of sensors beside the impacts, as further rows of a fit.
 
 Between two moments a motion depends on the state after the first of them, its instant, and the
-parameters. So all samples of a flight are a few rows on these, triangulated (Golub and Van Loan,
-Matrix computations, section 5.3), and what no unknown changes is a sum of squares.
+parameters. So all samples of a flight become a few rows on these unknowns, triangulated (Golub
+and Van Loan, Matrix computations, section 5.3), and a sum of squares that no unknown changes.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class CountedSamples(NamedTuple):
         t: s since the epoch, ascending, shape (samples,).
         values: as measured, less what moving grounds add, shape (samples,).
         deviation: of its noise, in the unit of the values; where it is learned, as it is known.
-        near: how many were left out, as they are near impacts.
+        near: how many were left out near impacts.
         rejected: how many were left out by the gate.
     """
 
@@ -52,15 +52,15 @@ class CountedSamples(NamedTuple):
 
     @property
     def is_learned(self) -> bool:
-        """Whether its deviation is to be learned."""
+        """Whether the deviation is to be learned."""
         return self.sensor.deviation is None
 
     def which(self, kept: NDArray[np.bool_]) -> "CountedSamples":
-        """Some of them."""
+        """The samples that ``kept`` selects."""
         return self._replace(t=self.t[kept], values=self.values[kept])
 
     def away_from(self, impacts: Vector, margin: float, lasts: float) -> "CountedSamples":
-        """Returns the samples farther than ``margin``, s, from ``impacts``, which may last."""
+        """The samples farther than ``margin``, s, from ``impacts``, which may last."""
         after = max(margin, lasts, self.sensor.blanking)
         i = np.searchsorted(impacts, self.t, side="right")
         ago = self.t - np.append(-np.inf, impacts)[i]
@@ -69,7 +69,7 @@ class CountedSamples(NamedTuple):
         return self.which(kept)._replace(near=self.near + int(np.sum(~kept)))
 
     def within_gate(self, errors: Vector) -> "CountedSamples":
-        """Returns the samples whose ``errors`` are within the gate or not much above the usual."""
+        """The samples whose ``errors`` are within the gate or not much above the usual."""
         usual = max(self.deviation, _USUAL * float(np.median(np.abs(errors))))
         kept = np.abs(errors) <= self.sensor.gate * usual
         return self.which(kept)._replace(rejected=self.rejected + int(np.sum(~kept)))
@@ -171,10 +171,11 @@ class RowMaker:
         self._errors = [np.zeros(each.t.size) for each in every]
 
     def flight(self, k: int, t: float, x: Vector, X: Matrix, closed: Contacts) -> None:
-        """The samples of a flight from ``t``, s since the epoch.
+        """Collect the samples of a flight from ``t``, s since the epoch.
 
-        It begins at the state ``x``, shape (2n,), just after the moment ``k``, at the start for
-        -1. ``X`` are the derivatives of this state by initial state, parameters and instants.
+        The flight begins at the state ``x``, shape (2n,), just after the moment ``k``, at the
+        start for -1. ``X`` are the derivatives of this state by initial state, parameters and
+        instants.
         """
         places = [np.flatnonzero(place == k + 1) for place in self._place]
         if not any(place.size for place in places):
@@ -202,7 +203,7 @@ class RowMaker:
     ) -> list[Matrix]:
         """Derivatives of what sensors measure at ``times`` by the state at ``t`` and parameters.
 
-        One of shape (samples, 2n + p) for each sensor.
+        Each sensor has one of shape (samples, 2n + p).
         """
         n2 = x.size
         tables = [np.zeros((each.size, n2 + self._values.size)) for each in times]
@@ -225,7 +226,7 @@ class RowMaker:
         return [each + late for each in times]
 
     def rows(self, moments: int) -> tuple[Rows, ...]:
-        """Returns the triangulated rows of each sensor."""
+        """The triangulated rows of each sensor."""
         rows, first = [], 2 * self._n + self._values.size
         for parts, errors in zip(self._flights, self._errors, strict=True):
             table, rest = np.zeros((0, first + moments + 1)), 0.0
@@ -253,7 +254,7 @@ class _Expected:
     def values(
         self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
     ) -> list[Vector]:
-        """At ``times``, s since the epoch, of a motion that begins with ``x`` at ``t``."""
+        """Values at ``times``, s since the epoch, of a motion that begins with ``x`` at ``t``."""
         motion, values = self.moving.motion(t, x, closed), []
         for sensor, each in zip(self._sensors, times, strict=True):
             s = np.maximum(each - t, 0.0) if self.moving.guided else each - t
@@ -280,7 +281,7 @@ def _asides(
 
 
 def _triangular(table: Matrix) -> tuple[Matrix, float]:
-    """Returns at most as many rows as unknowns, and the sum of squares of the rest."""
+    """At most as many rows as unknowns, and the sum of squares of the rest."""
     unknowns = table.shape[1] - 1
     if len(table) <= unknowns:
         return table, 0.0

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The start of a fit to a recording of bounces that settle: the smoothed motion.
 
-There flights are as short as the stamps are wrong. A motion that is switched at such stamps is
-far from any that explains them: their order is wrong, and Gauss and Newton's steps from there end
-nowhere. A filter takes one impact after the other, knows which were missed, and finds parameters,
-state and instants on its way; smoothed, they are a start from which the fit takes a few steps.
+In bounces that settle, flights are as short as the stamps are wrong. A motion that is switched at
+such stamps is far from any that explains the stamps: their order is wrong, and Gauss-Newton steps
+from this motion fail. A filter takes one impact after the other, knows which were missed, and
+finds parameters, state and instants on its way; smoothed, these are a start from which
+the fit takes a few steps.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,17 +68,17 @@ def smoothed_start(
     samples: Sequence[SensorSample] = (),
     report: Callable[[str], None],
 ) -> SmoothedStart | None:
-    """The smoothed motion of a recording, its parameters learned; None if there is none.
+    """The smoothed motion of a recording, its parameters learned; None if the smoother fails.
 
     Args:
         family: the system and its free parameters.
         recording: its events, none rejected or inserted.
-        events: the same, as an observer receives them, and perhaps others.
+        events: the same events as an observer receives them, and perhaps others.
         clock: standard deviation of a stamp, s, about.
         trust_events: whether none is spurious, and none was missed.
         measurements: what sensors measure beside the impacts.
-        samples: what they have measured.
-        report: receives how far it is.
+        samples: of these sensors.
+        report: receives how far the smoothing is.
 
     Raises:
         UsageError: a sensor does not go with the system.

@@ -4,10 +4,11 @@
 Two motions under the same ``chi`` differ by a ``d`` that obeys linear equations with known
 coefficients: the transition matrices of the phases, and a matrix for the jump of ``du`` at an
 impact. There ``W_i^T dq = 0`` for the contact ``i`` that hits, since both motions are on the stop.
-While it stays closed ``W_i^T du = 0`` too. Where it opens by itself its load has come down to
-zero, which is one more row. So every event adds rows, times ``T``, to a matrix on ``d`` at the
-start, where ``T`` is the transition matrix from the start. Its singular values say how much of a
-wrong initial state the recorded gaps show, and its null space what they never show, to any law.
+While the contact stays closed ``W_i^T du = 0`` too. Where the contact opens by itself its load has
+come down to zero, which is one more row. So every event adds rows, times ``T``, to a matrix on
+``d`` at the start, where ``T`` is the transition matrix from the start. Its singular
+values say how much of a wrong initial state the recorded gaps show, and its null space what they
+never show, to any law.
 
 Where hits last, ``d`` is carried to the jump and back to the onset, as replicas are. What sensors
 measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
@@ -131,7 +132,7 @@ def observability(
     sensors: Sequence[DeclaredSensor] = (),
     samples: Sequence[SensorSample] = (),
 ) -> Observability:
-    """Returns the part of the initial state that the impacts among ``events`` determine.
+    """The part of the initial state that the impacts among ``events`` determine.
 
     Only a triangular factor is kept: time is proportional to the number of events.
 
@@ -205,7 +206,7 @@ class _Errors:
         self._system = system
         self._phases = Phases(system)
         self._newton = ImpactLaw(system)
-        # Without a motion there are no speeds: at the nominal ones.
+        # Speeds are unknown without a motion: slopes are those at nominal speeds.
         curves = [c.curve for c in system.contacts]
         slopes = [c.nominal_slope if c else eps for c, eps in zip(curves, system.eps, strict=True)]
         self._slopes = np.array(slopes)
@@ -250,7 +251,7 @@ class _Errors:
     def _jumped(self, phase: Phase, change: ContactChange, jump: Matrix) -> tuple[Matrix, Matrix]:
         """Errors after the ``jump`` of velocities, (n, n), at a ``change`` in a ``phase``.
 
-        Where a hit lasts they are carried to the jump and, after it, back to the onset.
+        Where a hit lasts the errors are carried to the jump and, after it, back to the onset.
         """
         n, delay = self._system.n, change.delay(self._system)
         if not delay:
@@ -325,6 +326,6 @@ def _in_all_states(directions: Matrix, scale: Vector) -> Matrix:
 
 
 def _with_sign(directions: Matrix) -> Matrix:
-    """The same rows, the largest entry of each positive."""
+    """The rows with the largest entry of each positive."""
     largest = np.argmax(np.abs(directions), axis=1, keepdims=True)
     return directions * np.sign(np.take_along_axis(directions, largest, axis=1))

@@ -45,7 +45,7 @@ def _draw_values(axes: Axes, observed: Observability, t: Vector) -> None:
         named = size <= _NAMED or k in {0, size - 1}
         axes.semilogy(
             t,
-            # Before that it is rounding, and zero has no logarithm.
+            # Values below the rank are rounding, and zero has no logarithm.
             np.where(observed.rank > k, values, np.nan),
             color=str(0.55 * k / max(size - 1, 1)),
             linewidth=1.3 if named else 0.6,
@@ -72,6 +72,6 @@ def _mark_impacts(axes: Axes, observed: Observability, t: Vector) -> None:
     if observed.released.any():
         rows["releases"] = t[observed.released]
     if (top := float(observed.singular[-1, 0])) > 0:
-        # All below the tolerance is rounding.
+        # Values below the tolerance are rounding.
         axes.set_ylim(top * observed.tolerance / 30.0, 2.0 * top)
     mark_rows(axes, rows)

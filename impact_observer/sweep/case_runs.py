@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cases of a sweep: a run of the plant, its sensor, an observer, and metrics of its estimate.
 
-A new metric is a field of ``Outcome`` with the name that it has in ``compare``; the column of the
+A new metric is a field of ``Outcome`` with the key of a metric of ``compare``; the column of the
 file follows.
 """
 
@@ -45,7 +45,7 @@ class Outcome:
         impacts_used: reported or inserted.
         switches_rejected: of the reported ones.
         impacts_inserted: as missed detections.
-        error: why there are no metrics; empty if there are.
+        error: why the metrics are missing; empty if none are.
     """
 
     case: int

@@ -143,7 +143,7 @@ def _connected(scheduler: str) -> "Iterator[Client]":
 
 
 def _check_workers(client: "Client", scheduler: str) -> None:
-    """Raise UsageError if there are no workers, or one lacks this version."""
+    """Raise UsageError if the cluster has no workers, or one lacks this version."""
     from distributed import TimeoutError as LateError
 
     try:

@@ -38,7 +38,7 @@ _FEW = 8
 _SAMPLES = 2**22
 """Most samples of all cases that are computed at once."""
 MOST_CASES = 10_000_000
-"""The largest sweep: its outcomes are kept in memory."""
+"""Most cases of a sweep, whose outcomes are kept in memory."""
 FORMAT = 1
 """Version of the description; a file with another version is of another sweep."""
 RANDOM = "random"
@@ -307,7 +307,7 @@ class Sweep:
 def _differ_in_start(case: Case) -> bool:
     """Whether the runs of a case differ only in their start, so that they can move together.
 
-    Runs with hits that last cannot: each run has its own state from onset to jump.
+    Runs with hits that last cannot move together: each run has its own state from onset to jump.
     """
     law = law_named(case.observer.law)
     together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase

@@ -37,7 +37,7 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
         wanted: name of the quantity as users write it; None for the first swept quantity.
 
     Raises:
-        UsageError: there is no such label, or the others have too many values.
+        UsageError: no such label is swept, or the others have too many values.
     """
     swept = sweep.swept
     names = {each.removeprefix(SENSOR).removeprefix(OFF).replace("_", "-"): each for each in swept}
@@ -77,8 +77,8 @@ def sweep_picture(
 ) -> Figure:
     """Settling times above, the share that has not settled below.
 
-    A line is a median, the band about it the quartiles. There is a panel for each combination of
-    the quantities that are not on the horizontal axis.
+    A line is a median, the band about it the quartiles. Each combination of the quantities that
+    are not on the horizontal axis has a panel.
 
     Args:
         sweep: what was swept.
@@ -204,7 +204,7 @@ def _scale(axes: Axes, values: Sequence[Label]) -> None:
 
 
 def _mark_zone(axes: Axes, ceiling: float) -> None:
-    """Mark the zone of runs that never settle; it has no scale."""
+    """Mark the zone of runs that never settle; the zone has no scale."""
     low, middle, high = (each * ceiling for each in _ZONE)
     axes.axhspan(
         low, high, facecolor="0.96", hatch="////", edgecolor="0.85", linewidth=0, zorder=0
