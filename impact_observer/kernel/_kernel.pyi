@@ -8,9 +8,9 @@ from impact_observer.states import Matrix, Vector
 
 SOURCES: str
 
-State: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
-Dip: TypeAlias = tuple[int, float, float, float, float, float, bool, float]
-Followed: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]
+StateArrays: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
+NegativeInterval: TypeAlias = tuple[int, float, float, float, float, float, bool, float]
+CorrectedState: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]
 
 def product(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]: ...
 def dots(X: Matrix, Y: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]: ...
@@ -26,7 +26,7 @@ def dips_along(
     value: Callable[[int, float], float],
     rounding: Callable[[int, float], float],
     deviation: Callable[[int, float], float],
-) -> list[Dip]: ...
+) -> list[NegativeInterval]: ...
 def falls_at(function: Callable[[float], float], above: float, below: float) -> float: ...
 def measured(
     x: Vector,
@@ -38,7 +38,7 @@ def measured(
     value: float,
     noise: float,
     gate: float,
-) -> Followed: ...
+) -> CorrectedState: ...
 def sizes_by(metric: Matrix, x: Vector, columns: Matrix) -> tuple[float, float]: ...
 
 class FreeMotion:
@@ -99,7 +99,7 @@ class Impact:
     def fits(self, t: float, states: Sequence[tuple[object, ...]], clocks: Vector) -> Matrix: ...
     def posteriors(
         self, t: float, flown: float, states: Sequence[tuple[object, ...]], clocks: Vector
-    ) -> list[State]: ...
+    ) -> list[StateArrays]: ...
     def clear(
         self,
         t: float,
@@ -107,8 +107,8 @@ class Impact:
         state: tuple[object, ...],
         clocks: Vector,
         doubts: Vector,
-    ) -> tuple[State, float, float, float] | None: ...
-    def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[State]: ...
+    ) -> tuple[StateArrays, float, float, float] | None: ...
+    def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[StateArrays]: ...
 
 class PhaseMotion:
     t: float
@@ -184,7 +184,7 @@ class Gaps:
         duration: Vector,
         states: Sequence[tuple[object, ...]],
         levels: Vector,
-    ) -> list[list[Dip]]: ...
+    ) -> list[list[NegativeInterval]]: ...
     def flown(
         self,
         t: Vector,
@@ -192,7 +192,7 @@ class Gaps:
         states: Sequence[tuple[object, ...]],
         levels: Vector,
         declared: float,
-    ) -> list[State]: ...
+    ) -> list[StateArrays]: ...
     def followed(
         self,
         t: float,
@@ -206,7 +206,7 @@ class Gaps:
         noise: float,
         gate: float,
         searches: bool,
-    ) -> list[Followed] | None: ...
+    ) -> list[CorrectedState] | None: ...
     def root(
         self,
         t: float,

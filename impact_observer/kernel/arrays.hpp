@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Arrays of Python, checked, and what is handed back to it.
+// Conversion of numpy arrays to checked views, and of vectors and matrices to numpy arrays.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -49,8 +49,8 @@ std::string shape_text(const T* sizes, std::size_t dimensions) {
 
 // The array as a view; a ValueError names it where its shape is another one or it has a NaN.
 template <class T>
-ViewOf<T> checked(const ArrayOf<T>& a, const char* name, std::size_t rows,
-                  std::size_t columns = NONE) {
+MatrixViewOf<T> checked(const ArrayOf<T>& a, const char* name, std::size_t rows,
+                        std::size_t columns = NONE) {
     const std::size_t wanted[] = {rows, columns}, dimensions = columns == NONE ? 1 : 2;
     bool fits = std::size_t(a.ndim()) == dimensions;
     for (std::size_t k = 0; k < dimensions && fits; ++k)
@@ -58,8 +58,8 @@ ViewOf<T> checked(const ArrayOf<T>& a, const char* name, std::size_t rows,
     if (!fits)
         throw py::value_error(name + (": shape " + shape_text(a.shape(), std::size_t(a.ndim()))) +
                               "; expected " + shape_text(wanted, dimensions));
-    const ViewOf<T> view{a.data(), std::size_t(a.shape(0)),
-                         dimensions == 1 ? 1 : std::size_t(a.shape(1))};
+    const MatrixViewOf<T> view{a.data(), std::size_t(a.shape(0)),
+                               dimensions == 1 ? 1 : std::size_t(a.shape(1))};
     for (std::size_t k = 0; k < view.size(); ++k) finite(double(view[k]), name);
     return view;
 }
@@ -72,9 +72,9 @@ template <>
 struct type_caster<kernel::Matrix> {
     static constexpr auto name = const_name("numpy.ndarray");
     static handle cast(const kernel::Matrix& m, return_value_policy, handle) {
-        kernel::Array found({m.rows, m.columns});
-        std::copy(m.data.begin(), m.data.end(), found.mutable_data());
-        return found.release();
+        kernel::Array array({m.rows, m.columns});
+        std::copy(m.data.begin(), m.data.end(), array.mutable_data());
+        return array.release();
     }
 };
 
@@ -82,19 +82,19 @@ template <>
 struct type_caster<kernel::Vector> {
     static constexpr auto name = const_name("numpy.ndarray");
     static handle cast(const kernel::Vector& v, return_value_policy, handle) {
-        kernel::Array found(ssize_t(v.size()));
-        std::copy(v.begin(), v.end(), found.mutable_data());
-        return found.release();
+        kernel::Array array(ssize_t(v.size()));
+        std::copy(v.begin(), v.end(), array.mutable_data());
+        return array.release();
     }
 };
 
-// What names its fields becomes a tuple of them.
+// Converts a struct with the method `fields` to a tuple.
 template <class T>
 struct type_caster<T, std::void_t<decltype(std::declval<const T&>().fields())>> {
     static constexpr auto name = const_name("tuple");
-    static handle cast(const T& of, return_value_policy, handle) {
+    static handle cast(const T& record, return_value_policy, handle) {
         const auto all = [](const auto&... each) { return pybind11::make_tuple(each...); };
-        return std::apply(all, of.fields()).release();
+        return std::apply(all, record.fields()).release();
     }
 };
 

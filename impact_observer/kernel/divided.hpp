@@ -50,18 +50,19 @@ inline Complex divided(Complex a, Complex b, Complex c, double s) {
 
 // A bound on the size of exp[points] of 2 or 3 points without positive real part, until s: of
 // order k it is at most s^k / k!, and at most two of order k - 1 over the distance of two points.
-inline double largest(Complex a, Complex b, double s) {
+inline double divided_bound(Complex a, Complex b, double s) {
     const double apart = std::abs(a - b);
     return apart * s > 2 ? 2 / apart : s;
 }
 
-inline double largest(Complex a, Complex b, Complex c, double s) {
-    const double ab = largest(a, b, s), bc = largest(b, c, s), ca = largest(c, a, s);
-    double found = s * s / 2;
-    if (a != c) found = std::min(found, (ab + bc) / std::abs(a - c));
-    if (a != b) found = std::min(found, (bc + ca) / std::abs(a - b));
-    if (b != c) found = std::min(found, (ca + ab) / std::abs(b - c));
-    return found;
+inline double divided_bound(Complex a, Complex b, Complex c, double s) {
+    const double ab = divided_bound(a, b, s), bc = divided_bound(b, c, s),
+                 ca = divided_bound(c, a, s);
+    double bound = s * s / 2;
+    if (a != c) bound = std::min(bound, (ab + bc) / std::abs(a - c));
+    if (a != b) bound = std::min(bound, (bc + ca) / std::abs(a - b));
+    if (b != c) bound = std::min(bound, (ca + ab) / std::abs(b - c));
+    return bound;
 }
 
 }  // namespace kernel

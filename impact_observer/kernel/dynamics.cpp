@@ -12,10 +12,10 @@
 
 namespace pybind11::detail {
 
-// A float, and what it is rounded by where it knows that; see Elapsed in stamps.py.
+// Converts a float, or an Elapsed of stamps.py, which also has nanoseconds and a remainder.
 template <>
-struct type_caster<kernel::Time> {
-    PYBIND11_TYPE_CASTER(kernel::Time, const_name("float"));
+struct type_caster<kernel::Elapsed> {
+    PYBIND11_TYPE_CASTER(kernel::Elapsed, const_name("float"));
     bool load(handle t, bool) {
         make_caster<double> seconds;
         if (!seconds.load(t, true)) return false;
@@ -30,14 +30,14 @@ struct type_caster<kernel::Time> {
     }
 };
 
-// Indices of functions
+// Converts indices of functions to a tuple.
 template <>
-struct type_caster<kernel::Which> {
+struct type_caster<kernel::Indices> {
     static constexpr auto name = const_name("tuple");
-    static handle cast(const kernel::Which& which, return_value_policy, handle) {
-        tuple found(which.size());
-        for (std::size_t k = 0; k < which.size(); ++k) found[k] = which[k];
-        return found.release();
+    static handle cast(const kernel::Indices& which, return_value_policy, handle) {
+        tuple indices(which.size());
+        for (std::size_t k = 0; k < which.size(); ++k) indices[k] = which[k];
+        return indices.release();
     }
 };
 
@@ -49,13 +49,14 @@ namespace {
 
 using Flags = ArrayOf<bool>;
 // T, T^-1, what is held, Q, the offset, and whether coordinates and velocities are side by side.
-using Frame = std::tuple<Array, Array, Array, Array, Array, bool>;
-using Blocks = std::tuple<Array, Array, Flags>;  // J; a, d and the slow one; whether it oscillates
-using Waves = std::tuple<Array, ArrayOf<std::uint64_t>>;  // frequencies, and their turns
+using CoordinateArrays = std::tuple<Array, Array, Array, Array, Array, bool>;
+using PairArrays =
+    std::tuple<Array, Array, Flags>;  // J; a, d and the slow one; whether it oscillates
+using HarmonicArrays = std::tuple<Array, ArrayOf<std::uint64_t>>;  // frequencies, and their turns
 
-Coordinates coordinates_of(const Frame& frame) {
+Coordinates coordinates_of(const CoordinateArrays& frame) {
     const auto& [T, inverse, held, Q, offset, paired] = frame;
-    const View forward = checked(T, "T", ANY, ANY);
+    const MatrixView forward = checked(T, "T", ANY, ANY);
     expect(paired || (forward.rows % 2 == 0 && forward.columns % 2 == 0), "T: not even");
     const std::size_t n = forward.rows / (paired ? 1 : 2);
     const std::size_t rest = held.size() ? n : 0, seen = Q.size() ? n : 0;
@@ -67,22 +68,22 @@ Coordinates coordinates_of(const Frame& frame) {
             paired};
 }
 
-Harmonics harmonics_of(const Waves& waves) {
-    const View frequency = checked(std::get<0>(waves), "frequency", ANY);
+Harmonics harmonics_of(const HarmonicArrays& waves) {
+    const MatrixView frequency = checked(std::get<0>(waves), "frequency", ANY);
     const auto turns = checked(std::get<1>(waves), "turns", frequency.size(), 2);
-    Harmonics found{frequency, {}};
-    for (std::size_t k = 0; k < found.size(); ++k)
-        found.turns.push_back(Turns(turns(k, 0)) << 64 | turns(k, 1));
-    return found;
+    Harmonics harmonics{frequency, {}};
+    for (std::size_t k = 0; k < harmonics.size(); ++k)
+        harmonics.turns.push_back(Turns(turns(k, 0)) << 64 | turns(k, 1));
+    return harmonics;
 }
 
-std::shared_ptr<ModalFlow> make_modal(const Frame& frame, const Blocks& blocks, const Waves& waves,
-                                      const Array& response, const Array& load, const Flags& near,
-                                      const Flags& driven, const Array& energy, double small,
-                                      double young) {
-    const View J = checked(std::get<0>(blocks), "J", ANY, 4);
+std::shared_ptr<ModalFlow> make_modal(const CoordinateArrays& frame, const PairArrays& blocks,
+                                      const HarmonicArrays& waves, const Array& response,
+                                      const Array& load, const Flags& near, const Flags& driven,
+                                      const Array& energy, double small, double young) {
+    const MatrixView J = checked(std::get<0>(blocks), "J", ANY, 4);
     const std::size_t r = J.rows;
-    const View rates = checked(std::get<1>(blocks), "rates", r, 3);
+    const MatrixView rates = checked(std::get<1>(blocks), "rates", r, 3);
     const auto oscillates = checked(std::get<2>(blocks), "oscillates", r);
     const Harmonics harmonics = harmonics_of(waves);
     const std::size_t h = harmonics.size();
@@ -94,40 +95,43 @@ std::shared_ptr<ModalFlow> make_modal(const Frame& frame, const Blocks& blocks, 
     flow->response = checked(response, "response", 2 * r, 1 + 2 * h);
     flow->energy = checked(energy, "energy", r, 2);
     flow->small = finite(small, "small"), flow->young = finite(young, "young");
-    const View loads = checked(load, "load", 2 * r, 1 + 2 * h);
+    const MatrixView loads = checked(load, "load", 2 * r, 1 + 2 * h);
     flow->near = flow->drives(loads, checked(near, "near", r, 1 + h));
     flow->all = flow->drives(loads, checked(driven, "driven", r, 1 + h));
     return flow;
 }
 
-View ascending(const Array& time, double after) {
-    const View at = checked(time, "time", ANY);
+MatrixView ascending(const Array& time, double after) {
+    const MatrixView at = checked(time, "time", ANY);
     expect(at.size() > 0, "time: expected a sample at least");
     for (std::size_t i = 0; i < at.size(); after = at[i++])
         expect(at[i] > after, "time: does not ascend");
     return at;
 }
 
-Samples make_samples(const Array& time, const Array& jets, double rounding,
-                     const std::function<void(double)>& check, std::size_t dropped,
-                     double newest) {
-    const View at = ascending(time, -INFINITY), values = checked(jets, "jets", at.size(), ANY);
+SampledForces make_samples(const Array& time, const Array& jets, double rounding,
+                           const std::function<void(double)>& check, std::size_t dropped,
+                           double newest) {
+    const MatrixView at = ascending(time, -INFINITY),
+                     values = checked(jets, "jets", at.size(), ANY);
     expect(values.columns % JETS == 0, "jets: expected derivatives 0 to 3");
     return {at, values, finite(rounding, "rounding"), check, dropped, newest};
 }
 
 // Other samples from number `first` on, and none to change before `newest`.
-void splice(Samples& samples, std::size_t first, const Array& time, const Array& jets,
+void splice(SampledForces& samples, std::size_t first, const Array& time, const Array& jets,
             double newest) {
     expect(first >= samples.dropped && first <= samples.count(), "first: no such sample");
-    const View at = ascending(time, first > samples.dropped ? samples.at(first - 1) : -INFINITY);
+    const MatrixView at =
+        ascending(time, first > samples.dropped ? samples.instant(first - 1) : -INFINITY);
     samples.splice(first, at, checked(jets, "jets", at.size(), samples.jets.columns));
     samples.newest = newest;
 }
 
-std::shared_ptr<SeriesFlow> make_series(const Frame& frame, const Array& J, const Waves& waves,
-                                        const Array& load, const Array& push,
-                                        const std::shared_ptr<Samples>& samples, double rate,
+std::shared_ptr<SeriesFlow> make_series(const CoordinateArrays& frame, const Array& J,
+                                        const HarmonicArrays& waves, const Array& load,
+                                        const Array& push,
+                                        const std::shared_ptr<SampledForces>& samples, double rate,
                                         const Array& orders) {
     const Harmonics harmonics = harmonics_of(waves);
     auto flow = std::make_shared<SeriesFlow>(coordinates_of(frame), harmonics);
@@ -147,38 +151,38 @@ std::shared_ptr<SeriesFlow> make_series(const Frame& frame, const Array& J, cons
     return flow;
 }
 
-std::shared_ptr<Motion> start(const Flow& flow, const Time& t, const Array& x) {
+std::shared_ptr<PhaseMotion> start(const PhaseFlow& flow, const Elapsed& t, const Array& x) {
     return flow.start(t, checked(x, "x", 2 * flow.coordinates.n).data);
 }
 
-Matrix states(const Motion& motion, const Array& s) {
-    const View at = checked(s, "s", ANY);
-    Matrix found(at.size(), 2 * motion.flow->coordinates.n);
-    motion.states(at.data, at.size(), found.data.data());
-    return found;
+Matrix states(const PhaseMotion& motion, const Array& s) {
+    const MatrixView at = checked(s, "s", ANY);
+    Matrix rows(at.size(), 2 * motion.flow->coordinates.n);
+    motion.states(at.data, at.size(), rows.data.data());
+    return rows;
 }
 
-Vector state(const Motion& motion, double s) {
-    Vector found(2 * motion.flow->coordinates.n);
+Vector state(const PhaseMotion& motion, double s) {
+    Vector x(2 * motion.flow->coordinates.n);
     finite(s, "s");
-    motion.states(&s, 1, found.data());
-    return found;
+    motion.states(&s, 1, x.data());
+    return x;
 }
 
-std::shared_ptr<Guards> guards(const Flow& flow, const Array& position, const Array& seen,
+std::shared_ptr<Guards> guards(const PhaseFlow& flow, const Array& position, const Array& seen,
                                const Array& reach, const Array& waves, const Array& force) {
-    const View rows = checked(position, "position", ANY, flow.coordinates.n);
+    const MatrixView rows = checked(position, "position", ANY, flow.coordinates.n);
     const std::size_t w = rows.rows, size = flow.coordinates.size;
     return flow.guards({rows, checked(seen, "seen", w, size), checked(reach, "reach", w, size),
                         checked(waves, "waves", w, 1 + 2 * flow.harmonics.size()),
                         checked(force, "force", w, flow.forces())});
 }
 
-// What a search knows of each function at s: value, derivatives, a bound on each up to `stop`,
-// and what it is rounded against.
+// Values, derivatives, their bounds up to `stop` and scales of all functions at s, as the search
+// uses them.
 std::tuple<Matrix, Matrix, Vector, double> known(const Guards& guards,
-                                                 const std::shared_ptr<Motion>& motion, double s,
-                                                 double stop) {
+                                                 const std::shared_ptr<PhaseMotion>& motion,
+                                                 double s, double stop) {
     expect(finite(s, "s") >= 0 && finite(stop, "stop") >= s, "s, stop: expected 0 <= s <= stop");
     const std::unique_ptr<Functions> trace = guards.along(motion);
     trace->look(s);
@@ -188,33 +192,33 @@ std::tuple<Matrix, Matrix, Vector, double> known(const Guards& guards,
         scales.push_back(trace->scale(i));
         for (std::size_t k = 0; k < ORDERS; ++k) {
             derivatives(k, i) = trace->derivative(k, i);
-            bounds(k, i) = trace->largest(k, i, stop) + (k ? 0.0 : std::abs(trace->constant(i)));
+            bounds(k, i) = trace->bound(k, i, stop) + (k ? 0.0 : std::abs(trace->constant(i)));
         }
     }
     return {derivatives, bounds, scales, trace->smooth_until()};
 }
 
 // The functions along a motion at each of s, in rising order, a row each.
-Matrix values(const Guards& guards, const std::shared_ptr<Motion>& motion, const Array& s) {
-    const View at = checked(s, "s", ANY);
+Matrix values(const Guards& guards, const std::shared_ptr<PhaseMotion>& motion, const Array& s) {
+    const MatrixView at = checked(s, "s", ANY);
     expect(std::is_sorted(at.data, at.data + at.size()), "s: expected a rising order");
     const std::unique_ptr<Functions> trace = guards.along(motion);
-    Matrix found(at.size(), trace->size());
+    Matrix rows(at.size(), trace->size());
     for (std::size_t k = 0; k < at.size(); ++k) {
         trace->look(at[k]);
-        for (std::size_t i = 0; i < found.columns; ++i) found(k, i) = trace->derivative(0, i);
+        for (std::size_t i = 0; i < rows.columns; ++i) rows(k, i) = trace->derivative(0, i);
     }
-    return found;
+    return rows;
 }
 
-Hunt hunt(const Guards& guards, const std::shared_ptr<Motion>& motion, double window,
-          double start) {
+RootSearch make_search(const Guards& guards, const std::shared_ptr<PhaseMotion>& motion,
+                       double window, double start) {
     expect(finite(window, "window") > 0 && finite(start, "start") >= 0,
            "window, start: out of range");
-    return Hunt(guards.along(motion), window, start);
+    return RootSearch(guards.along(motion), window, start);
 }
 
-std::optional<Crossing> first(Hunt& search, double horizon) {
+std::optional<Crossing> first(RootSearch& search, double horizon) {
     return search.first(finite(horizon, "horizon"));
 }
 
@@ -223,8 +227,8 @@ std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Arr
                                   double window, double timescale, double shortest,
                                   double lowest) {
     const std::size_t n = gaps->flow->coordinates.n, m = gaps->size();
-    const View rows = checked(W, "W", m, n), gap = checked(q_r, "q_r", m),
-               size = checked(length, "length", m);
+    const MatrixView rows = checked(W, "W", m, n), gap = checked(q_r, "q_r", m),
+                     size = checked(length, "length", m);
     for (const double each : {window, timescale, shortest})
         expect(finite(each, "times") > 0, "times: not positive");
     Arena arena{gaps,     checked(M, "M", n, n),   {}, window, timescale,
@@ -237,12 +241,12 @@ std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Arr
 void learn(Arena& arena, std::size_t contact, const Array& kick, const Array& Z) {
     expect(contact < arena.contacts.size(), "contact: no such contact");
     const std::size_t n = arena.M.rows;
-    const View by = checked(kick, "kick", n), to = checked(Z, "Z", n);
+    const MatrixView by = checked(kick, "kick", n), to = checked(Z, "Z", n);
     arena.contacts[contact].kick = by;
     arena.contacts[contact].Z = to;
 }
 
-// Whether differences of such stamps are no overflow.
+// Whether the difference of two such stamps fits into 64 bits.
 bool is_near(std::int64_t stamp) { return std::abs(stamp / 2) <= INT64_MAX / 8; }
 
 Flights fly(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
@@ -260,12 +264,12 @@ std::pair<std::vector<Hit>, std::optional<Crossing>> advance(Flights& flights, s
 }
 
 // An estimate s seconds after t, by the modal flow of a system without contact.
-struct Estimate {
+struct MovedEstimate {
     std::shared_ptr<const ModalFlow> flow;
-    std::shared_ptr<Motion> motion;
+    std::shared_ptr<PhaseMotion> motion;
     Vector x;
 
-    Estimate(const Arena& arena, const Time& t, double s, const Array& given)
+    MovedEstimate(const Arena& arena, const Elapsed& t, double s, const Array& given)
         : flow(std::dynamic_pointer_cast<const ModalFlow>(arena.gaps->flow)), x(2 * arena.M.rows) {
         expect(flow && flow->coordinates.all_move(),
                "arena: expected the modal flow of a system without contact");
@@ -275,14 +279,14 @@ struct Estimate {
     }
 
     // Differences, one a column; rows after those of the state stay.
-    Matrix carried(double s, const View& columns) const {
-        Matrix found = columns;
-        put(flow->carried(s, columns.part(0, x.size())), found, 0, 0);
-        return found;
+    Matrix columns_after(double s, const MatrixView& columns) const {
+        Matrix moved = columns;
+        put(flow->differences_after(s, columns.part(0, x.size())), moved, 0, 0);
+        return moved;
     }
 };
 
-const Contact& known_contact(const Arena& arena, std::size_t contact) {
+const ContactJump& known_contact(const Arena& arena, std::size_t contact) {
     expect(contact < arena.contacts.size() && !arena.contacts[contact].kick.empty(),
            "contact: not known");
     return arena.contacts[contact];
@@ -290,79 +294,82 @@ const Contact& known_contact(const Arena& arena, std::size_t contact) {
 
 // An estimate s seconds after t, a root of its covariance, and differences from it; None if a gap
 // falls below zero on the way, but for the last `late` seconds.
-std::optional<std::tuple<Vector, Matrix, Matrix>> flown(const Arena& arena, const Time& t,
-                                                        double s, double late, const Array& x,
-                                                        const Array& root,
-                                                        const Array& differences) {
-    const Estimate after(arena, t, s, x);
-    const View own = checked(root, "root", ANY, ANY);
-    const View others = checked(differences, "differences", own.rows, ANY);
+std::optional<std::tuple<Vector, Matrix, Matrix>> move_estimate(const Arena& arena,
+                                                                const Elapsed& t, double s,
+                                                                double late, const Array& x,
+                                                                const Array& root,
+                                                                const Array& differences) {
+    const MovedEstimate after(arena, t, s, x);
+    const MatrixView own = checked(root, "root", ANY, ANY);
+    const MatrixView others = checked(differences, "differences", own.rows, ANY);
     expect(own.rows >= after.x.size(), "root: expected rows of all states");
     if (s > finite(late, "late") && arena.gaps->size() > 0) {
-        Hunt hunt(arena.gaps->along(after.motion), arena.window);
-        if (const std::optional<Crossing>& crossing = hunt.first(s);
+        RootSearch search(arena.gaps->along(after.motion), arena.window);
+        if (const std::optional<Crossing>& crossing = search.first(s);
             crossing && crossing->s <= s) {
             if (crossing->s <= s - late) return {};
             for (const std::size_t i : crossing->which)  // or is it over?
-                if (hunt.look(s).derivative(0, i) > 0) return {};
+                if (search.look(s).derivative(0, i) > 0) return {};
         }
     }
-    return std::tuple(after.x, after.carried(s, own), after.carried(s, others));
+    return std::tuple(after.x, after.columns_after(s, own), after.columns_after(s, others));
 }
 
 // A replica after an impact of one contact with these numbers, and its differences from others.
 std::pair<Vector, Matrix> one_impact(const Array& w, double q_r, const Array& kick, const Array& Z,
                                      const Array& x, const Array& differences) {
-    const View row = checked(w, "w", ANY);
+    const MatrixView row = checked(w, "w", ANY);
     const std::size_t n = row.size();
-    const Contact stop{row, checked(kick, "kick", n), checked(Z, "Z", n), finite(q_r, "q_r"), 0.0};
+    const ContactJump stop{row, checked(kick, "kick", n), checked(Z, "Z", n), finite(q_r, "q_r"),
+                           0.0};
     std::pair<Vector, Matrix> jumped(checked(x, "x", 2 * n),
                                      checked(differences, "differences", 2 * n, ANY));
     stop.strike(jumped.first, jumped.second);
     return jumped;
 }
 
-// A replica s seconds after t and after an impact of one contact then, with its errors by the white
-// accelerations of `noise` and by a lag; the gap at the impact, and its deviation by `noise`.
+// A replica s seconds after t and after an impact of one contact then, with its errors by the
+// white accelerations of `noise` and by a lag; the gap at the impact, and its deviation by
+// `noise`.
 std::tuple<Vector, Matrix, double, double> fallback(const Arena& arena,
                                                     const kalman::FreeMotion& noise,
-                                                    std::size_t contact, const Time& t, double s,
-                                                    const Array& x, const Array& errors,
+                                                    std::size_t contact, const Elapsed& t,
+                                                    double s, const Array& x, const Array& errors,
                                                     const Array& lag) {
     constexpr double small = 1e-6;  // scale of the differences by which a jump is linearised
-    const Contact& stop = known_contact(arena, contact);
-    Estimate after(arena, t, s, x);
+    const ContactJump& stop = known_contact(arena, contact);
+    MovedEstimate after(arena, t, s, x);
     const std::size_t size = after.x.size(), n = size / 2;
-    const View late = checked(lag, "lag", n);
+    const MatrixView late = checked(lag, "lag", n);
     expect(noise.size() == size && s * noise.rate < 1e15,
            "noise, s: expected that of the arena, and not too long");
-    Matrix found = after.carried(s, checked(errors, "errors", size, size + 1));
-    Matrix unit = resized(resized(found, size), 2 * size);
+    Matrix columns = after.columns_after(s, checked(errors, "errors", size, size + 1));
+    Matrix unit = resized(resized(columns, size), 2 * size);
     put(noise.diffusion(s), unit, 0, size);
     unit = squared(std::move(unit));
-    put(unit, found, 0, 0);
+    put(unit, columns, 0, 0);
     const double gap = stop.gap(after.x), deviation = length(product(stop.W, unit.part(0, n)));
-    stop.strike(after.x, found, small);
+    stop.strike(after.x, columns, small);
     const double speed = stop.speed(after.x);
-    for (std::size_t i = 0; i < n; ++i) found(i, size) -= late[i] * speed;
-    return {after.x, found, gap, deviation};
+    for (std::size_t i = 0; i < n; ++i) columns(i, size) -= late[i] * speed;
+    return {after.x, columns, gap, deviation};
 }
 
 using Parts = std::pair<Array, Array>;  // both parts of numbers, see doubled.hpp
 
 DoubledMatrix checked_product(const Array& A, const Array& B) {
-    const View left = checked(A, "A", ANY, ANY);
+    const MatrixView left = checked(A, "A", ANY, ANY);
     return doubled_product(left, checked(B, "B", left.columns, ANY));
 }
 
 DoubledMatrix checked_dots(const Array& X, const Parts& Y) {
-    const View x = checked(X, "X", ANY, ANY);
+    const MatrixView x = checked(X, "X", ANY, ANY);
     return doubled_dots(x, checked(Y.first, "Y", x.rows, x.columns),
                         checked(Y.second, "Y", x.rows, x.columns));
 }
 
 Matrix checked_difference(const Parts& Y, const Parts& Z, const Array& factors) {
-    const View y = checked(Y.first, "Y", ANY, ANY);
+    const MatrixView y = checked(Y.first, "Y", ANY, ANY);
     const auto same = [&](const Array& a, const char* name) {
         return checked(a, name, y.rows, y.columns);
     };
@@ -387,48 +394,47 @@ PYBIND11_MODULE(_kernel, module) {
         }
     });
     const auto motion = "motion"_a.none(false);
-    py::class_<Motion, std::shared_ptr<Motion>>(module, "PhaseMotion")
-        .def_property_readonly("t", [](const Motion& motion) { return motion.t.seconds; })
+    py::class_<PhaseMotion, std::shared_ptr<PhaseMotion>>(module, "PhaseMotion")
+        .def_property_readonly("t", [](const PhaseMotion& motion) { return motion.t.seconds; })
         .def("state", &state, "s"_a)
         .def("states", &states, "s"_a);
-    py::class_<Flow, std::shared_ptr<Flow>>(module, "PhaseFlow")
+    py::class_<PhaseFlow, std::shared_ptr<PhaseFlow>>(module, "PhaseFlow")
         .def("start", &start, "t"_a, "x"_a)
         .def("guards", &guards, "position"_a, "seen"_a, "reach"_a, "waves"_a, "force"_a);
-    py::class_<ModalFlow, Flow, std::shared_ptr<ModalFlow>>(module, "ModalFlow")
+    py::class_<ModalFlow, PhaseFlow, std::shared_ptr<ModalFlow>>(module, "ModalFlow")
         .def(py::init(&make_modal), "coordinates"_a, "splitting"_a, "waves"_a, "response"_a,
              "load"_a, "near"_a, "driven"_a, "energy"_a, "small"_a, "young"_a)
         .def(
             "propagated",
             [](const ModalFlow& flow, double s) { return flow.propagated(finite(s, "s")); },
             "s"_a);
-    py::class_<Samples, std::shared_ptr<Samples>>(module, "SampledForces")
+    py::class_<SampledForces, std::shared_ptr<SampledForces>>(module, "SampledForces")
         .def(py::init(&make_samples), "time"_a, "jets"_a, "rounding"_a, "check"_a.none(false),
              "dropped"_a = 0, "newest"_a = INFINITY)
         .def("splice", &splice, "first"_a, "time"_a, "jets"_a, "newest"_a)
-        .def("drop", &Samples::drop, "first"_a);
-    py::class_<SeriesFlow, Flow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
+        .def("drop", &SampledForces::drop, "first"_a);
+    py::class_<SeriesFlow, PhaseFlow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
         .def(py::init(&make_series), "coordinates"_a, "J"_a, "waves"_a, "load"_a, "push"_a,
              "samples"_a, "rate"_a, "orders"_a);
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
         .def("known", &known, motion, "s"_a, "stop"_a)
         .def("values", &values, motion, "s"_a, Released());
-    py::class_<Hunt>(module, "RootSearch")
-        .def(py::init(&hunt), "guards"_a, motion, "window"_a, "start"_a = 0.0)
-        .def_readonly("looks", &Hunt::looks)
+    py::class_<RootSearch>(module, "RootSearch")
+        .def(py::init(&make_search), "guards"_a, motion, "window"_a, "start"_a = 0.0)
+        .def_readonly("looks", &RootSearch::looks)
         .def("first", &first, "horizon"_a, Released());
     py::class_<Arena, std::shared_ptr<Arena>>(module, "Arena")
         .def(py::init(&make_arena), "gaps"_a.none(false), "M"_a, "W"_a, "q_r"_a, "length"_a,
              "window"_a, "timescale"_a, "shortest"_a, "lowest"_a)
         .def("learn", &learn, "contact"_a, "kick"_a, "Z"_a)
         .def("start", &fly, "stamp"_a, "remainder"_a, "x"_a)
-        .def("flown", &flown, "t"_a, "s"_a, "late"_a, "x"_a, "root"_a, "differences"_a)
+        .def("flown", &move_estimate, "t"_a, "s"_a, "late"_a, "x"_a, "root"_a, "differences"_a)
         .def("fallback", &fallback, "noise"_a, "contact"_a, "t"_a, "s"_a, "x"_a, "errors"_a,
              "lag"_a);
     module.def("product", &checked_product, "A"_a, "B"_a);
     module.def("dots", &checked_dots, "X"_a, "Y"_a);
     module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a);
-    module.def("one_impact", &one_impact, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a,
-               "differences"_a);
+    module.def("one_impact", &one_impact, "w"_a, "q_r"_a, "kick"_a, "Z"_a, "x"_a, "differences"_a);
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, "limit"_a, "most"_a, Released());
 }

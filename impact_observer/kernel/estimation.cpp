@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// The filter of impact times for Python.
+// The module's part for the filter of impact times: checks arguments and calls the headers.
 #include <pybind11/functional.h>
 
 #include "arrays.hpp"
@@ -12,27 +12,28 @@ using namespace kernel::kalman;
 namespace {
 
 // The arrays of a state (x, constants, root, differences, ...).
-struct State {
+struct StateArrays {
     Array x, constants, root, differences;
 };
-using States = std::vector<State>;
-using Place = std::function<double(std::size_t, double)>;  // of a function, and an instant
+using StateList = std::vector<StateArrays>;
+using IndexedFunction =
+    std::function<double(std::size_t, double)>;  // of a function, and an instant
 
 }  // namespace
 
 namespace pybind11::detail {
 
 template <>
-struct type_caster<State> {
-    PYBIND11_TYPE_CASTER(State, const_name("tuple"));
+struct type_caster<StateArrays> {
+    PYBIND11_TYPE_CASTER(StateArrays, const_name("tuple"));
     bool load(handle given, bool) {
         if (!isinstance<tuple>(given) || len(given) < 4)
             throw value_error("states: expected tuples (x, constants, root, differences)");
-        const auto of = reinterpret_borrow<tuple>(given);
+        const auto fields = reinterpret_borrow<tuple>(given);
         const char* names[] = {"x", "constants", "root", "differences"};
         Array* const parts[] = {&value.x, &value.constants, &value.root, &value.differences};
         for (std::size_t k = 0; k < 4; ++k)
-            if (!(*parts[k] = Array::ensure(of[k])))
+            if (!(*parts[k] = Array::ensure(fields[k])))
                 throw value_error(names[k] + std::string(": expected an array of numbers"));
         return true;
     }
@@ -49,19 +50,19 @@ double positive(double value, const char* name) {
 
 FreeMotion motion_of(const Array& lower, const Array& constant, const Array& frequency,
                      const Array& cosine, const Array& sine, double rate, double decay) {
-    const View whole = checked(lower, "lower", ANY, ANY);
+    const MatrixView whole = checked(lower, "lower", ANY, ANY);
     const std::size_t n = whole.rows;
     expect(n > 0 && whole.columns == 2 * n, "lower: expected shape (n, 2n)");
-    const View omega = checked(frequency, "frequency", ANY);
-    FreeMotion found{whole,
-                     checked(constant, "constant", n),
-                     checked(cosine, "cosine", omega.size(), n),
-                     checked(sine, "sine", omega.size(), n),
-                     omega,
-                     std::max(positive(rate, "rate"), LEAST),
-                     positive(decay, "decay")};
-    found.prepare();
-    return found;
+    const MatrixView omega = checked(frequency, "frequency", ANY);
+    FreeMotion motion{whole,
+                      checked(constant, "constant", n),
+                      checked(cosine, "cosine", omega.size(), n),
+                      checked(sine, "sine", omega.size(), n),
+                      omega,
+                      std::max(positive(rate, "rate"), LEAST),
+                      positive(decay, "decay")};
+    motion.prepare();
+    return motion;
 }
 
 Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, double timescale) {
@@ -73,17 +74,18 @@ Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, do
 Parameters parameters_of(const Array& low, const Array& high, const Array& size,
                          std::size_t moving) {
     const std::size_t p = checked(low, "low", ANY).size();
-    Parameters found{checked(low, "low", p), checked(high, "high", p), checked(size, "size", p),
-                     moving};
+    Parameters parameters{checked(low, "low", p), checked(high, "high", p),
+                          checked(size, "size", p), moving};
     expect(moving <= p, "moving: more than there are");
     for (std::size_t j = 0; j < p; ++j)
-        expect(found.size[j] > 0 && found.high[j] - found.low[j] >= 2 * MARGIN * found.size[j],
+        expect(parameters.size[j] > 0 &&
+                   parameters.high[j] - parameters.low[j] >= 2 * MARGIN * parameters.size[j],
                "low, high, size: expected bounds, and positive sizes");
-    return found;
+    return parameters;
 }
 
 Vector steps(const Parameters& parameters, const Array& theta, const Array& root) {
-    const View rows = checked(root, "root", ANY, ANY), at = checked(theta, "theta", ANY);
+    const MatrixView rows = checked(root, "root", ANY, ANY), at = checked(theta, "theta", ANY);
     expect(rows.rows <= parameters.count() && at.size() >= rows.rows,
            "theta, root: expected parameters, and no more rows");
     return parameters.steps(at, rows);
@@ -93,12 +95,12 @@ Vector steps(const Parameters& parameters, const Array& theta, const Array& root
 // covariance of z.
 Vector bounded(const Parameters& parameters, const Array& z, const Array& root,
                std::size_t first) {
-    Vector found = checked(z, "z", ANY);
-    const View whole = checked(root, "root", found.size(), ANY);
+    Vector estimate = checked(z, "z", ANY);
+    const MatrixView whole = checked(root, "root", estimate.size(), ANY);
     expect(first <= whole.rows && whole.rows - first >= parameters.count(),
            "first: expected that of the parameters");
-    parameters.bound(found, whole, first);
-    return found;
+    parameters.clamp_estimate(estimate, whole, first);
+    return estimate;
 }
 
 Family family_of(const std::shared_ptr<FreeMotion>& motion, const Sizes& sizes,
@@ -107,12 +109,12 @@ Family family_of(const std::shared_ptr<FreeMotion>& motion, const Sizes& sizes,
     const std::size_t n = motion->n();
     expect(sizes.modes.rows == n, "sizes: of another system");
     expect(lower.size() == parameters.moving, "lower: expected one of each parameter");
-    Family found{motion,     sizes,
-                 parameters, checked(nominal, "nominal", parameters.count()),
-                 {},         checked(rate, "rate", lower.size())};
-    for (const Array& each : lower) found.lower.push_back(checked(each, "lower", n, 2 * n));
-    for (const double each : found.rate) positive(each, "rate");
-    return found;
+    Family family{motion,     sizes,
+                  parameters, checked(nominal, "nominal", parameters.count()),
+                  {},         checked(rate, "rate", lower.size())};
+    for (const Array& each : lower) family.lower.push_back(checked(each, "lower", n, 2 * n));
+    for (const double each : family.rate) positive(each, "rate");
+    return family;
 }
 
 Impact impact_of(const std::shared_ptr<Family>& family, const Array& w, const Array& kick,
@@ -129,97 +131,98 @@ Impact impact_of(const std::shared_ptr<Family>& family, const Array& w, const Ar
 
 Gaps gaps_of(const std::shared_ptr<Family>& family, const Array& W, const Array& rest,
              const Array& rests) {
-    const View rows = checked(W, "W", ANY, family->given->n());
+    const MatrixView rows = checked(W, "W", ANY, family->given->n());
     return {family, rows, checked(rest, "rest", rows.rows),
             checked(rests, "rests", family->count(), rows.rows)};
 }
 
 // A map at some parameters: a value, k numbers, and a linear map, k x d.
-Map map_at(const py::function& at, const Vector& theta, std::size_t k, std::size_t d) {
-    const auto both = at(theta).cast<py::tuple>();
+AffineMap map_at(const py::function& function, const Vector& theta, std::size_t k, std::size_t d) {
+    const auto both = function(theta).cast<py::tuple>();
     expect(both.size() >= 2, "at: expected a value and a linear map");
     const auto value = py::cast<Array>(both[0]), linear = py::cast<Array>(both[1]);
-    const View rows = checked(linear, "linear", k, d);
+    const MatrixView rows = checked(linear, "linear", k, d);
     return {checked(value, "value", rows.rows), rows};
 }
 
-Sensitivity sensitivity_of(const py::function& at, const Array& theta, const Array& steps) {
-    const View about = checked(theta, "theta", ANY), wide = checked(steps, "steps", about.size());
+Sensitivity sensitivity_of(const py::function& function, const Array& theta, const Array& steps) {
+    const MatrixView about = checked(theta, "theta", ANY),
+                     wide = checked(steps, "steps", about.size());
     for (std::size_t j = 0; j < wide.size(); ++j) positive(wide[j], "steps");
     std::size_t k = ANY, d = ANY;
     const auto map = [&](const Vector& point) {
-        Map found = map_at(at, point, k, d);
-        k = found.linear.rows, d = found.linear.columns;
-        return found;
+        AffineMap image = map_at(function, point, k, d);
+        k = image.linear.rows, d = image.linear.columns;
+        return image;
     };
     return {map, about, wide};
 }
 
 Matrix noise(const Sensitivity& by, const Array& root, const Array& own) {
     const std::size_t p = by.first.rows;
-    const View states = checked(root, "root", p ? by.size : ANY, ANY);
+    const MatrixView states = checked(root, "root", p ? by.size : ANY, ANY);
     expect(states.columns >= p, "root: expected a column of each parameter");
     return by.noise(states, checked(own, "own", p, states.columns));
 }
 
 Matrix leading_of(const Array& root, std::size_t first, std::size_t count) {
-    const View whole = checked(root, "root", ANY, ANY);
+    const MatrixView whole = checked(root, "root", ANY, ANY);
     expect(count <= whole.rows && first <= whole.rows - count,
            "first, count: expected rows of the root");
     return leading(whole, first, count);
 }
 
-Prior prior_of(const State& state, const Family& family) {
+Prior prior_of(const StateArrays& state, const Family& family) {
     const std::size_t size = family.given->size();
-    const View constants = checked(state.constants, "constants", ANY);
+    const MatrixView constants = checked(state.constants, "constants", ANY);
     const std::size_t d = size + constants.size();
     expect(constants.size() >= family.count(), "constants: expected the parameters first");
     return {checked(state.x, "x", size), constants, checked(state.root, "root", d, ANY),
             checked(state.differences, "differences", d, ANY), INFINITY};
 }
 
-std::vector<Prior> priors_of(const States& states, const Family& family) {
-    std::vector<Prior> found;
-    for (const State& each : states) found.push_back(prior_of(each, family));
-    return found;
+std::vector<Prior> priors_of(const StateList& states, const Family& family) {
+    std::vector<Prior> priors;
+    for (const StateArrays& each : states) priors.push_back(prior_of(each, family));
+    return priors;
 }
 
-std::vector<Prior> priors_of(const States& states, const Family& family, const Array& clocks) {
-    std::vector<Prior> found = priors_of(states, family);
-    const View deviations = checked(clocks, "clocks", found.size());
-    for (std::size_t b = 0; b < found.size(); ++b)
-        found[b].clock = positive(deviations[b], "clocks");
-    return found;
+std::vector<Prior> priors_of(const StateList& states, const Family& family, const Array& clocks) {
+    std::vector<Prior> priors = priors_of(states, family);
+    const MatrixView deviations = checked(clocks, "clocks", priors.size());
+    for (std::size_t b = 0; b < priors.size(); ++b)
+        priors[b].clock = positive(deviations[b], "clocks");
+    return priors;
 }
 
 // For each state: logarithm of the density of the instant, 1/s; innovation, in standard
 // deviations; and its standard deviation, m.
-Matrix fits(const Impact& impact, double t, const States& states, const Array& clocks) {
+Matrix fits(const Impact& impact, double t, const StateList& states, const Array& clocks) {
     finite(t, "t");
     const auto priors = priors_of(states, *impact.family, clocks);
-    Matrix found(priors.size(), 3);
+    Matrix rows(priors.size(), 3);
     for (std::size_t b = 0; b < priors.size(); ++b) {
         const Fit fit = impact.fit(t, priors[b]);
-        found(b, 0) = fit.density, found(b, 1) = fit.normalised, found(b, 2) = fit.deviation;
+        rows(b, 0) = fit.density, rows(b, 1) = fit.normalised, rows(b, 2) = fit.deviation;
     }
-    return found;
+    return rows;
 }
 
 // The states after the impact, at its stamp t.
 std::vector<Posterior> posteriors(const Impact& impact, double t, double flown,
-                                  const States& states, const Array& clocks) {
+                                  const StateList& states, const Array& clocks) {
     finite(t + flown, "t, flown");
-    std::vector<Posterior> found;
+    std::vector<Posterior> after;
     for (const Prior& prior : priors_of(states, *impact.family, clocks))
-        found.push_back(impact.posterior(t, flown, prior));
-    return found;
+        after.push_back(impact.posterior(t, flown, prior));
+    return after;
 }
 
 // The state after an event that can be nothing else, and how it fits; None where it can. The
 // first clock is the state's own.
-std::optional<Clear> clear(const Impact& impact, double t, double flown, const State& state,
+std::optional<Clear> clear(const Impact& impact, double t, double flown, const StateArrays& state,
                            const Array& clocks, const Array& doubts) {
-    const View clock = checked(clocks, "clocks", ANY), by = checked(doubts, "doubts", 5);
+    const MatrixView clock = checked(clocks, "clocks", ANY), by = checked(doubts, "doubts", 5);
     expect(clock.size() > 0, "clocks: expected the state's own first");
     for (std::size_t k = 0; k < clock.size(); ++k) positive(clock[k], "clocks");
     finite(t + flown, "t, flown");
@@ -227,19 +230,20 @@ std::optional<Clear> clear(const Impact& impact, double t, double flown, const S
                         {by[0], by[1], by[2], by[3], by[4]});
 }
 
-// The same where it was not reported, each near its zero t of the gap.
-std::vector<Posterior> missed(const Impact& impact, const Array& t, const States& states) {
-    const View at = checked(t, "t", states.size());
-    std::vector<Posterior> found;
+// The states after an impact that was not reported; each is near its zero t of the gap.
+std::vector<Posterior> missed(const Impact& impact, const Array& t, const StateList& states) {
+    const MatrixView at = checked(t, "t", states.size());
+    std::vector<Posterior> after;
     for (const Prior& prior : priors_of(states, *impact.family))
-        found.push_back(impact.missed(at[found.size()], 0.0, prior));
-    return found;
+        after.push_back(impact.missed(at[after.size()], 0.0, prior));
+    return after;
 }
 
 // The state s seconds after x at t, and its derivative by x: for short times.
 std::pair<Vector, Matrix> moved(const FreeMotion& motion, double t, const Array& x, double s) {
     expect(std::abs(s) * motion.rate <= MOST_STEPS, "s: too long");
-    return {motion.flown(finite(t, "t"), checked(x, "x", motion.size()), s), motion.transition(s)};
+    return {motion.state_after(finite(t, "t"), checked(x, "x", motion.size()), s),
+            motion.transition(s)};
 }
 
 double duration_of(const Gaps& gaps, double t, double duration) {
@@ -250,48 +254,55 @@ double duration_of(const Gaps& gaps, double t, double duration) {
 }
 
 // States, each with its own flight: from when on, how long, and the level of its accelerations.
-std::vector<Flown> flights_of(const Gaps& gaps, const Array& t, const Array& s,
-                              const States& states, const Array& levels) {
-    const View starts = checked(t, "t", states.size()), lasting = checked(s, "s", states.size());
-    const View level = checked(levels, "levels", states.size());
-    std::vector<Flown> found;
+std::vector<FlyingState> flights_of(const Gaps& gaps, const Array& t, const Array& s,
+                                    const StateList& states, const Array& levels) {
+    const MatrixView starts = checked(t, "t", states.size()),
+                     lasting = checked(s, "s", states.size());
+    const MatrixView level = checked(levels, "levels", states.size());
+    std::vector<FlyingState> flights;
     for (std::size_t b = 0; b < states.size(); ++b)
-        found.push_back({prior_of(states[b], *gaps.family), starts[b],
-                         duration_of(gaps, starts[b], lasting[b]), level[b]});
-    return found;
+        flights.push_back({prior_of(states[b], *gaps.family), starts[b],
+                           duration_of(gaps, starts[b], lasting[b]), level[b]});
+    return flights;
 }
 
 // Where gaps are negative, for each state from its own t on.
-std::vector<std::vector<Dip>> dips(const Gaps& gaps, const Array& t, const Array& duration,
-                                   const States& states, const Array& levels) {
-    return gaps.dips(flights_of(gaps, t, duration, states, levels));
+std::vector<std::vector<NegativeInterval>> negative_intervals(const Gaps& gaps, const Array& t,
+                                                              const Array& duration,
+                                                              const StateList& states,
+                                                              const Array& levels) {
+    return gaps.negative_intervals(flights_of(gaps, t, duration, states, levels));
 }
 
 // Each state s seconds after its t, with white accelerations.
-std::vector<Posterior> flown(const Gaps& gaps, const Array& t, const Array& s,
-                             const States& states, const Array& levels, double declared) {
-    return gaps.flown(flights_of(gaps, t, s, states, levels), positive(declared, "declared"));
+std::vector<Posterior> states_after_flights(const Gaps& gaps, const Array& t, const Array& s,
+                                            const StateList& states, const Array& levels,
+                                            double declared) {
+    return gaps.fly(flights_of(gaps, t, s, states, levels), positive(declared, "declared"));
 }
 
 // Where functions of time are negative, of their values at the samples s, and of what the last
 // arguments find for a function and an instant.
-std::vector<Dip> dips_along(const Array& s, const Array& values, const Place& value,
-                            const Place& rounding, const Place& deviation) {
+std::vector<NegativeInterval> dips_along(const Array& s, const Array& values,
+                                         const IndexedFunction& value,
+                                         const IndexedFunction& rounding,
+                                         const IndexedFunction& deviation) {
     const Vector at = checked(s, "s", ANY);
     const Matrix rows = transposed(checked(values, "values", at.size(), ANY));
-    std::vector<Dip> found;
+    std::vector<NegativeInterval> intervals;
     for (std::size_t j = 0; j < rows.rows; ++j) {
-        const auto of = [j](const Place& place) {
+        const auto indexed = [j](const IndexedFunction& place) {
             return [&place, j](double t) { return place(j, t); };
         };
         const auto near = [&](std::size_t, double t) { return value(j, t); };
-        add_dips(found, j, at, rows.row(j), near, of(rounding), of(deviation));
+        add_negative_intervals(intervals, j, at, rows.row(j), near, indexed(rounding),
+                               indexed(deviation));
     }
-    for (Dip& dip : found)
+    for (NegativeInterval& dip : intervals)
         dip.began = falls_at([&](double t) { return value(dip.contact, t); }, dip.above, dip.below,
                              4 * EPS);
-    in_order(found);
-    return found;
+    in_order(intervals);
+    return intervals;
 }
 
 // Where a function of time falls through zero, between instants where it is above and below; the
@@ -300,20 +311,20 @@ double root_between(const std::function<double(double)>& function, double above,
     return falls_at(function, above, below, 4 * EPS);
 }
 
-Sample sample_of(const Array& row, std::size_t size, double rest, double value, double noise,
-                 double gate) {
+LinearMeasurement sample_of(const Array& row, std::size_t size, double rest, double value,
+                            double noise, double gate) {
     expect(noise > 0 && gate > 0, "noise, gate: expected positive numbers");
     return {checked(row, "row", size), finite(rest, "rest"), finite(value, "value"),
             finite(noise, "noise"), gate};
 }
 
 // A state corrected by a sample.
-Followed measured(const Array& x, const Array& constants, const Array& root,
-                  const Array& differences, const Array& row, double rest, double value,
-                  double noise, double gate) {
-    const View about = checked(x, "x", ANY), beside = checked(constants, "constants", ANY);
+CorrectedState measured(const Array& x, const Array& constants, const Array& root,
+                        const Array& differences, const Array& row, double rest, double value,
+                        double noise, double gate) {
+    const MatrixView about = checked(x, "x", ANY), beside = checked(constants, "constants", ANY);
     const std::size_t d = about.size() + beside.size();
-    Sample sample = sample_of(row, ANY, rest, value, noise, gate);
+    LinearMeasurement sample = sample_of(row, ANY, rest, value, noise, gate);
     expect(sample.row.size() >= about.size() && sample.row.size() <= d,
            "row: expected a number of each of the state, and of constants");
     return Gaps::updated(sample, {about, beside, checked(root, "root", d, ANY),
@@ -321,40 +332,41 @@ Followed measured(const Array& x, const Array& constants, const Array& root,
 }
 
 // States s seconds after t, corrected by a sample then. None where a gap is negative.
-std::optional<std::vector<Followed>> followed(const Gaps& gaps, double t, double s,
-                                              const States& states, const Array& levels,
-                                              double declared, const Array& row, double rest,
-                                              double value, double noise, double gate,
-                                              bool searches) {
+std::optional<std::vector<CorrectedState>> followed(const Gaps& gaps, double t, double s,
+                                                    const StateList& states, const Array& levels,
+                                                    double declared, const Array& row, double rest,
+                                                    double value, double noise, double gate,
+                                                    bool searches) {
     expect(gaps.family->count() == 0, "states: not with parameters");
-    const Sample sample = sample_of(row, gaps.motion->size(), rest, value, noise, gate);
+    const LinearMeasurement sample = sample_of(row, gaps.motion->size(), rest, value, noise, gate);
     return gaps.followed(t, duration_of(gaps, t, s), priors_of(states, *gaps.family),
                          checked(levels, "levels", states.size()), positive(declared, "declared"),
                          sample, searches);
 }
 
 // Where a gap plus depth deviations falls through zero, s.
-double root(const Gaps& gaps, double t, const State& state, double level, std::size_t contact,
-            double above, double below, double depth) {
+double root(const Gaps& gaps, double t, const StateArrays& state, double level,
+            std::size_t contact, double above, double below, double depth) {
     expect(contact < gaps.W.rows, "contact: there is none of this number");
     expect(above <= below, "above, below: expected in order");
     duration_of(gaps, t, above), duration_of(gaps, t, below);
     const Prior prior = prior_of(state, *gaps.family);
-    return gaps.of(prior).root(t, prior, positive(level, "level"), contact, above, below,
-                               finite(depth, "depth"));
+    return gaps.member_gaps(prior).root(t, prior, positive(level, "level"), contact, above, below,
+                                        finite(depth, "depth"));
 }
 
 // x^T metric x; and the largest d^T metric d between two of the columns, or one of them and zero.
 // NaN where the numbers overflow.
 std::pair<double, double> sizes_by(const Array& metric, const Array& x, const Array& columns) {
-    const View given = checked(columns, "columns", ANY, ANY);
+    const MatrixView given = checked(columns, "columns", ANY, ANY);
     const std::size_t size = given.rows, count = given.columns;
-    const View weights = checked(metric, "metric", size, size), state = checked(x, "x", size);
+    const MatrixView weights = checked(metric, "metric", size, size),
+                     state = checked(x, "x", size);
     Matrix one(count + 1, size), seen(count + 1, size);  // the last one is zero
     for (std::size_t k = 0; k < count; ++k)
         for (std::size_t i = 0; i < size; ++i) {
             one(k, i) = given(i, k);
-            add(given(i, k), weights.row(i), seen.row(k));
+            add_scaled(given(i, k), weights.row(i), seen.row(k));
         }
     double own = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < size; ++i) own += state[i] * dot(weights.row(i), state);
@@ -370,14 +382,14 @@ std::pair<double, double> sizes_by(const Array& metric, const Array& x, const Ar
 
 // dx/dt of a state x at t.
 Vector rates(const FreeMotion& motion, double t, const Array& x) {
-    Vector found = motion.rates(checked(x, "x", motion.size()));
-    motion.force(finite(t, "t"), 0, 1.0, found);
-    return found;
+    Vector derivative = motion.rates(checked(x, "x", motion.size()));
+    motion.force(finite(t, "t"), 0, 1.0, derivative);
+    return derivative;
 }
 
-// The same of the member with the parameters theta.
+// dx/dt of the member with the parameters theta.
 Vector member_rates(const Family& family, double t, const Array& x, const Array& theta) {
-    return rates(*family.at(checked(theta, "theta", family.count())), t, x);
+    return rates(*family.member(checked(theta, "theta", family.count())), t, x);
 }
 
 // A square root of what white accelerations of 1 m/s^1.5 add in s seconds.
@@ -426,8 +438,9 @@ void bind_estimation(py::module_& module) {
         .def("missed", &missed, "t"_a, "states"_a, Released());
     py::class_<Gaps>(module, "Gaps")
         .def(py::init(&gaps_of), family, "W"_a, "rest"_a, "rests"_a)
-        .def("dips", &dips, "t"_a, "duration"_a, "states"_a, "levels"_a, Released())
-        .def("flown", &flown, "t"_a, "s"_a, "states"_a, "levels"_a, "declared"_a, Released())
+        .def("dips", &negative_intervals, "t"_a, "duration"_a, "states"_a, "levels"_a, Released())
+        .def("flown", &states_after_flights, "t"_a, "s"_a, "states"_a, "levels"_a, "declared"_a,
+             Released())
         .def("followed", &followed, "t"_a, "s"_a, "states"_a, "levels"_a, "declared"_a, "row"_a,
              "rest"_a, "value"_a, "noise"_a, "gate"_a, "searches"_a.noconvert(), Released())
         .def("root", &root, "t"_a, "state"_a, "level"_a, "contact"_a, "above"_a, "below"_a,

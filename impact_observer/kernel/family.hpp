@@ -35,16 +35,16 @@ struct Parameters {
     // Steps of finite differences by the first ones, about as large as their standard deviations:
     // powers of two, so that hypotheses of similar covariance share the same members. A row of
     // `root` each.
-    Vector steps(const Row& theta, const View& root) const {
-        Vector found(root.rows);
-        for (std::size_t j = 0; j < found.size(); ++j) {
+    Vector steps(const ConstSpan& theta, const MatrixView& root) const {
+        Vector steps(root.rows);
+        for (std::size_t j = 0; j < steps.size(); ++j) {
             const double deviation = length(root.row(j));
             double step = std::max(deviation, STEP * size[j]);
             if (j < moving)  // impacts need no bounds of their parameters
                 step = std::min(step, FAR * std::min(theta[j] - low[j], high[j] - theta[j]));
-            found[j] = std::exp2(std::floor(std::log2(step)));
+            steps[j] = std::exp2(std::floor(std::log2(step)));
         }
-        return found;
+        return steps;
     }
 
     double clamped(std::size_t j, double theta) const {
@@ -55,17 +55,17 @@ struct Parameters {
     // Takes an estimate z back whose parameters, from z[first] on, are beyond their bounds: all
     // else moves to its conditional mean given these (Simon and Chia, Kalman filtering with state
     // equality constraints, 2002). `root` is one of the covariance of z.
-    void bound(Vector& z, const View& root, std::size_t first) const {
+    void clamp_estimate(Vector& z, const MatrixView& root, std::size_t first) const {
         Vector change(root.rows);
         for (std::size_t j = 0; j < count(); ++j) {
-            const Row row = root.row(first + j);
+            const ConstSpan row = root.row(first + j);
             const double value = z[first + j] + change[first + j];
             const double beyond = clamped(j, value) - value, variance = dot(row, row);
             if (beyond == 0.0 || variance == 0.0) continue;
             for (std::size_t i = 0; i < root.rows; ++i)
                 change[i] += dot(root.row(i), row) * (beyond / variance);
         }
-        add(1.0, change, z);
+        add_scaled(1.0, change, z);
         for (std::size_t j = 0; j < count(); ++j) z[first + j] = clamped(j, z[first + j]);
     }
 };
@@ -82,34 +82,34 @@ struct Family {
     std::size_t count() const { return nominal.size(); }
     std::size_t moving() const { return lower.size(); }
 
-    std::shared_ptr<const FreeMotion> at(const Row& theta) const {
+    std::shared_ptr<const FreeMotion> member(const ConstSpan& theta) const {
         if (std::equal(theta.begin(), theta.begin() + moving(), nominal.begin())) return given;
-        const auto found = std::make_shared<FreeMotion>(*given);
+        const auto member = std::make_shared<FreeMotion>(*given);
         for (std::size_t j = 0; j < moving(); ++j) {
             const double by = theta[j] - nominal[j];
-            add(by, lower[j].data, found->lower.data);
-            found->rate += std::abs(by) * rate[j];
+            add_scaled(by, lower[j].data, member->lower.data);
+            member->rate += std::abs(by) * rate[j];
         }
-        found->prepare();
-        return found;
+        member->prepare();
+        return member;
     }
 };
 
 // An affine map of states, evaluated at one state, and its derivative.
-struct Map {
+struct AffineMap {
     Vector value;
     Matrix linear;
 };
 
 // Turns the columns of `root` until its rows from `first` on are lower triangular in front.
-inline Matrix leading(const View& root, std::size_t first, std::size_t count) {
-    Matrix found = resized(root, std::max(root.columns, count));
-    const auto begin = found.data.begin(), end = begin + (first + count) * found.columns;
-    const auto middle = begin + first * found.columns;
+inline Matrix leading(const MatrixView& root, std::size_t first, std::size_t count) {
+    Matrix turned = resized(root, std::max(root.columns, count));
+    const auto begin = turned.data.begin(), end = begin + (first + count) * turned.columns;
+    const auto middle = begin + first * turned.columns;
     std::rotate(begin, middle, end);  // they are on top meanwhile
-    for (std::size_t k = 0; k < count; ++k) reflect(found, k);
-    std::rotate(begin, begin + count * found.columns, end);
-    return found;
+    for (std::size_t k = 0; k < count; ++k) reflect(turned, k);
+    std::rotate(begin, begin + count * turned.columns, end);
+    return turned;
 }
 
 // How a map of k numbers changes with parameters: central differences about theta, on a grid of
@@ -121,8 +121,8 @@ struct Sensitivity {
     std::vector<std::size_t> active;  // parameters with which it changes
     std::size_t size;                 // d
 
-    template <class At>
-    Sensitivity(At at, const Vector& theta, const Vector& steps) {
+    template <class AffineMapOf>
+    Sensitivity(AffineMapOf map_of, const Vector& theta, const Vector& steps) {
         const std::size_t p = theta.size();
         Vector near = theta;
         for (std::size_t j = 0; j < p; ++j) {
@@ -130,19 +130,19 @@ struct Sensitivity {
             near[j] = steps[j] * std::nearbyint(theta[j] / steps[j]);
             active.push_back(j);
         }
-        const auto aside = [&](std::size_t j, double one, std::size_t k, double other) {
-            Vector at_ = near;
-            at_[j] += one * steps[j], at_[k] += other * steps[k];
-            return at(at_);
+        const auto map_aside = [&](std::size_t j, double one, std::size_t k, double other) {
+            Vector aside = near;
+            aside[j] += one * steps[j], aside[k] += other * steps[k];
+            return map_of(aside);
         };
-        const Map centre = at(near);
+        const AffineMap centre = map_of(near);
         const std::size_t k = centre.value.size();
         size = centre.linear.columns;
         first = Matrix(p, k), second.assign(p * p, Vector(k)), mixed.resize(p);
-        std::vector<Map> plus(p);
-        for (const std::size_t j : active) plus[j] = aside(j, 1.0, j, 0.0);
+        std::vector<AffineMap> plus(p);
+        for (const std::size_t j : active) plus[j] = map_aside(j, 1.0, j, 0.0);
         for (const std::size_t j : active) {
-            const Map minus = aside(j, -1.0, j, 0.0);
+            const AffineMap minus = map_aside(j, -1.0, j, 0.0);
             const double h = steps[j];
             mixed[j] = plus[j].linear;
             for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
@@ -154,7 +154,7 @@ struct Sensitivity {
             }
             for (const std::size_t l : active) {
                 if (l == j) break;
-                const Vector both = aside(j, 1.0, l, 1.0).value;
+                const Vector both = map_aside(j, 1.0, l, 1.0).value;
                 for (std::size_t i = 0; i < k; ++i) {
                     const double crossed =
                         (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);
@@ -164,17 +164,18 @@ struct Sensitivity {
         }
         for (std::size_t j = 0; j < p; ++j)
             for (std::size_t l = 0; l < p; ++l)
-                add(theta[l] - near[l], second[l * p + j], first.row(j));
+                add_scaled(theta[l] - near[l], second[l * p + j], first.row(j));
     }
 
     // Noise of second order that the parameters add to `linear root`, where `root`, d x c, and
     // `own`, p x c and lower triangular in front, are the root of states and parameters.
-    Matrix noise(const View& root, const View& own) const {
+    Matrix noise(const MatrixView& root, const MatrixView& own) const {
         const std::size_t p = first.rows, k = first.columns, d = root.rows;
         // Columns in which the parameters are zero: turned, d of them hold as much as all.
         const std::size_t rest = root.columns - p, left = std::min(rest, d), c = p + left;
         Matrix turned(d, rest);
-        for (std::size_t m = 0; m < d; ++m) add(1.0, root.row(m).part(p, rest), turned.row(m));
+        for (std::size_t m = 0; m < d; ++m)
+            add_scaled(1.0, root.row(m).part(p, rest), turned.row(m));
         if (rest > d) make_triangular(turned);
         std::vector<Matrix> across(p);  // mixed derivatives, by columns of `own`
         for (std::size_t a = 0; a < p; ++a)
@@ -184,8 +185,8 @@ struct Sensitivity {
                 for (std::size_t i = 0; i < k; ++i)
                     for (std::size_t m = 0; m < d; ++m) {
                         const double by = own(j, a) * mixed[j](i, m);
-                        add(by, root.row(m).part(0, p), across[a].row(i));
-                        add(by, turned.row(m).part(0, left), &across[a](i, p));
+                        add_scaled(by, root.row(m).part(0, p), across[a].row(i));
+                        add_scaled(by, turned.row(m).part(0, left), &across[a](i, p));
                     }
             }
         const auto moves = [&](std::size_t a) { return across[a].rows > 0; };
@@ -204,9 +205,9 @@ struct Sensitivity {
             if (moves(a)) columns += left + 1;
             for (std::size_t b = 0; b < a; ++b) columns += moves(a) || moves(b);
         }
-        Matrix found(k, columns);
+        Matrix noise(k, columns);
         for (std::size_t i = 0; i < k; ++i) {
-            double* to = found.row(i).data;
+            double* to = noise.row(i).data;
             for (std::size_t a = 0; a < p; ++a) {
                 if (moves(a)) {
                     for (std::size_t j = p; j < c; ++j) *to++ = TAILS * across[a](i, j);
@@ -217,7 +218,7 @@ struct Sensitivity {
                         *to++ = TAILS * (curved(a, b, i) + mixes(a, i, b) + mixes(b, i, a));
             }
         }
-        return found;
+        return noise;
     }
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// A plant while nothing happens but impacts of one open contact: flight after flight.
+// The motion of a plant through flights that end with the impact of one open contact each
+// (Newton's law; gap and speed of Baumann and Leine, ENOC 2014, equations (2) and (3)).
 #pragma once
 
 #include "search.hpp"
@@ -12,7 +13,7 @@ struct Instant {
     std::int64_t stamp = 0;
     double remainder = 0.0;
 
-    Instant after(double seconds) const {
+    Instant later_by(double seconds) const {
         const double whole = std::nearbyint(seconds * 1e9);
         const double left = (seconds - whole * 1e-9) + remainder;
         const double carry = std::nearbyint(left * 1e9);
@@ -23,7 +24,7 @@ struct Instant {
 };
 
 // The impact of one contact: g = W^T q + q_r, u+ = u- - kick gamma, q+ = q- - Z g.
-struct Contact {
+struct ContactJump {
     Vector W, kick, Z;   // kick and Z are empty until they are known
     double q_r, length;  // of the column of L^-1 W, M = L L^T
 
@@ -44,11 +45,11 @@ struct Contact {
             if (gamma > 0 || other > 0)
                 each = (std::min(other, 0.0) - std::min(gamma, 0.0)) / scale;
         }
-        add(-g, Z, x.data());
-        add(-std::min(gamma, 0.0), kick, &x[n]);
+        add_scaled(-g, Z, x.data());
+        add_scaled(-std::min(gamma, 0.0), kick, &x[n]);
         for (std::size_t i = 0; i < n; ++i) {
-            add(-Z[i], gaps, columns.row(i));
-            add(-kick[i], speeds, columns.row(n + i));
+            add_scaled(-Z[i], gaps, columns.row(i));
+            add_scaled(-kick[i], speeds, columns.row(n + i));
         }
         const auto has_faded = [](double each) { return std::abs(each) < faded; };
         if (std::all_of(columns.data.begin(), columns.data.end(), has_faded))
@@ -72,7 +73,7 @@ struct Hit {
 struct Arena {
     std::shared_ptr<const Guards> gaps;
     Matrix M;
-    std::vector<Contact> contacts;
+    std::vector<ContactJump> contacts;
     double window, timescale, shortest, lowest;
 };
 
@@ -81,7 +82,7 @@ struct Arena {
 // yet.
 class Flights {
   public:
-    std::optional<Crossing> crossing;  // the next one, if found
+    std::optional<Crossing> crossing;  // the next crossing, if it is known
     bool ended = false;                // whether it is left to others
 
     Flights(std::shared_ptr<const Arena> in, const Instant& start, const double* x)
@@ -92,9 +93,9 @@ class Flights {
         std::vector<Hit> hits;
         ended = false;  // a contact may be known now
         while (hits.size() < most && !ended) {
-            if (!crossing) crossing = flight.hunt.first(flight.start.until(limit) + 0.5e-9);
+            if (!crossing) crossing = flight.search.first(flight.start.until(limit) + 0.5e-9);
             if (!crossing || crossing->s > flight.start.until(limit) + 1.0) break;
-            const Instant instant = flight.start.after(crossing->s);
+            const Instant instant = flight.start.later_by(crossing->s);
             if (instant.stamp > limit) break;
             if (std::optional<Hit> hit = impact(instant))
                 hits.push_back(std::move(*hit));
@@ -105,40 +106,40 @@ class Flights {
     }
 
   private:
-    struct Flight {
+    struct OpenFlight {
         Instant start;
-        std::shared_ptr<Motion> motion;
-        Hunt hunt;
+        std::shared_ptr<PhaseMotion> motion;
+        RootSearch search;
     };
 
     std::shared_ptr<const Arena> arena;
-    Flight flight;
+    OpenFlight flight;
 
-    Flight begun(const Instant& start, const double* x) const {
-        const Time t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp,
-                     start.remainder};
+    OpenFlight begun(const Instant& start, const double* x) const {
+        const Elapsed t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp,
+                        start.remainder};
         auto motion = arena->gaps->flow->start(t, x);
-        Hunt hunt(arena->gaps->along(motion), arena->window);
-        return {start, std::move(motion), std::move(hunt)};
+        RootSearch search(arena->gaps->along(motion), arena->window);
+        return {start, std::move(motion), std::move(search)};
     }
 
     // Goes through an impact if it is a plain one.
     std::optional<Hit> impact(const Instant& instant) {
         if (crossing->which.size() > 1 || crossing->s <= 2 * arena->shortest) return {};
         const std::size_t i = crossing->which.front(), n = arena->M.rows;
-        const Contact& contact = arena->contacts[i];
+        const ContactJump& contact = arena->contacts[i];
         if (contact.kick.empty()) return {};
         Hit hit{instant, i, 0.0, Vector(2 * n), {}};
         flight.motion->states(&crossing->s, 1, hit.before.data());
         hit.after = hit.before;
-        const Row u = Row(hit.before).part(n, n);
+        const ConstSpan u = ConstSpan(hit.before).part(n, n);
         if (!(contact.speed(hit.before) < 0)) return {};
         Matrix no_others(2 * n, 0);
         contact.strike(hit.after, no_others);
         for (std::size_t k = 0; k < n; ++k) hit.energy += u[k] * dot(arena->M.row(k), u) / 2;
         const double away = contact.speed(hit.after);
         if (away <= 1e-11 * contact.length * std::sqrt(2 * hit.energy)) return {};
-        Flight next = begun(instant, hit.after.data());
+        OpenFlight next = begun(instant, hit.after.data());
         if (may_rest(i, away, next)) return {};
         flight = std::move(next);
         crossing.reset();
@@ -147,11 +148,11 @@ class Flights {
 
     // Whether a contact that separates with speed gamma could be back at once: not if its flight
     // is long and high enough with the acceleration that it has, known to 1e-8 of the largest.
-    bool may_rest(std::size_t i, double gamma, Flight& next) const {
-        Functions& gaps = next.hunt.look(0.0);
+    bool may_rest(std::size_t i, double gamma, OpenFlight& next) const {
+        Functions& gaps = next.search.look(0.0);
         const double fall =
-            std::max(-gaps.derivative(2, i), 0.0) + 1e-8 * gaps.largest(2, i, arena->timescale);
-        const double scale = std::abs(gaps.constant(i)) + gaps.largest(0, i, arena->timescale);
+            std::max(-gaps.derivative(2, i), 0.0) + 1e-8 * gaps.bound(2, i, arena->timescale);
+        const double scale = std::abs(gaps.constant(i)) + gaps.bound(0, i, arena->timescale);
         return gamma <= fall * arena->shortest ||
                gamma * gamma <= 4 * fall * arena->lowest * scale;
     }

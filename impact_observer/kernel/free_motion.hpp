@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// The motion between impacts, while no contact is closed.
+// The solution of M du = (-C u - K q + f(t)) dt, dq = u dt between impacts, while no contact is
+// closed, by Taylor's series (Baumann and Leine, ENOC 2014, equation (1)).
 #pragma once
 
 #include <limits>
@@ -13,7 +14,7 @@ constexpr double EPS = std::numeric_limits<double>::epsilon();
 constexpr double LEAST = 1e-150;  // standard deviation, or speed, instead of zero
 
 struct Ignored {
-    void operator()(const Row&) const {}
+    void operator()(const ConstSpan&) const {}
 };
 
 // dx/dt = A x + b(t), x = (q, u):  du/dt = lower x + constant + sum cosine cos + sine sin.
@@ -36,29 +37,29 @@ struct FreeMotion {
     }
 
     // A x
-    Vector rates(const Row& x) const {
-        Vector found(size());
-        move(x.data, found.data());
-        return found;
+    Vector rates(const ConstSpan& x) const {
+        Vector derivative(size());
+        move(x.data, derivative.data());
+        return derivative;
     }
 
     // row A
-    Vector row_rates(const Row& row) const {
-        Vector found(size());
-        move_row(row.data, found.data());
-        return found;
+    Vector row_rates(const ConstSpan& row) const {
+        Vector derivative(size());
+        move_row(row.data, derivative.data());
+        return derivative;
     }
 
     // x += factor times the derivative of order k of b at t
     void force(double t, int k, double factor, Vector& x) const {
         double* u = x.data() + n();
-        if (k == 0) add(factor, constant, u);
+        if (k == 0) add_scaled(factor, constant, u);
         for (std::size_t i = 0; i < frequency.size(); ++i) {
             const double omega = frequency[i], angle = omega * t;
             const double one = k ? -omega * std::sin(angle) : std::cos(angle);
             const double two = k ? omega * std::cos(angle) : std::sin(angle);
-            add(factor * one, cosine.row(i), u);
-            add(factor * two, sine.row(i), u);
+            add_scaled(factor * one, cosine.row(i), u);
+            add_scaled(factor * two, sine.row(i), u);
         }
     }
 
@@ -66,36 +67,36 @@ struct FreeMotion {
     // and then by Phi(2h) = Phi(h) Phi(h).
     Matrix transition(double s) const {
         const int doublings = doublings_of(s);
-        Matrix found(size(), size());
+        Matrix Phi(size(), size());
         for (std::size_t j = 0; j < size(); ++j)
-            set_column(found, j, 1.0, moved_by(j, std::ldexp(s, -doublings)));
-        for (int turn = 0; turn < doublings; ++turn) found = product(found, found);
-        return found;
+            set_column(Phi, j, 1.0, moved_by(j, std::ldexp(s, -doublings)));
+        for (int turn = 0; turn < doublings; ++turn) Phi = product(Phi, Phi);
+        return Phi;
     }
 
     // The state s seconds after x at t; each(term) sees all terms of Taylor's series
     template <class Each = Ignored>
-    Vector flown(double t, Vector x, double s, Each each = {}) const {
+    Vector state_after(double t, Vector x, double s, Each each = {}) const {
         return moved<&FreeMotion::move>(std::move(x), s, &t, each);
     }
 
     // Phi(s) x
-    Vector carried(Vector x, double s) const {
+    Vector transition_times(Vector x, double s) const {
         return moved<&FreeMotion::move>(std::move(x), s, nullptr);
     }
 
     // row Phi(s)
-    Vector seen(Vector row, double s) const {
+    Vector row_times_transition(Vector row, double s) const {
         return moved<&FreeMotion::move_row>(std::move(row), s, nullptr);
     }
 
     // What forces add in s seconds, by the constant and by each harmonic that starts as a cosine
     // and as a sine: (1 + 2h) x 2n.
     Matrix pushed(double s) const {
-        Matrix found(1 + 2 * frequency.size(), size());
+        Matrix responses(1 + 2 * frequency.size(), size());
         FreeMotion one = *this;
         const auto respond = [&](std::size_t k) {
-            add(1.0, one.flown(0.0, Vector(size()), s), found.row(k));
+            add_scaled(1.0, one.state_after(0.0, Vector(size()), s), responses.row(k));
         };
         one.frequency = {}, one.cosine = one.sine = Matrix(0, n());
         respond(0);
@@ -108,7 +109,7 @@ struct FreeMotion {
             for (double& each : one.sine.data) each = -each;
             respond(2 + 2 * i);
         }
-        return found;
+        return responses;
     }
 
     // A square root, 2n x 2n, of what white accelerations add in s >= 0 seconds: the integral of
@@ -160,10 +161,10 @@ struct FreeMotion {
             for (int k = 0; size_of_term > EPS / 16; ++k) {
                 (this->*next)(term.data(), other.data());
                 double* u = other.data() + n();
-                if (t && k == 0) add(1.0, constant, u);
+                if (t && k == 0) add_scaled(1.0, constant, u);
                 for (std::size_t i = 0; i < h_count; ++i) {  // h^k / k! times derivative k
-                    add(even[i], cosine.row(i), u);
-                    add(odd[i], sine.row(i), u);
+                    add_scaled(even[i], cosine.row(i), u);
+                    add_scaled(odd[i], sine.row(i), u);
                     const double by = frequency[i] * h / (k + 1), before = even[i];
                     even[i] = -by * odd[i], odd[i] = by * before;
                 }
@@ -188,7 +189,7 @@ struct FreeMotion {
     Vector moved_by(std::size_t i, double s) const {
         Vector column(size());
         column[i] = 1.0;
-        return carried(std::move(column), s);
+        return transition_times(std::move(column), s);
     }
 
     static void set_column(Matrix& to, std::size_t j, double factor, const Vector& column) {
@@ -220,16 +221,16 @@ struct Sizes {
     Vector squares;        // omega^2 of the modes, n
     double timescale;
 
-    Vector of(const Row& x, double s) const {
+    Vector rounding_scale(const ConstSpan& x, double s) const {
         const std::size_t n = modes.rows;
         const Vector a = product(x.part(0, n), modes), b = product(x.part(n, n), modes);
-        Vector found(2 * n);
+        Vector sizes(2 * n);
         for (std::size_t j = 0; j < n; ++j) {
             const double q = std::abs(a[j]), u = std::abs(b[j]), half = std::max(s, 0.0) / 2;
-            add(q + (timescale + half) * u, spread.row(j), &found[0]);
-            add(u + half * squares[j] * q, spread.row(j), &found[n]);
+            add_scaled(q + (timescale + half) * u, spread.row(j), &sizes[0]);
+            add_scaled(u + half * squares[j] * q, spread.row(j), &sizes[n]);
         }
-        return found;
+        return sizes;
     }
 };
 

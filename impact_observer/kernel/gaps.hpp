@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Gaps that an estimate predicts, while no contact is closed: where they fall below zero.
+// Intervals in which predicted gaps are negative, while no contact is closed.
 //
-// Gaps of the plant are never negative. Where those of the estimate fall below zero by more than
-// its deviation explains, an impact was missed.
+// The gap g (Baumann and Leine, ENOC 2014, equation (2)) of the plant is never negative. An impact
+// was missed if a predicted gap falls below zero by more than its standard deviation explains.
 #pragma once
 
 #include "kalman.hpp"
@@ -14,11 +14,11 @@ namespace kernel::kalman {
 constexpr double FINE = 6.0;           // samples in the inverse of the fastest rate: 38 a period
 constexpr double MOST_SAMPLES = 4096;  // of a flight; in a longer one their distance is larger
 constexpr int FINER = 8;               // additional samples in the first interval
-constexpr int MOST_DIPS = 32;          // of a gap in a flight, which may last for years
+constexpr int MOST_INTERVALS = 32;     // of a gap in a flight, which may last for years
 constexpr double SHALLOW = 8.0;        // depth of a dip that is rounding, in its deviations
 
 // An interval in which a gap, or another function, is negative. Times are seconds after the start.
-struct Dip {
+struct NegativeInterval {
     std::size_t contact;  // or which function
     double above, below;  // the last sample at which it is positive, the first where it is not
     double deepest;       // where it is deepest
@@ -33,7 +33,7 @@ struct Dip {
 };
 
 // A linear function of the state that is measured with noise.
-struct Sample {
+struct LinearMeasurement {
     Vector row;  // by the state, and then by as many constants as it has more numbers
     double rest, value;
     double noise;  // its variance
@@ -41,7 +41,7 @@ struct Sample {
 };
 
 // A state after a sample.
-struct Followed {
+struct CorrectedState {
     Posterior state;
     double innovation, normalised;
     double density;   // logarithm of that of the sample, but for a constant
@@ -54,7 +54,7 @@ struct Followed {
 };
 
 // Adds the minima between samples of a function that are, or may be, below zero. `near` evaluates
-// it, after a sample of which it is told the number.
+// the function; its first argument is the index of the sample before.
 template <class Near>
 void add_minima(Vector& s, Vector& values, const Near& near) {
     Vector more_s, more;
@@ -76,14 +76,15 @@ void add_minima(Vector& s, Vector& values, const Near& near) {
     }
 }
 
-// Adds the first dips of a function of which the values at the samples s are given; where they
-// begin is not known. `rounding` and `deviation` are of its value at an instant.
+// Adds the first negative intervals of a function with these values at the samples s, without
+// their `began`. `rounding` and `deviation` are of its value at an instant.
 template <class Near, class Rounding, class Deviation>
-void add_dips(std::vector<Dip>& found, std::size_t which, Vector s, Vector values,
-              const Near& near, const Rounding& rounding, const Deviation& deviation) {
+void add_negative_intervals(std::vector<NegativeInterval>& intervals, std::size_t which, Vector s,
+                            Vector values, const Near& near, const Rounding& rounding,
+                            const Deviation& deviation) {
     add_minima(s, values, near);
-    int dips = 0;
-    for (std::size_t k = 0; k < s.size() && dips < MOST_DIPS; ++k) {
+    int count = 0;
+    for (std::size_t k = 0; k < s.size() && count < MOST_INTERVALS; ++k) {
         if (!(values[k] < 0)) continue;
         const std::size_t first = k;
         std::size_t lowest = k;
@@ -94,20 +95,21 @@ void add_dips(std::vector<Dip>& found, std::size_t which, Vector s, Vector value
         const double rounded = rounding(s[lowest]);
         if (depth <= SHALLOW * rounded) continue;
         const double deep = -values[lowest] / std::hypot(deviation(s[lowest]), rounded);
-        found.push_back({which, s[first ? first - 1 : 0], s[first], s[lowest], deep,
-                         log_normal(-deep), k < s.size(), 0.0});
-        ++dips;
+        intervals.push_back({which, s[first ? first - 1 : 0], s[first], s[lowest], deep,
+                             log_normal(-deep), k < s.size(), 0.0});
+        ++count;
     }
 }
 
-// By where they begin: samples may be too far apart to tell.
-inline void in_order(std::vector<Dip>& dips) {
-    std::stable_sort(dips.begin(), dips.end(),
-                     [](const Dip& a, const Dip& b) { return a.began < b.began; });
+// Sorts intervals by their roots: the samples may be too far apart to order them.
+inline void in_order(std::vector<NegativeInterval>& intervals) {
+    std::stable_sort(
+        intervals.begin(), intervals.end(),
+        [](const NegativeInterval& a, const NegativeInterval& b) { return a.began < b.began; });
 }
 
 // A state and its flight: t, s, and the level of white accelerations, m/s^1.5.
-struct Flown {
+struct FlyingState {
     Prior prior;
     double t, s, level;
 };
@@ -120,13 +122,13 @@ class Gaps {
     Matrix rests;  // what a unit of each parameter adds to them, p x m
     std::shared_ptr<const FreeMotion> motion = family->given;
 
-    // Those of the member with the parameters of a state.
-    Gaps of(const Prior& prior) const {
-        Gaps found = *this;
-        found.motion = family->at(prior.constants);
+    // The gaps of the member with the parameters of this state.
+    Gaps member_gaps(const Prior& prior) const {
+        Gaps member = *this;
+        member.motion = family->member(prior.constants);
         for (std::size_t j = 0; j < family->count(); ++j)
-            add(prior.constants[j] - family->nominal[j], rests.row(j), found.rest);
-        return found;
+            add_scaled(prior.constants[j] - family->nominal[j], rests.row(j), member.rest);
+        return member;
     }
 
     // Steps of a flight, for many states.
@@ -140,82 +142,86 @@ class Gaps {
     Grid grid(double t, double duration, std::size_t states) const {
         const double wanted = std::ceil(duration * FINE / family->sizes.timescale);
         const auto count = std::size_t(std::min(std::max(wanted, 4.0), MOST_SAMPLES));
-        Grid found{t, duration, count, {}, {}};
+        Grid grid{t, duration, count, {}, {}};
         const std::size_t size = motion->size();
-        if (size > 2 * LARGE || size > count * states) return found;
+        if (size > 2 * LARGE || size > count * states) return grid;
         const double h = duration / double(count);
-        found.step = motion->transition(h), found.pushed = Matrix(count, size);
+        grid.step = motion->transition(h), grid.pushed = Matrix(count, size);
         const Matrix parts = motion->pushed(h);
         for (std::size_t k = 0; k < count; ++k) {
             const double at = t + duration * (double(k) / double(count));
-            add(1.0, parts.row(0), found.pushed.row(k));
+            add_scaled(1.0, parts.row(0), grid.pushed.row(k));
             for (std::size_t i = 0; i < motion->frequency.size(); ++i) {
                 const double angle = motion->frequency[i] * at;
-                add(std::cos(angle), parts.row(1 + 2 * i), found.pushed.row(k));
-                add(std::sin(angle), parts.row(2 + 2 * i), found.pushed.row(k));
+                add_scaled(std::cos(angle), parts.row(1 + 2 * i), grid.pushed.row(k));
+                add_scaled(std::sin(angle), parts.row(2 + 2 * i), grid.pushed.row(k));
             }
         }
-        return found;
+        return grid;
     }
 
-    // The first dips of each gap on a grid, in the order in which they begin. `level` is that of
-    // white accelerations, m/s^1.5.
-    std::vector<Dip> dips(const Grid& grid, const Prior& prior, double level) const {
+    // The first negative intervals of each gap on a grid, in the order in which they begin.
+    // `level` is that of white accelerations, m/s^1.5.
+    std::vector<NegativeInterval> negative_intervals(const Grid& grid, const Prior& prior,
+                                                     double level) const {
         const double t = grid.t;
-        std::vector<Dip> found;
-        if (!(grid.duration > 0)) return found;
-        const Samples samples = sampled(grid, prior.x);
+        std::vector<NegativeInterval> intervals;
+        if (!(grid.duration > 0)) return intervals;
+        const SampledFlight samples = sampled(grid, prior.x);
         for (std::size_t j = 0; j < W.rows; ++j) {
             Vector values(samples.s.size());
             for (std::size_t k = 0; k < values.size(); ++k) values[k] = gap(j, samples.x.row(k));
             const auto near = [&](std::size_t from, double at) {
                 const double s = samples.s[from];
-                return gap(j, motion->flown(t + s, samples.x.row(from), at - s));
+                return gap(j, motion->state_after(t + s, samples.x.row(from), at - s));
             };
             const auto rounding = [&](double s) {
-                const Vector scale = family->sizes.of(prior.x, 0.0);
+                const Vector scale = family->sizes.rounding_scale(prior.x, 0.0);
                 double size = std::abs(rest[j]);
                 for (std::size_t i = 0; i < motion->n(); ++i) size += std::abs(W(j, i)) * scale[i];
                 return (64 * EPS + EPS * (t + s) / family->sizes.timescale) * size;
             };
             const auto spread_at = [&](double s) { return deviation(t, j, s, prior, level); };
-            add_dips(found, j, samples.s, std::move(values), near, rounding, spread_at);
+            add_negative_intervals(intervals, j, samples.s, std::move(values), near, rounding,
+                                   spread_at);
         }
-        for (Dip& dip : found)
+        for (NegativeInterval& dip : intervals)
             dip.began = root(t, prior, level, dip.contact, dip.above, dip.below, 0.0);
-        in_order(found);
-        return found;
+        in_order(intervals);
+        return intervals;
     }
 
-    // The same for many states; those that follow each other and fly alike share steps.
-    std::vector<std::vector<Dip>> dips(const std::vector<Flown>& states) const {
-        std::vector<std::vector<Dip>> found;
+    // The negative intervals of many states. Neighbours with equal t and s share one grid.
+    std::vector<std::vector<NegativeInterval>> negative_intervals(
+        const std::vector<FlyingState>& states) const {
+        std::vector<std::vector<NegativeInterval>> intervals;
         Grid shared{};
         for (std::size_t b = 0; b < states.size(); ++b) {
             const auto& [prior, t, s, level] = states[b];
-            const Gaps own = of(prior);
+            const Gaps own = member_gaps(prior);
             std::size_t end = b;
             while (end < states.size() && states[end].t == t && states[end].s == s) ++end;
             const bool is_shared = family->moving() == 0;
             if (!is_shared || b == 0 || t != shared.t || s != shared.duration)
                 shared = own.grid(t, s, is_shared ? end - b : 1);
-            found.push_back(own.dips(shared, prior, level));
+            intervals.push_back(own.negative_intervals(shared, prior, level));
         }
-        return found;
+        return intervals;
     }
 
     // Where a gap plus `depth` deviations falls through zero between `above` and `below`, s.
     double root(double t, const Prior& prior, double level, std::size_t j, double above,
                 double below, double depth) const {
-        const Vector start = motion->flown(t, prior.x, above);
+        const Vector start = motion->state_after(t, prior.x, above);
         const bool is_short = depth > 0 && !(level > 0 || family->count());
-        const Vector row = is_short ? motion->seen(direction(j), above) : Vector();
+        const Vector row = is_short ? motion->row_times_transition(direction(j), above) : Vector();
         const auto sigma = [&](double s) {
-            return is_short ? length(product(motion->seen(row, s - above), prior.root))
-                            : deviation(t, j, s, prior, level);
+            return is_short
+                       ? length(product(motion->row_times_transition(row, s - above), prior.root))
+                       : deviation(t, j, s, prior, level);
         };
         const auto value = [&](double s) {
-            const Vector x = motion->flown(t + above, start, s - above);
+            const Vector x = motion->state_after(t + above, start, s - above);
             return gap(j, x) + (depth > 0 ? depth * sigma(s) : 0.0);
         };
         return falls_at(value, above, below, depth > 0 ? 1e-13 : 4 * EPS);
@@ -224,98 +230,100 @@ class Gaps {
     // States s seconds later, corrected by a sample then. None where a gap is negative then, or,
     // if that is searched, on the way. White accelerations, m/s^1.5, have the `declared` level
     // beside that of each state.
-    std::optional<std::vector<Followed>> followed(double t, double s,
-                                                  const std::vector<Prior>& priors,
-                                                  const View& levels, double declared,
-                                                  const Sample& sample, bool searches) const {
-        std::vector<Followed> found;
+    std::optional<std::vector<CorrectedState>> followed(double t, double s,
+                                                        const std::vector<Prior>& priors,
+                                                        const MatrixView& levels, double declared,
+                                                        const LinearMeasurement& sample,
+                                                        bool searches) const {
+        std::vector<CorrectedState> corrected;
         Grid steps;
-        Flight flight{s, {}, {}};
+        FlightTransition flight{s, {}, {}};
         for (std::size_t b = 0; b < priors.size(); ++b) {
             const Prior& prior = priors[b];
             Vector x = prior.x;
-            const bool is_far = flown_far(t, s, x);
+            const bool is_far = moves_far(t, s, x);
             for (std::size_t j = 0; j < W.rows; ++j)
                 if (!(gap(j, x) >= 0)) return std::nullopt;
             if (searches && !is_far) {
                 if (steps.count == 0) steps = grid(t, s, priors.size());
-                if (!dips(steps, prior, levels[b]).empty()) return std::nullopt;
+                if (!negative_intervals(steps, prior, levels[b]).empty()) return std::nullopt;
             }
             const double level = std::hypot(declared, levels[b]);
-            found.push_back(updated(sample, after(t, prior, x, level, flight)));
+            corrected.push_back(updated(sample, state_after_flight(t, prior, x, level, flight)));
         }
-        return found;
+        return corrected;
     }
 
     // Each state after its flight, with white accelerations of its level beside those declared.
-    std::vector<Posterior> flown(const std::vector<Flown>& states, double declared) const {
-        std::vector<Posterior> found;
-        Flight flight{-1.0, {}, {}};
+    std::vector<Posterior> fly(const std::vector<FlyingState>& states, double declared) const {
+        std::vector<Posterior> later;
+        FlightTransition flight{-1.0, {}, {}};
         for (const auto& [prior, t, s, level] : states) {
             if (s != flight.s) flight = {s, {}, {}};
-            const Gaps own = of(prior);
-            found.push_back(own.after(t, prior, own.motion->flown(t, prior.x, s),
-                                      s > 0 ? std::hypot(declared, level) : 0.0, flight));
+            const Gaps own = member_gaps(prior);
+            later.push_back(
+                own.state_after_flight(t, prior, own.motion->state_after(t, prior.x, s),
+                                       s > 0 ? std::hypot(declared, level) : 0.0, flight));
         }
-        return found;
+        return later;
     }
 
     // What states share that fly for s seconds.
-    struct Flight {
+    struct FlightTransition {
         double s;
         Matrix Phi, diffused;  // made when they are first needed
     };
 
     // A state after a flight from t on to x, with white accelerations of this level.
-    Posterior after(double t, const Prior& prior, const Vector& x, double level,
-                    Flight& flight) const {
+    Posterior state_after_flight(double t, const Prior& prior, const Vector& x, double level,
+                                 FlightTransition& flight) const {
         const bool is_own = family->moving() > 0;
         if (is_own || flight.Phi.rows == 0) flight.Phi = motion->transition(flight.s);
-        Posterior found{x, prior.constants, {}, carried(flight.Phi, prior.differences)};
-        found.root = is_own ? with_parameters(t, prior, flight, found.differences)
-                            : carried(flight.Phi, prior.root);
+        Posterior later{x, prior.constants, {}, with_moved_state(flight.Phi, prior.differences)};
+        later.root = is_own ? with_parameters(t, prior, flight, later.differences)
+                            : with_moved_state(flight.Phi, prior.root);
         if (level > 0 && flight.diffused.rows == 0)
             flight.diffused = family->given->diffusion(flight.s);
         if (level > 0 || is_own)
-            found.root = with_noise(found.root, level > 0 ? flight.diffused : Matrix(), level);
-        return found;
+            later.root = with_noise(later.root, level > 0 ? flight.diffused : Matrix(), level);
+        return later;
     }
 
     // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
     // Factorization methods for discrete sequential estimation, 1977, chapter II).
-    static Followed updated(const Sample& sample, Posterior prior) {
-        Followed found{std::move(prior), 0, 0, 0, 0};
-        auto& [x, constants, root, differences] = found.state;
+    static CorrectedState updated(const LinearMeasurement& sample, Posterior prior) {
+        CorrectedState corrected{std::move(prior), 0, 0, 0, 0};
+        auto& [x, constants, root, differences] = corrected.state;
         const std::size_t size = x.size();
         const Vector columns = product(sample.row, root),
                      others = product(sample.row, differences);
         const double spread = dot(columns, columns);
         const double variance = spread + sample.noise, share = sample.noise / variance;
-        found.innovation = sample.value - (dot(x, sample.row) + sample.rest);
-        found.normalised = std::abs(found.innovation) / std::sqrt(variance);
-        const double least = std::min(found.normalised, sample.gate);
-        found.density = -(least * least + std::log(variance)) / 2;
-        found.residual = least * least * variance * share * share + spread * share;
-        if (!(found.normalised > sample.gate)) {
+        corrected.innovation = sample.value - (dot(x, sample.row) + sample.rest);
+        corrected.normalised = std::abs(corrected.innovation) / std::sqrt(variance);
+        const double least = std::min(corrected.normalised, sample.gate);
+        corrected.density = -(least * least + std::log(variance)) / 2;
+        corrected.residual = least * least * variance * share * share + spread * share;
+        if (!(corrected.normalised > sample.gate)) {
             const double shrink = variance + std::sqrt(variance * sample.noise);
             for (std::size_t i = 0; i < root.rows; ++i) {
                 const double towards = dot(root.row(i), columns);
-                const double change = towards / variance * found.innovation;
+                const double change = towards / variance * corrected.innovation;
                 (i < size ? x[i] : constants[i - size]) += change;
-                add(-towards / shrink, columns, root.row(i));
-                add(-towards / variance, others, differences.row(i));
+                add_scaled(-towards / shrink, columns, root.row(i));
+                add_scaled(-towards / variance, others, differences.row(i));
             }
         }
-        return found;
+        return corrected;
     }
 
   private:
     // Takes x s seconds on from t. Whether no gap can have vanished on the way, as not even all
     // terms of Taylor's series together reach so far.
-    bool flown_far(double t, double s, Vector& x) const {
+    bool moves_far(double t, double s, Vector& x) const {
         Vector left(W.rows);
         for (std::size_t j = 0; j < W.rows; ++j) left[j] = gap(j, x);
-        x = motion->flown(t, std::move(x), s, [&](const Row& term) {
+        x = motion->state_after(t, std::move(x), s, [&](const ConstSpan& term) {
             for (std::size_t j = 0; j < W.rows; ++j)
                 left[j] -= (1 + 1e-9) * std::abs(dot(W.row(j), term.data));
         });
@@ -324,11 +332,11 @@ class Gaps {
     }
 
     // Errors after a flight; the rows after those of the state stay.
-    static Matrix carried(const Matrix& Phi, const View& errors) {
-        Matrix found = errors;
-        std::fill_n(found.data.begin(), Phi.rows * errors.columns, 0.0);
-        add_product(Phi, errors.part(0, Phi.rows), found.data.data());
-        return found;
+    static Matrix with_moved_state(const Matrix& Phi, const MatrixView& errors) {
+        Matrix later = errors;
+        std::fill_n(later.data.begin(), Phi.rows * errors.columns, 0.0);
+        add_product(Phi, errors.part(0, Phi.rows), later.data.data());
+        return later;
     }
 
     // A root of what white accelerations add to a covariance: lower triangular.
@@ -336,66 +344,66 @@ class Gaps {
         const std::size_t d = root.rows, c = root.columns;
         Matrix whole = resized(root, std::max(d, c + diffused.columns));
         for (std::size_t i = 0; i < diffused.rows; ++i)
-            add(level, diffused.row(i), whole.row(i).data + c);
+            add_scaled(level, diffused.row(i), whole.row(i).data + c);
         return squared(std::move(whole));
     }
 
-    struct Samples {
+    struct SampledFlight {
         Vector s;
         Matrix x;  // a state each row
     };
 
-    double gap(std::size_t j, const Row& x) const { return dot(W.row(j), x.data) + rest[j]; }
+    double gap(std::size_t j, const ConstSpan& x) const { return dot(W.row(j), x.data) + rest[j]; }
 
     // Samples of a flight; a flight after an impact may be short.
-    Samples sampled(const Grid& grid, const Vector& start) const {
+    SampledFlight sampled(const Grid& grid, const Vector& start) const {
         const std::size_t last = grid.count + FINER, size = start.size();
-        Samples found{Vector(last + 1), Matrix(last + 1, size)};
-        add(1.0, start, found.x.row(0));
+        SampledFlight samples{Vector(last + 1), Matrix(last + 1, size)};
+        add_scaled(1.0, start, samples.x.row(0));
         const double first = grid.duration / double(grid.count);
         for (std::size_t k = 1; k <= last; ++k) {
             const bool is_finer = k <= FINER, is_first = k == FINER + 1;
-            found.s[k] = is_finer ? std::ldexp(first, 3 * (int(k) - FINER - 1))
-                                  : grid.duration * (double(k - FINER) / double(grid.count));
-            const Row from = found.x.row(is_first ? 0 : k - 1);
-            const Span<double> to = found.x.row(k);
+            samples.s[k] = is_finer ? std::ldexp(first, 3 * (int(k) - FINER - 1))
+                                    : grid.duration * (double(k - FINER) / double(grid.count));
+            const ConstSpan from = samples.x.row(is_first ? 0 : k - 1);
+            const Span<double> to = samples.x.row(k);
             if (is_finer || grid.step.rows == 0) {
-                const double s = is_first ? 0.0 : found.s[k - 1];
-                add(1.0, motion->flown(grid.t + s, from, found.s[k] - s), to);
+                const double s = is_first ? 0.0 : samples.s[k - 1];
+                add_scaled(1.0, motion->state_after(grid.t + s, from, samples.s[k] - s), to);
             } else {
                 for (std::size_t i = 0; i < size; ++i)
                     to[i] = grid.pushed(k - FINER - 1, i) + dot(grid.step.row(i), from);
             }
         }
-        return found;
+        return samples;
     }
 
     // The root of a covariance after a flight from t on; `differences` get what the parameters of
     // the motion add.
-    Matrix with_parameters(double t, const Prior& prior, const Flight& flight,
+    Matrix with_parameters(double t, const Prior& prior, const FlightTransition& flight,
                            Matrix& differences) const {
         const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
-        const View state = whole.part(0, size), own = whole.part(size, q);
+        const MatrixView state = whole.part(0, size), own = whole.part(size, q);
         const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
-            return Map{other.flown(t, prior.x, flight.s), other.transition(flight.s)};
+            return AffineMap{other.state_after(t, prior.x, flight.s), other.transition(flight.s)};
         });
         const Matrix noise = by.noise(state, own);
-        Matrix found = resized(carried(flight.Phi, whole), whole.columns + noise.columns);
-        put(noise, found, 0, whole.columns);
+        Matrix root = resized(with_moved_state(flight.Phi, whole), whole.columns + noise.columns);
+        put(noise, root, 0, whole.columns);
         for (std::size_t i = 0; i < size; ++i)
             for (std::size_t j = 0; j < q; ++j) {
-                add(by.first(j, i), own.row(j), found.row(i).data);
-                add(by.first(j, i), prior.differences.row(size + j), differences.row(i));
+                add_scaled(by.first(j, i), own.row(j), root.row(i).data);
+                add_scaled(by.first(j, i), prior.differences.row(size + j), differences.row(i));
             }
-        return found;
+        return root;
     }
 
     // How a map changes with the parameters of the motion, whose errors are the rows of `own`.
-    template <class At>
-    Sensitivity by_parameters(const Prior& prior, const View& own, At at) const {
-        const Vector theta = Row(prior.constants).part(0, own.rows);
-        return {[&](const Vector& other) { return at(*family->at(other)); }, theta,
+    template <class MapOf>
+    Sensitivity by_parameters(const Prior& prior, const MatrixView& own, MapOf map_of) const {
+        const Vector theta = ConstSpan(prior.constants).part(0, own.rows);
+        return {[&](const Vector& other) { return map_of(*family->member(other)); }, theta,
                 family->parameters.steps(theta, own)};
     }
 
@@ -409,12 +417,12 @@ class Gaps {
             const double wanted = std::ceil(s * FINE / family->sizes.timescale / 2);
             const double count = 2 * std::clamp(wanted, 1.0, MOST_SAMPLES / 2), h = s / count;
             for (double k = 0; k < count; ++k) {
-                row = motion->seen(std::move(row), h);
+                row = motion->row_times_transition(std::move(row), h);
                 const double weight = k + 1 == count ? 1 : std::fmod(k, 2) == 0 ? 4 : 2;
-                added += weight * dot(Row(row).part(n, n), &row[n]) * h / 3;
+                added += weight * dot(ConstSpan(row).part(n, n), &row[n]) * h / 3;
             }
         } else {
-            row = motion->seen(std::move(row), s);
+            row = motion->row_times_transition(std::move(row), s);
         }
         for (std::size_t k = 0; k < family->count(); ++k) row.push_back(rests(k, j));
         const double own = family->moving() ? spread_with_parameters(t, j, s, prior, row)
@@ -428,11 +436,12 @@ class Gaps {
                                   Vector row) const {
         const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
-        const View own = whole.part(size, q);
+        const MatrixView own = whole.part(size, q);
         const Vector seen = direction(j);
         const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
-            const Vector linear = other.seen(seen, s);
-            return Map{{dot(seen, other.flown(t, prior.x, s))}, View{linear.data(), 1, size}};
+            const Vector linear = other.row_times_transition(seen, s);
+            return AffineMap{{dot(seen, other.state_after(t, prior.x, s))},
+                             MatrixView{linear.data(), 1, size}};
         });
         for (std::size_t k = 0; k < q; ++k) row[size + k] += by.first(k, 0);
         const Matrix noise = by.noise(whole.part(0, size), own);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Functions of a motion in closed form, with all derivatives and a bound on each.
+// Guard functions of a modal motion in closed form, with their derivatives and bounds on these.
 #pragma once
 
 #include "motion.hpp"
@@ -19,7 +19,7 @@ class ModalGuards : public Guards {
 
     // What differs between a young motion and one with a steady response.
     struct Form {
-        const std::vector<Drive>* drives;
+        const std::vector<DrivenPair>* drives;
         Matrix waves[ORDERS];         // derivatives of what (1, cos, sin) make, w x (1 + 2h)
         Matrix driven;                // sums of their sizes, but for the constant, ORDERS x w
         std::vector<Response> loads;  // ORDERS x w x drives
@@ -30,7 +30,7 @@ class ModalGuards : public Guards {
     Matrix growth;                        // |lambda|^k, ORDERS x n
     Form early, late;
 
-    ModalGuards(std::shared_ptr<const ModalFlow> of, Rows given)
+    ModalGuards(std::shared_ptr<const ModalFlow> of, GuardRows given)
         : Guards(of, std::move(given)), modal(std::move(of)), growth(ORDERS, modal->pairs.size()) {
         of_pairs[0] = rows.seen;
         for (std::size_t k = 1; k < ORDERS; ++k) {
@@ -53,38 +53,38 @@ class ModalGuards : public Guards {
     }
 
   private:
-    std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+    std::unique_ptr<Functions> functions(std::shared_ptr<const PhaseMotion> motion,
                                          Vector shift) const override;
 
-    Form form(const std::vector<Drive>& drives, const Matrix& waves) const {
+    Form form(const std::vector<DrivenPair>& drives, const Matrix& waves) const {
         const std::size_t h = flow->harmonics.size(), r = drives.size(), w = size();
-        Form found{&drives, {waves}, Matrix(ORDERS, w), {}};
+        Form form{&drives, {waves}, Matrix(ORDERS, w), {}};
         for (std::size_t k = 0; k < ORDERS; ++k) {
-            Matrix& now = found.waves[k];
+            Matrix& now = form.waves[k];
             if (k > 0) now = Matrix(w, 1 + 2 * h);
             for (std::size_t i = 0; i < w; ++i) {
                 for (std::size_t j = 0; j < h; ++j) {
                     double &even = now(i, 1 + j), &odd = now(i, 1 + h + j);
                     if (k > 0) {
                         const double omega = flow->harmonics.frequency[j];
-                        even = omega * found.waves[k - 1](i, 1 + h + j);
-                        odd = -omega * found.waves[k - 1](i, 1 + j);
+                        even = omega * form.waves[k - 1](i, 1 + h + j);
+                        odd = -omega * form.waves[k - 1](i, 1 + j);
                     }
-                    found.driven(k, i) += std::hypot(even, odd);
+                    form.driven(k, i) += std::hypot(even, odd);
                 }
-                for (const Drive& drive : drives) {
+                for (const DrivenPair& drive : drives) {
                     const double* row = &of_pairs[k].row(i)[2 * drive.pair];
                     Response by{row[0] * drive.beta[0] + row[1] * drive.beta[1],
                                 row[0] * drive.turned[0] + row[1] * drive.turned[1], 0.0};
                     if (k > 0) {
-                        const Response& before = found.loads[found.loads.size() - w * r];
+                        const Response& before = form.loads[form.loads.size() - w * r];
                         by.direct = drive.mu * before.direct + before.one;
                     }
-                    found.loads.push_back(by);
+                    form.loads.push_back(by);
                 }
             }
         }
-        return found;
+        return form;
     }
 };
 
@@ -120,21 +120,21 @@ class ModalFunctions : public Functions {
 
     double derivative(std::size_t order, std::size_t i) const override {
         // Parts of a constant cancel before anything is added that is rounded against less.
-        double found = (order == 0 ? constant(i) : 0.0) + dot(guards->of_pairs[order].row(i), y) +
+        double value = (order == 0 ? constant(i) : 0.0) + dot(guards->of_pairs[order].row(i), y) +
                        dot(form->waves[order].row(i).part(1, 2 * h), &waves[1]);
         for (std::size_t j = 0; j < phi.size(); ++j) {
             const ModalGuards::Response& by = response(order, i, j);
             const std::size_t of = (*form->drives)[j].harmonic;
             const Complex turn = of ? Complex(waves[of], waves[h + of]) : Complex(1.0);
             const Complex answer = by.one * phi[j][0] + by.two * phi[j][1];
-            found += (answer * phase[j] + by.direct * turn).real();
+            value += (answer * phase[j] + by.direct * turn).real();
         }
-        return found;
+        return value;
     }
 
     double constant(std::size_t i) const override { return form->waves[0](i, 0) + added[i]; }
 
-    double largest(std::size_t order, std::size_t i, double stop) override {
+    double bound(std::size_t order, std::size_t i, double stop) override {
         if (sizes[0].rows == 0) prepare(0);
         if (sizes[order].rows == 0) prepare(order);
         const double *flat = sizes[order].row(i).data, *value = flat + n, *rate = value + n;
@@ -144,20 +144,20 @@ class ModalFunctions : public Functions {
             const Two early = two(value + p) + two(rate + p) * stop, late = two(flat + p);
             sum += two(&decay[p]) * (early < late ? early : late);
         }
-        double found = sum[0] + sum[1] + form->driven(order, i);
-        if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
+        double bound = sum[0] + sum[1] + form->driven(order, i);
+        if (p < n) bound += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
         for (std::size_t j = 0; j < phi.size(); ++j) {
-            const Drive& drive = (*form->drives)[j];
+            const DrivenPair& drive = (*form->drives)[j];
             const ModalGuards::Response& by = response(order, i, j);
-            found += std::abs(by.direct) +
-                     std::abs(by.one) * kernel::largest(drive.one, drive.mu, stop) +
-                     std::abs(by.two) * kernel::largest(drive.one, drive.two, drive.mu, stop);
+            bound += std::abs(by.direct) +
+                     std::abs(by.one) * divided_bound(drive.one, drive.mu, stop) +
+                     std::abs(by.two) * divided_bound(drive.one, drive.two, drive.mu, stop);
         }
-        return found;
+        return bound;
     }
 
     double scale(std::size_t i) override {
-        return std::abs(constant(i)) + largest(0, i, s) + dot(decay, rounded.row(i));
+        return std::abs(constant(i)) + bound(0, i, s) + dot(decay, rounded.row(i));
     }
 
   private:
@@ -178,13 +178,14 @@ class ModalFunctions : public Functions {
         return form->loads[(order * size() + i) * phi.size() + j];
     }
 
-    // Take the form that the motion has at s.
+    // Takes the form that the motion has at s.
     void enter() {
         early = motion->is_young(s);
         form = early ? &guards->early : &guards->late;
         phi.resize(form->drives->size());
         phase.clear();
-        for (const Drive& drive : *form->drives) phase.push_back(motion->phase(drive.harmonic));
+        for (const DrivenPair& drive : *form->drives)
+            phase.push_back(motion->phase(drive.harmonic));
         sizes = {};
         const Vector& z = motion->free(early);
         rounded = Matrix(size(), n);
@@ -213,14 +214,14 @@ class ModalFunctions : public Functions {
     }
 };
 
-inline std::unique_ptr<Functions> ModalGuards::functions(std::shared_ptr<const Motion> motion,
+inline std::unique_ptr<Functions> ModalGuards::functions(std::shared_ptr<const PhaseMotion> motion,
                                                          Vector shift) const {
     return std::make_unique<ModalFunctions>(
         std::static_pointer_cast<const ModalGuards>(shared_from_this()),
         std::static_pointer_cast<const ModalMotion>(motion), std::move(shift));
 }
 
-inline std::shared_ptr<Guards> ModalFlow::guards(Rows rows) const {
+inline std::shared_ptr<Guards> ModalFlow::guards(GuardRows rows) const {
     return std::make_shared<ModalGuards>(self<ModalFlow>(), std::move(rows));
 }
 

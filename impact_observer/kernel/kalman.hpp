@@ -35,7 +35,7 @@ constexpr std::size_t LARGE = 32;   // least size of a state whose roots may hav
 // An estimate, and a root of its covariance. Constants are not moved by any flight: parameters,
 // and then, if there is one more, by how much stamps are late.
 struct Prior {
-    View x, constants, root, differences;
+    MatrixView x, constants, root, differences;
     double clock;  // standard deviation of the stamp, s
 };
 
@@ -101,7 +101,7 @@ class Impact {
 
     // The posterior, if nothing else can be the cause of an event. It may also be another clock's:
     // of those after the first, which is the prior's own.
-    std::optional<Clear> clear(double t, double flown, Prior prior, const View& clocks,
+    std::optional<Clear> clear(double t, double flown, Prior prior, const MatrixView& clocks,
                                const Doubts& doubts) const {
         Fit own;
         prior.clock = clocks[0];
@@ -124,7 +124,7 @@ class Impact {
     Posterior missed(double t, double flown, const Prior& prior) const {
         Joint joint = joint_of(prior, false);
         const Law law = law_of(prior.constants);
-        const Place at = place(law, t, 0.0, Row(joint.z).part(1, joint.z.size() - 1));
+        const Place at = place(law, t, 0.0, ConstSpan(joint.z).part(1, joint.z.size() - 1));
         const Vector row = seen_by(at.rho[0], joint.root), speeds = seen_by(at.rho[1], joint.root);
         double deviation = length(row), late = -at.g;
         // Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
@@ -166,13 +166,13 @@ class Impact {
         Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y and theta
     };
 
-    Law law_of(const Row& theta) const { return law_of(theta, family->at(theta)); }
+    Law law_of(const ConstSpan& theta) const { return law_of(theta, family->member(theta)); }
 
-    Law law_of(const Row& theta, std::shared_ptr<const FreeMotion> motion) const {
+    Law law_of(const ConstSpan& theta, std::shared_ptr<const FreeMotion> motion) const {
         Law found{std::move(motion), kick, rest, 0.0};
         for (std::size_t j = 0; j < family->count(); ++j) {
             const double by = theta[j] - family->nominal[j];
-            add(by, kicks.row(j), found.kick);
+            add_scaled(by, kicks.row(j), found.kick);
             found.rest += by * rests[j], found.lag += by * lags[j];
         }
         return found;
@@ -183,7 +183,7 @@ class Impact {
         const std::size_t d = p.root.rows;
         Joint found{Vector(1 + d), {1 + d, 1 + p.root.columns}, {1 + d, p.differences.columns}};
         auto to = found.z.begin() + 1;
-        for (const Row& part : {Row(p.x), Row(p.constants)})
+        for (const ConstSpan& part : {ConstSpan(p.x), ConstSpan(p.constants)})
             to = std::copy(part.begin(), part.end(), to);
         put(p.root, found.root, 1, 1);
         put(p.differences, found.differences, 1, 0);
@@ -202,10 +202,10 @@ class Impact {
         return product(row, joint.part(1, row.size()));
     }
 
-    Place place(const Law& law, double t, double e, const Row& y) const {
+    Place place(const Law& law, double t, double e, const ConstSpan& y) const {
         const FreeMotion& motion = *law.motion;
         const std::size_t n = motion.n();
-        const Vector x = motion.flown(t, y.part(0, 2 * n), -e);
+        const Vector x = motion.state_after(t, y.part(0, 2 * n), -e);
         Vector first = motion.rates(x);
         motion.force(t - e, 0, 1.0, first);
         Vector second = motion.rates(first);
@@ -213,12 +213,13 @@ class Impact {
         Vector of_gap(2 * n), of_speed(2 * n);
         std::copy(w.begin(), w.end(), of_gap.begin());
         std::copy(w.begin(), w.end(), of_speed.begin() + n);
-        Place found{
-            dot(w, x.data()) + law.rest,
-            dot(w, &x[n]),
-            dot(w, &first[n]),
-            dot(w, &second[n]),
-            {motion.seen(std::move(of_gap), -e), motion.seen(std::move(of_speed), -e), {}}};
+        Place found{dot(w, x.data()) + law.rest,
+                    dot(w, &x[n]),
+                    dot(w, &first[n]),
+                    dot(w, &second[n]),
+                    {motion.row_times_transition(std::move(of_gap), -e),
+                     motion.row_times_transition(std::move(of_speed), -e),
+                     {}}};
         found.rho[2] = motion.row_rates(found.rho[1]);
         for (Vector& row : found.rho) row.resize(2 * n + family->count());
         std::copy(rests.begin(), rests.end(), found.rho[0].begin() + 2 * n);
@@ -265,8 +266,8 @@ class Impact {
         const Joint prior = joint_of(given);
         const std::size_t d = prior.z.size();
         const std::size_t size = given.x.size() + family->count();  // of (y, theta)
-        const Row y = Row(prior.z).part(1, size);
-        const Vector scale = family->sizes.of(y, 0.0);
+        const ConstSpan y = ConstSpan(prior.z).part(1, size);
+        const Vector scale = family->sizes.rounding_scale(y, 0.0);
         Law law = law_of(given.constants);
         double rounded = std::abs(law.rest);
         for (std::size_t i = 0; i < w.size(); ++i) rounded += std::abs(w[i]) * scale[i];
@@ -307,17 +308,19 @@ class Impact {
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
             const double after = nonlinear(at, found.root, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
-            if (family->count()) family->parameters.bound(found.z, found.root, 1 + given.x.size());
+            if (family->count())
+                family->parameters.clamp_estimate(found.z, found.root, 1 + given.x.size());
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
-                add(slope, prior.differences.row(0), others);
+                add_scaled(slope, prior.differences.row(0), others);
                 for (std::size_t i = 0; i < d; ++i)
-                    add(-joint(1 + i, 0) / joint(0, 0), others, found.differences.row(i));
+                    add_scaled(-joint(1 + i, 0) / joint(0, 0), others, found.differences.row(i));
                 break;
             }
             e = within(found.z[0]);
-            about = Row(found.z).part(1, size);
-            if (family->count()) law = law_of(Row(about).part(given.x.size(), family->count()));
+            about = ConstSpan(found.z).part(1, size);
+            if (family->count())
+                law = law_of(ConstSpan(about).part(given.x.size(), family->count()));
         }
         return found;
     }
@@ -326,20 +329,20 @@ class Impact {
     // linear part is that of (g, gamma). Of parameters that are known, or do not change the jump,
     // nothing is asked.
     Sensitivity jump_by(const Law& law, const Place& at, double e, const Vector& theta,
-                        const View& own, const View& others) const {
+                        const MatrixView& own, const MatrixView& others) const {
         const std::size_t size = 2 * w.size();
         const auto jumped = [&](const Vector& other) {
             const Law its = law_of(other, law.motion);
             const std::array<Vector, 2> kappa = kicked(its, *family->given, e);
-            Map found{Vector(size), Matrix(size, 2)};
-            add(at.g + its.rest - law.rest, kappa[0], found.value);
-            add(at.gamma, kappa[1], found.value);
+            AffineMap found{Vector(size), Matrix(size, 2)};
+            add_scaled(at.g + its.rest - law.rest, kappa[0], found.value);
+            add_scaled(at.gamma, kappa[1], found.value);
             for (std::size_t i = 0; i < size; ++i)
                 found.linear(i, 0) = kappa[0][i], found.linear(i, 1) = kappa[1][i];
             return found;
         };
         Vector steps = family->parameters.steps(theta, own);
-        const auto is_zero = [](const Row& row) {
+        const auto is_zero = [](const ConstSpan& row) {
             return std::all_of(row.begin(), row.end(), [](double each) { return each == 0.0; });
         };
         for (std::size_t j = 0; j < steps.size(); ++j) {
@@ -355,8 +358,8 @@ class Impact {
         std::array<Vector, 2> kappa = {Vector(2 * n), Vector(2 * n)};
         std::copy(law.kick.begin(), law.kick.end(), kappa[0].begin());
         std::copy(law.kick.begin(), law.kick.end(), kappa[1].begin() + n);
-        add(-law.lag, damped.rates(kappa[1]), kappa[1]);
-        for (Vector& each : kappa) each = law.motion->carried(std::move(each), e);
+        add_scaled(-law.lag, damped.rates(kappa[1]), kappa[1]);
+        for (Vector& each : kappa) each = law.motion->transition_times(std::move(each), e);
         return kappa;
     }
 
@@ -365,7 +368,7 @@ class Impact {
         const std::size_t n = w.size(), size = 2 * n, c = joint.root.columns, p = family->count();
         const std::size_t d = joint.root.rows - 1;
         const double e = within(joint.z[0]), late = joint.z[0] - e;
-        const Row y = Row(joint.z).part(1, d), theta = y.part(size, p);
+        const ConstSpan y = ConstSpan(joint.z).part(1, d), theta = y.part(size, p);
         const Law law = law_of(theta);
         const FreeMotion& motion = *law.motion;
         const Place at = place(law, t, e, y);
@@ -397,29 +400,30 @@ class Impact {
         if (p) {
             // The noise depends on the root: take one that is unique.
             const Matrix whole = leading(squared(joint.root), 1 + size, p);
-            const View own = whole.part(1 + size, p);
+            const MatrixView own = whole.part(1 + size, p);
             Sensitivity by = jump_by(law, at, e, theta, own, joint.differences.part(1 + size, p));
             Matrix seen(2, whole.columns);
             for (std::size_t k = 0; k < 2; ++k)
                 add_product({at.rho[k].data(), 1, size}, whole.part(1, size), seen.row(k).data);
             curved = by.noise(seen, own);
             Vector jump(size);
-            add(at.g, kappa[0], jump);
-            add(at.gamma, kappa[1], jump);
-            for (std::size_t j = 0; j < p; ++j) add(-rests[j], kappa[0], by.first.row(j));
+            add_scaled(at.g, kappa[0], jump);
+            add_scaled(at.gamma, kappa[1], jump);
+            for (std::size_t j = 0; j < p; ++j) add_scaled(-rests[j], kappa[0], by.first.row(j));
             for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
-                add(e, pushed(j, jump), &by.first(j, n));
+                add_scaled(e, pushed(j, jump), &by.first(j, n));
             by_theta = std::move(by.first);
         }
         // Adds what gap, speed and parameters make of the errors to those of y+.
         const auto jump = [&](std::size_t i, const Matrix& errors, const Vector& gaps,
                               const Vector& speeds, double* to) {
-            add(kappa[0][i], gaps, to);
-            add(kappa[1][i], speeds, to);
-            for (std::size_t j = 0; j < p; ++j) add(by_theta(j, i), errors.row(1 + size + j), to);
+            add_scaled(kappa[0][i], gaps, to);
+            add_scaled(kappa[1][i], speeds, to);
+            for (std::size_t j = 0; j < p; ++j)
+                add_scaled(by_theta(j, i), errors.row(1 + size + j), to);
         };
 
-        const Vector rounding = family->sizes.of(x, flown);
+        const Vector rounding = family->sizes.rounding_scale(x, flown);
         const std::size_t more = c + 4 + curved.columns;
         const bool is_final = p || size < LARGE || 2 * more > 3 * size;
         Matrix root(d, std::max(d, more + (is_final ? size : 0)));
@@ -446,7 +450,7 @@ class Impact {
         const Vector speeds = seen_by(at.rho[1], joint.differences);
         for (std::size_t i = 0; i < size; ++i) {
             jump(i, joint.differences, gaps, speeds, differences.row(i).data);
-            add(first[i], joint.differences.row(0), differences.row(i));
+            add_scaled(first[i], joint.differences.row(0), differences.row(i));
         }
         return {std::move(x), y.part(size, d - size), std::move(root), std::move(differences)};
     }

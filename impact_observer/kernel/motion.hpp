@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Motions of a linear phase under harmonics and a constant force, in closed form.
+// The solution of dx/dt = A x + b(t) in closed form, by real pairs of eigenvalues of A, under
+// harmonics and a constant force.
 #pragma once
 
 #include <array>
@@ -12,7 +13,7 @@ namespace kernel {
 
 // A real pair dy/dt = J y with eigenvalues a +- d: what e^{Js} = c + S (J - a) is made of, and
 // e^{as} or, where J does not oscillate, what the slow eigenvalue makes: a bound on c, and on S d.
-struct Propagated {
+struct PairExponential {
     double c, S, decay;
 };
 
@@ -29,7 +30,7 @@ struct Pair {
 
     // c = e^{as} cosh(ds), S = e^{as} sinh(ds) / d, without cancellation for any d; zero where
     // they are nothing beside any number that a model can bring about.
-    Propagated propagated(double s) const {
+    PairExponential propagated(double s) const {
         const double decay = std::exp(slow * s), width = 2 * d * s;
         if (slow * s < -100.0) return {0.0, 0.0, 0.0};
         if (oscillates) return {decay * std::cos(d * s), decay * std::sin(d * s) / d, decay};
@@ -38,8 +39,8 @@ struct Pair {
     }
 
     // y = e^{Js} z of z and D z, beside each other.
-    Propagated carry(double s, const double* z, double* y) const {
-        const Propagated by = propagated(s);
+    PairExponential carry(double s, const double* z, double* y) const {
+        const PairExponential by = propagated(s);
         for (std::size_t k = 0; k < 2; ++k) y[k] = by.c * z[k] + by.S * z[2 + k];
         return by;
     }
@@ -54,12 +55,12 @@ struct Pair {
 
 // A pair and a load Re(beta e^{mu t}) that drives it, answered from the motion's start on by
 // (exp[l1, mu] + exp[l1, l2, mu] (J - l1)) beta.
-struct Drive {
+struct DrivenPair {
     std::size_t pair, harmonic;                // 0 is the constant
     Complex one, two, mu, beta[2], turned[2];  // turned = (J - l1) beta
 
-    Drive(std::size_t p, const Pair& pair, std::size_t k, Complex mu, Complex first,
-          Complex second)
+    DrivenPair(std::size_t p, const Pair& pair, std::size_t k, Complex mu, Complex first,
+               Complex second)
         : pair(p),
           harmonic(k),
           one(pair.oscillates ? Complex(pair.a, pair.d) : Complex(pair.slow)),
@@ -78,21 +79,22 @@ struct Drive {
 };
 
 // A phase that falls into pairs.
-struct ModalFlow : Flow {
+struct ModalFlow : PhaseFlow {
     std::vector<Pair> pairs;
     Matrix response;  // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
     Matrix energy;    // weights of a pair's squares in twice the energy, r x 2
     double small;     // root of twice the energy below which a motion is young at its start
     double young;     // how long, s
-    std::vector<Drive> near{}, all{};  // loads near resonance; and all loads
+    std::vector<DrivenPair> near{}, all{};  // loads near resonance; and all loads
 
-    using Flow::Flow;
-    std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
-    std::shared_ptr<Guards> guards(Rows rows) const override;
+    using PhaseFlow::PhaseFlow;
+    std::shared_ptr<PhaseMotion> start(const Elapsed& t, const double* x) const override;
+    std::shared_ptr<Guards> guards(GuardRows rows) const override;
 
     // The loads, 2r x (1 + 2h), of those pairs and harmonics that are marked, r x (1 + h).
-    std::vector<Drive> drives(const View& load, const ViewOf<bool>& marked) const {
-        std::vector<Drive> found;
+    std::vector<DrivenPair> drives(const MatrixView& load,
+                                   const MatrixViewOf<bool>& marked) const {
+        std::vector<DrivenPair> drives;
         const std::size_t h = harmonics.size();
         for (std::size_t p = 0; p < pairs.size(); ++p)
             for (std::size_t k = 0; k <= h; ++k) {
@@ -101,24 +103,24 @@ struct ModalFlow : Flow {
                 };
                 const Complex mu(0.0, k ? harmonics.frequency[k - 1] : 0.0);
                 if (marked(p, k))
-                    found.emplace_back(p, pairs[p], k, mu, beta(2 * p), beta(2 * p + 1));
+                    drives.emplace_back(p, pairs[p], k, mu, beta(2 * p), beta(2 * p + 1));
             }
-        return found;
+        return drives;
     }
 
     // T e^{Js}, transposed, for s of any sign.
     Matrix propagated(double s) const {
         Vector carried(4 * pairs.size());  // of each pair e^{Js}
         for (std::size_t p = 0; p < pairs.size(); ++p) {
-            const Propagated by = pairs[p].propagated(s);
+            const PairExponential by = pairs[p].propagated(s);
             for (std::size_t k = 0; k < 4; ++k)
                 carried[4 * p + k] = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
         }
-        return coordinates.carried(carried);
+        return coordinates.transposed_transition(carried);
     }
 
     // Differences of motions, one a column, s seconds later; where no coordinate is held.
-    Matrix carried(double s, const View& columns) const {
+    Matrix differences_after(double s, const MatrixView& columns) const {
         Matrix x = transposed(columns), y(x.rows, coordinates.size);
         for (std::size_t k = 0; k < x.rows; ++k) {
             coordinates.split(x.row(k).data, {}, y.row(k).data);
@@ -136,14 +138,14 @@ struct ModalFlow : Flow {
 
 // One motion, from a state x at t on. A young one, small against the steady response that it has
 // not had time to reach, is answered from its start on for a while.
-class ModalMotion : public Motion {
+class ModalMotion : public PhaseMotion {
   public:
     std::shared_ptr<const ModalFlow> modal;
     Vector angles;  // of the harmonics at the start
     bool young;
 
-    ModalMotion(std::shared_ptr<const ModalFlow> of, const Time& t, const double* x)
-        : Motion(of, t, x), modal(std::move(of)), angles(flow->harmonics.at(t)) {
+    ModalMotion(std::shared_ptr<const ModalFlow> of, const Elapsed& t, const double* x)
+        : PhaseMotion(of, t, x), modal(std::move(of)), angles(flow->harmonics.angles_at(t)) {
         Vector y(flow->coordinates.size), now(modal->response.columns);
         flow->coordinates.split(x, rest, y.data());
         double squares = 0.0;
@@ -183,7 +185,7 @@ class ModalMotion : public Motion {
         const Vector& z = free(early);
         for (std::size_t p = 0; p < modal->pairs.size(); ++p)
             modal->pairs[p].carry(s, &z[4 * p], y + 2 * p);
-        for (const Drive& drive : early ? modal->all : modal->near) {
+        for (const DrivenPair& drive : early ? modal->all : modal->near) {
             const auto [one, two] = drive.answers(s);
             const Complex turn = phase(drive.harmonic);
             for (std::size_t k = 0; k < 2; ++k)
@@ -194,13 +196,13 @@ class ModalMotion : public Motion {
     }
 
     Vector with_deviator(const Vector& y) const {
-        Vector found;
+        Vector z;
         for (std::size_t p = 0; 2 * p < y.size(); ++p) {
             const double *D = modal->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
             for (const double each : {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two})
-                found.push_back(each);
+                z.push_back(each);
         }
-        return found;
+        return z;
     }
 
     // y += factor times the steady response at s.
@@ -211,7 +213,7 @@ class ModalMotion : public Motion {
     }
 };
 
-inline std::shared_ptr<Motion> ModalFlow::start(const Time& t, const double* x) const {
+inline std::shared_ptr<PhaseMotion> ModalFlow::start(const Elapsed& t, const double* x) const {
     return std::make_shared<ModalMotion>(self<ModalFlow>(), t, x);
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// What all motions of a linear phase have, and functions along them.
+// Interfaces of the motions of a linear phase and of guard functions along these motions.
 #pragma once
 
 #include <cmath>
@@ -16,7 +16,7 @@ namespace kernel {
 __extension__ typedef unsigned __int128 Turns;
 
 // Seconds since the epoch: whole nanoseconds and a remainder, or one number.
-struct Time {
+struct Elapsed {
     double seconds;
     bool exact = false;
     std::int64_t ns = 0;
@@ -31,14 +31,14 @@ struct Harmonics {
 
     std::size_t size() const { return frequency.size(); }
 
-    Vector at(const Time& t) const {
+    Vector angles_at(const Elapsed& t) const {
         const double part = 6.283185307179586476925286766559 / 0x1p128;
-        Vector found(size());
+        Vector angles(size());
         for (std::size_t k = 0; k < size(); ++k)
-            found[k] = t.exact ? double(Turns(__int128(t.ns)) * turns[k]) * part +
-                                     frequency[k] * t.remainder
-                               : frequency[k] * t.seconds;
-        return found;
+            angles[k] = t.exact ? double(Turns(__int128(t.ns)) * turns[k]) * part +
+                                      frequency[k] * t.remainder
+                                : frequency[k] * t.seconds;
+        return angles;
     }
 
     // 1, cosines and sines, s seconds after the instant with these angles.
@@ -61,8 +61,8 @@ class Coordinates {
 
     // T is 2n x size. Where y are `paired`, coordinates and their velocities side by side, it is
     // the shapes of the coordinates, n x size / 2. `held` and `Q` are n x n, or empty.
-    Coordinates(const View& T, const View& T_inverse, const View& held, const View& Q,
-                const View& offset, bool paired)
+    Coordinates(const MatrixView& T, const MatrixView& T_inverse, const MatrixView& held,
+                const MatrixView& Q, const MatrixView& offset, bool paired)
         : n(paired ? T.rows : T.rows / 2),
           size(paired ? 2 * T.columns : T.columns),
           paired(paired),
@@ -85,9 +85,9 @@ class Coordinates {
 
     // The part of the position that does not move, n numbers, or none where all moves.
     Vector rest(const double* x) const {
-        Vector found(held.rows);
-        for (std::size_t i = 0; i < found.size(); ++i) found[i] = dot(held.row(i), x);
-        return found;
+        Vector still(held.rows);
+        for (std::size_t i = 0; i < still.size(); ++i) still[i] = dot(held.row(i), x);
+        return still;
     }
 
     // States of rows y. Terms are added in the order of the pairs, whatever else is computed.
@@ -106,13 +106,14 @@ class Coordinates {
     }
 
     // T E, transposed, size x 2n. E carries each pair by itself: four numbers e_ij.
-    Matrix carried(const Vector& E) const {
-        Matrix found(size, 2 * n);
+    Matrix transposed_transition(const Vector& E) const {
+        Matrix columns(size, 2 * n);
         for (std::size_t k = 0; k < 2 * size; ++k) {
             const std::size_t p = k / 4, i = k / 2 % 2, j = k % 2;
-            add(E[k], forward.row(paired ? p : 2 * p + i), &found(2 * p + j, paired ? i * n : 0));
+            add_scaled(E[k], forward.row(paired ? p : 2 * p + i),
+                       &columns(2 * p + j, paired ? i * n : 0));
         }
-        return found;
+        return columns;
     }
 
   private:
@@ -125,17 +126,17 @@ class Coordinates {
     std::size_t place(std::size_t k) const { return paired ? k % 2 * (size / 2) + k / 2 : k; }
 };
 
-struct Flow;
+struct PhaseFlow;
 class Guards;
 
 // One motion of a phase, from an instant on.
-struct Motion {
-    std::shared_ptr<const Flow> flow;
-    Time t;
+struct PhaseMotion {
+    std::shared_ptr<const PhaseFlow> flow;
+    Elapsed t;
     Vector rest;  // the part of the position that does not move
 
-    Motion(std::shared_ptr<const Flow> of, const Time& t, const double* x);
-    virtual ~Motion() = default;
+    PhaseMotion(std::shared_ptr<const PhaseFlow> of, const Elapsed& t, const double* x);
+    virtual ~PhaseMotion() = default;
 
     // States (q, u) at `count` instants, a row each; a row does not depend on the others.
     virtual void states(const double* s, std::size_t count, double* rows) const = 0;
@@ -143,22 +144,22 @@ struct Motion {
 
 // Functions of the motions of one flow: rows of q, which tell what they see of a position at rest;
 // of y, and what these are rounded against; of (1, cos, sin); of sampled forces.
-struct Rows {
+struct GuardRows {
     Matrix position, seen, reach, waves, force;
 };
 
 // All motions of a phase.
-struct Flow : std::enable_shared_from_this<Flow> {
+struct PhaseFlow : std::enable_shared_from_this<PhaseFlow> {
     Coordinates coordinates;
     Harmonics harmonics;
 
-    Flow(Coordinates coordinates, Harmonics harmonics)
+    PhaseFlow(Coordinates coordinates, Harmonics harmonics)
         : coordinates(std::move(coordinates)), harmonics(std::move(harmonics)) {}
-    virtual ~Flow() = default;
+    virtual ~PhaseFlow() = default;
 
     // The motion through x at t.
-    virtual std::shared_ptr<Motion> start(const Time& t, const double* x) const = 0;
-    virtual std::shared_ptr<Guards> guards(Rows rows) const = 0;
+    virtual std::shared_ptr<PhaseMotion> start(const Elapsed& t, const double* x) const = 0;
+    virtual std::shared_ptr<Guards> guards(GuardRows rows) const = 0;
     virtual std::size_t forces() const { return 0; }  // that are sampled
 
   protected:
@@ -168,7 +169,8 @@ struct Flow : std::enable_shared_from_this<Flow> {
     }
 };
 
-inline Motion::Motion(std::shared_ptr<const Flow> of, const Time& t, const double* x)
+inline PhaseMotion::PhaseMotion(std::shared_ptr<const PhaseFlow> of, const Elapsed& t,
+                                const double* x)
     : flow(std::move(of)), t(t), rest(flow->coordinates.rest(x)) {}
 
 constexpr std::size_t ORDERS = 9;     // derivatives 0 to 8
@@ -181,7 +183,7 @@ struct TooFar : std::runtime_error {
                         " s takes too many steps; are these stamps right?") {}
 };
 
-// Functions along one motion: `look` goes to an instant, the others tell what is there.
+// Functions along one motion: `look` goes to an instant, and the other methods hold there.
 class Functions {
   public:
     virtual ~Functions() = default;
@@ -196,24 +198,24 @@ class Functions {
     virtual double derivative(std::size_t order, std::size_t i) const = 0;
     virtual double constant(std::size_t i) const = 0;
     // A bound on one derivative, less the constant, from there to `stop`.
-    virtual double largest(std::size_t order, std::size_t i, double stop) = 0;
-    // What one function is rounded against there.
+    virtual double bound(std::size_t order, std::size_t i, double stop) = 0;
+    // The size of the terms of one function, against which its value is rounded.
     virtual double scale(std::size_t i) = 0;
 };
 
 // Functions rows x + waves (1, cos, sin) + forces f of the motions of one flow, w of them.
 class Guards : public std::enable_shared_from_this<Guards> {
   public:
-    std::shared_ptr<const Flow> flow;
-    Rows rows;
+    std::shared_ptr<const PhaseFlow> flow;
+    GuardRows rows;
 
-    Guards(std::shared_ptr<const Flow> flow, Rows rows)
+    Guards(std::shared_ptr<const PhaseFlow> flow, GuardRows rows)
         : flow(std::move(flow)), rows(std::move(rows)) {}
     virtual ~Guards() = default;
 
     std::size_t size() const { return rows.position.rows; }
 
-    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const {
+    std::unique_ptr<Functions> along(const std::shared_ptr<const PhaseMotion>& motion) const {
         if (motion->flow != flow) throw std::invalid_argument("motion: of another flow");
         Vector shift(size());
         for (std::size_t i = 0; i < size() && !motion->rest.empty(); ++i)
@@ -223,7 +225,7 @@ class Guards : public std::enable_shared_from_this<Guards> {
 
   private:
     // Of one motion of the flow; `shift` is added to the constants.
-    virtual std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+    virtual std::unique_ptr<Functions> functions(std::shared_ptr<const PhaseMotion> motion,
                                                  Vector shift) const = 0;
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// The first instant at which one of several functions falls below zero, with a guarantee.
+// The first root of several functions of time: no crossing is skipped, as steps use bounds on the
+// second and eighth derivatives (Taylor's theorem).
 #pragma once
 
 #include <optional>
@@ -20,11 +21,11 @@ constexpr double FIRST =
 constexpr double FALLS = 0.02;  // of a parabola: that is straight enough
 constexpr double CLOSE = 1e-6;  // to a root, relative, of a polynomial
 
-using Which = std::vector<std::size_t>;
+using Indices = std::vector<std::size_t>;
 
 struct Crossing {
     double s;
-    Which which;  // all that are zero then
+    Indices which;  // all that are zero then
 
     auto fields() const { return std::tie(s, which); }
 };
@@ -56,13 +57,13 @@ double falls_at(const Function& value, double above, double below, double enough
 // A search along one motion that goes on where it has stopped. From s, where a function has value
 // g and slope v and |g''| <= b from there on, it is above -delta at least until the root of
 // g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions. Nothing can
-// be jumped, and near a root the steps converge like Newton's. What is found does not depend on
-// who asks when: steps are the same for any horizon.
-class Hunt {
+// be jumped, and near a root the steps converge like Newton's. The steps, and so the crossing, are
+// the same for any horizon.
+class RootSearch {
   public:
     // Begins at `start`; nothing crosses before. `window` is a time in which the fastest part of
     // motions turns once or twice.
-    Hunt(std::unique_ptr<Functions> along, double window, double start = 0.0)
+    RootSearch(std::unique_ptr<Functions> along, double window, double start = 0.0)
         : functions(std::move(along)),
           window(window),
           s(start),
@@ -76,12 +77,12 @@ class Hunt {
         const double end = functions->end();
         if ((std::min(horizon, end) - s) * functions->rate() > MOST_STRIDES) throw TooFar(horizon);
         for (const double most = double(looks) + MOST_STRIDES;
-             !found && s <= horizon && s < end;) {
+             !crossing && s <= horizon && s < end;) {
             if (double(looks) > most) throw TooFar(horizon);  // a function that is rounding only
             step(end);
         }
-        if (!found && s <= horizon && s == end && is_below()) cross();
-        return found;
+        if (!crossing && s <= horizon && s == end && is_below()) cross();
+        return crossing;
     }
 
     std::size_t looks = 0;  // instants at which it has looked
@@ -97,7 +98,7 @@ class Hunt {
     double there = NAN;  // where it has looked last
     double window, s, last, stretch;
     Vector values, before;  // at s and at `last`
-    std::optional<Crossing> found;
+    std::optional<Crossing> crossing;
 
     // Whether one of the functions is below zero at s by more than rounding.
     bool is_below() {
@@ -130,13 +131,13 @@ class Hunt {
     // How far one function stays above -delta; no more than `most`.
     double safe(std::size_t i, double value, double most, double stop) {
         const double slope = functions->derivative(1, i);
-        const double bend = functions->largest(2, i, stop) * (1 + 1e-9);
+        const double bend = functions->bound(2, i, stop) * (1 + 1e-9);
         const double root = std::sqrt(slope * slope + 2 * bend * value);
         double h = INFINITY;
         if (slope > 0 && bend > 0) h = (slope + root) / bend;
         if (slope <= 0 && (slope < 0 || bend > 0)) h = root > 0 ? 2 * value / (root - slope) : 0.0;
         if (h >= most) return most;
-        if (functions->constant(i) >= functions->largest(0, i, stop)) return most;
+        if (functions->constant(i) >= functions->bound(0, i, stop)) return most;
         if (slope < 0 && bend * value < FALLS * slope * slope) return h;  // nearly at the root
         return std::min(closely(i, value, h, most, stop), most);
     }
@@ -144,10 +145,10 @@ class Hunt {
     // The same by a Taylor polynomial of order 8 with bounded remainder: up to its root, if its
     // Bernstein coefficients show that there is none before. `least` is safe in any case.
     double closely(std::size_t i, double value, double least, double most, double stop) {
-        const double fast = functions->largest(8, i, stop);
+        const double fast = functions->bound(8, i, stop);
         // Where the remainder has grown to what the acceleration makes.
         if (fast > 0)
-            most = std::min(most, std::pow(20160 * functions->largest(2, i, stop) / fast, 1. / 6));
+            most = std::min(most, std::pow(20160 * functions->bound(2, i, stop) / fast, 1. / 6));
         double taylor[ORDERS] = {value}, factor = 1.0;  // powers of h / most
         for (std::size_t k = 1; k < ORDERS; ++k) {
             factor *= most / double(k);
@@ -195,7 +196,7 @@ class Hunt {
         Crossing first{INFINITY, {}};
         std::size_t earliest = 0;
         for (std::size_t i = 0; i < functions->size(); ++i) {
-            if (at(i, s) >= -DEPTH / 2 * functions->scale(i)) continue;
+            if (value_at(i, s) >= -DEPTH / 2 * functions->scale(i)) continue;
             const double x = root(i);
             if (x < first.s) first.s = x, earliest = i;
         }
@@ -203,17 +204,17 @@ class Hunt {
         for (std::size_t i = 0; i < functions->size(); ++i)
             if (i == earliest || functions->derivative(0, i) <= ZERO * functions->scale(i))
                 first.which.push_back(i);
-        found = first;
+        crossing = first;
     }
 
-    double at(std::size_t i, double where) { return look(where).derivative(0, i); }
+    double value_at(std::size_t i, double where) { return look(where).derivative(0, i); }
 
     // The last root of one function before s, by Newton's method between points of both signs.
     double root(std::size_t i) {
         double low = last, high = s, back = ROOT * s;
         if (!(before[i] > 0)) {
             // What was below zero by rounding raised no suspicion: the root lies before.
-            for (low = s; at(i, low) < 0; back *= 4) {
+            for (low = s; value_at(i, low) < 0; back *= 4) {
                 if (low == 0) return 0.0;
                 high = low;
                 low = std::max(s - back, 0.0);
@@ -221,7 +222,7 @@ class Hunt {
         }
         double x = high, step = high - low;
         for (int k = 0; k < 1100 && high - low > ROOT * high; ++k) {
-            const double value = at(i, x), slope = functions->derivative(1, i);
+            const double value = value_at(i, x), slope = functions->derivative(1, i);
             const bool rounded = std::abs(value) <= ROUNDED * functions->scale(i);
             (value < 0 ? high : low) = x;
             double next = x - value / slope;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Motions in strides, each so short that a Taylor polynomial is exact but for rounding: for forces
-// that are sampled, and for phases that fall into no pairs.
+// The solution of dy/dt = J y + load (1, cos, sin) + push f(t) by Taylor polynomials over strides,
+// exact but for rounding: for sampled forces, and for phases without real pairs of eigenvalues.
 #pragma once
 
 #include <functional>
@@ -18,7 +18,7 @@ constexpr std::size_t JETS = 4;  // a cubic and its derivatives
 
 // Forces at instants, a cubic from each to the next; after the last one it goes on. More may come,
 // and old ones be dropped; samples are counted from the very first.
-struct Samples {
+struct SampledForces {
     Vector time;      // s since the epoch, ascending
     Matrix jets;      // the forces from each instant on, and their derivatives, a row each
     double rounding;  // difference of instants that counts as none, s
@@ -29,8 +29,8 @@ struct Samples {
 
     std::size_t count() const { return dropped + time.size(); }
     std::size_t forces() const { return jets.columns / JETS; }
-    double at(std::size_t k) const { return time[here(k)]; }
-    View jet(std::size_t k) const { return {jets.row(here(k)).data, JETS, forces()}; }
+    double instant(std::size_t k) const { return time[here(k)]; }
+    MatrixView jet(std::size_t k) const { return {jets.row(here(k)).data, JETS, forces()}; }
 
     // The sample that holds from t on.
     std::size_t index(double t) const {
@@ -39,7 +39,7 @@ struct Samples {
     }
 
     // Other samples from number `first` on.
-    void splice(std::size_t first, const View& at, const View& values) {
+    void splice(std::size_t first, const MatrixView& at, const MatrixView& values) {
         changes.push_back(at[0]);
         time.resize(first - dropped);
         jets.data.resize(time.size() * jets.columns);
@@ -65,17 +65,17 @@ struct Samples {
 };
 
 // dy/dt = J y + load (1, cos, sin) + push f. In a suitable norm |J^k| <= rate^k.
-struct SeriesFlow : Flow {
-    Matrix J;                                // blocks below each other, as many columns as one
-    Matrix load, push;                       // size x (1 + 2h), size x forces
-    std::shared_ptr<const Samples> samples;  // or none
-    double rate;                             // also of the harmonics, 1/s
+struct SeriesFlow : PhaseFlow {
+    Matrix J;           // blocks below each other, as many columns as one
+    Matrix load, push;  // size x (1 + 2h), size x forces
+    std::shared_ptr<const SampledForces> samples;  // or none
+    double rate;                                   // also of the harmonics, 1/s
     Vector orders;  // of harmonics that turn with a drive, whose phase is the last of the samples;
                     // 0 for others, none where nothing turns
 
-    using Flow::Flow;
-    std::shared_ptr<Motion> start(const Time& t, const double* x) const override;
-    std::shared_ptr<Guards> guards(Rows rows) const override;
+    using PhaseFlow::PhaseFlow;
+    std::shared_ptr<PhaseMotion> start(const Elapsed& t, const double* x) const override;
+    std::shared_ptr<Guards> guards(GuardRows rows) const override;
     std::size_t forces() const override { return push.columns; }
 
     // dy = J y.
@@ -93,13 +93,13 @@ class Walk {
     std::size_t terms, count = 0;  // of the polynomial; strides begun
     Matrix y, waves, force;        // there and their derivatives, a row each
 
-    Walk(std::shared_ptr<const SeriesFlow> of, const Time& t, const double* x)
+    Walk(std::shared_ptr<const SeriesFlow> of, const Elapsed& t, const double* x)
         : flow(std::move(of)),
           y(TERMS, flow->coordinates.size),
           waves(TERMS, flow->load.columns),
           force(JETS, flow->push.columns),
           t(t.seconds),
-          angles(flow->harmonics.at(t)),
+          angles(flow->harmonics.angles_at(t)),
           frequency(flow->harmonics.frequency) {
         if (flow->samples) {
             check(0.0);
@@ -113,7 +113,7 @@ class Walk {
     // Until when the forces are final, s.
     double last() const { return flow->samples ? flow->samples->newest - t : INFINITY; }
 
-    // To the stride that holds at s.
+    // Goes to the stride that contains s.
     void go(double s) {
         check(s);
         if (flow->samples && seen < flow->samples->changes.size()) refresh();
@@ -134,9 +134,9 @@ class Walk {
 
     // y `s` seconds after the begin.
     Vector value(double s) const {
-        Vector found(y.columns);
-        taylor(y.part(0, terms), s, found.data());
-        return found;
+        Vector y_later(y.columns);
+        taylor(y.part(0, terms), s, y_later.data());
+        return y_later;
     }
 
   private:
@@ -175,7 +175,9 @@ class Walk {
     }
 
     // Where an interval begins.
-    double knot(std::size_t k) const { return k == 0 ? 0.0 : flow->samples->at(first + k) - t; }
+    double knot(std::size_t k) const {
+        return k == 0 ? 0.0 : flow->samples->instant(first + k) - t;
+    }
 
     // Begins the stride with y: where it lies, and all derivatives.
     void enter() {
@@ -228,18 +230,18 @@ class Walk {
     }
 
     void push(double s) {
-        const View jet = flow->samples->jet(first + interval);
-        if (interval == 0) s += t - flow->samples->at(first);
+        const MatrixView jet = flow->samples->jet(first + interval);
+        if (interval == 0) s += t - flow->samples->instant(first);
         for (std::size_t k = 0; k < JETS; ++k) taylor(jet.part(k, JETS - k), s, force.row(k).data);
     }
 };
 
-class SeriesMotion : public Motion {
+class SeriesMotion : public PhaseMotion {
   public:
     const Walk begun;  // from its start, for somebody else
 
-    SeriesMotion(const std::shared_ptr<const SeriesFlow>& of, const Time& t, const double* x)
-        : Motion(of, t, x), begun(of, t, x), walk(begun) {}
+    SeriesMotion(const std::shared_ptr<const SeriesFlow>& of, const Elapsed& t, const double* x)
+        : PhaseMotion(of, t, x), begun(of, t, x), walk(begun) {}
 
     void states(const double* s, std::size_t count, double* rows) const override {
         for (std::size_t i = 0; i < count; ++i, rows += 2 * flow->coordinates.n) {
@@ -252,7 +254,7 @@ class SeriesMotion : public Motion {
     mutable Walk walk;
 };
 
-inline std::shared_ptr<Motion> SeriesFlow::start(const Time& t, const double* x) const {
+inline std::shared_ptr<PhaseMotion> SeriesFlow::start(const Elapsed& t, const double* x) const {
     return std::make_shared<SeriesMotion>(self<SeriesFlow>(), t, x);
 }
 
@@ -261,7 +263,7 @@ class SeriesGuards : public Guards {
     using Guards::Guards;
 
   private:
-    std::unique_ptr<Functions> functions(std::shared_ptr<const Motion> motion,
+    std::unique_ptr<Functions> functions(std::shared_ptr<const PhaseMotion> motion,
                                          Vector shift) const override;
 };
 
@@ -294,22 +296,22 @@ class SeriesFunctions : public Functions {
             taylor(there.part(k, walk.terms - k), s - walk.begin, here.row(k).data);
     }
 
-    double largest(std::size_t order, std::size_t i, double stop) override {
+    double bound(std::size_t order, std::size_t i, double stop) override {
         const double h = std::min(stop, walk.end) - s, rate = walk.flow->rate;
-        double found = 0.0, factor = 1.0;
+        double bound = 0.0, factor = 1.0;
         for (std::size_t k = order; k < walk.terms; ++k) {
-            found += factor * std::abs(here(k, i) - (k == 0 ? constant(i) : 0.0));
+            bound += factor * std::abs(here(k, i) - (k == 0 ? constant(i) : 0.0));
             factor *= h / double(k + 1 - order);
         }
         double left_out = scales[i] * std::exp(1.0);  // all terms from walk.terms on
         for (std::size_t k = 0; k < walk.terms; ++k)
             left_out *= k < order ? rate : rate * walk.length / double(k + 1 - order);
-        return found + left_out;
+        return bound + left_out;
     }
 
   private:
     std::shared_ptr<const Guards> guards;
-    const Rows& rows;
+    const GuardRows& rows;
     Walk walk;
     Vector added;
     Matrix there, here;  // the functions at the begin of the stride and at s, with derivatives
@@ -322,7 +324,7 @@ class SeriesFunctions : public Functions {
         const double rate = walk.flow->rate, ended = walk.begin + walk.length;
         const double h = rate > 0 ? std::min(1 / rate, ended) : ended;
         for (std::size_t i = 0; i < size(); ++i) {
-            const Row reach = rows.reach.row(i);
+            const ConstSpan reach = rows.reach.row(i);
             for (std::size_t k = 0; k < walk.terms; ++k)
                 there(k, i) = dot(rows.seen.row(i), walk.y.row(k)) +
                               dot(rows.waves.row(i), walk.waves.row(k)) +
@@ -352,13 +354,13 @@ class SeriesFunctions : public Functions {
     }
 };
 
-inline std::unique_ptr<Functions> SeriesGuards::functions(std::shared_ptr<const Motion> motion,
-                                                          Vector shift) const {
+inline std::unique_ptr<Functions> SeriesGuards::functions(
+    std::shared_ptr<const PhaseMotion> motion, Vector shift) const {
     const Walk& begun = static_cast<const SeriesMotion&>(*motion).begun;
     return std::make_unique<SeriesFunctions>(shared_from_this(), begun, std::move(shift));
 }
 
-inline std::shared_ptr<Guards> SeriesFlow::guards(Rows rows) const {
+inline std::shared_ptr<Guards> SeriesFlow::guards(GuardRows rows) const {
     return std::make_shared<SeriesGuards>(self<SeriesFlow>(), std::move(rows));
 }
 

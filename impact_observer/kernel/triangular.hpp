@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// Square roots of covariances.
+// Triangular square roots of covariances, by Householder reflections.
 #pragma once
 
 #include <algorithm>
@@ -29,7 +29,7 @@ inline void reflect(Matrix& root, std::size_t k) {
         double* other = &root(i, k);
         const double seen = along * (other[0] + dot(tail, other + 1));
         other[0] -= seen;
-        add(-seen, tail, other + 1);
+        add_scaled(-seen, tail, other + 1);
     }
     diagonal = end;
     std::fill(tail.begin(), tail.end(), 0.0);
@@ -41,7 +41,7 @@ inline void make_triangular(Matrix& root) {
     for (std::size_t k = 0; k < root.rows; ++k) reflect(root, k);
 }
 
-// The same covariance's root, d x d and lower triangular.
+// Returns the lower triangular root, d x d, of the same covariance.
 inline Matrix squared(Matrix root) {
     if (root.columns < root.rows) root = resized(root, root.rows);
     make_triangular(root);
