@@ -28,7 +28,7 @@ class Learned:
     """Parameters estimated beside the state, computed at the first request."""
 
     def __init__(self, make: Callable[[], Parameters] = tuple) -> None:
-        """``make`` computes it."""
+        """``make`` computes the parameters."""
         self._make = make
 
     @cached_property
@@ -43,7 +43,7 @@ _NO_PARAMETERS = Learned()
 class Fallback(NamedTuple):
     """A replica whose error stays bounded.
 
-    There a law restarts when it has rejected all of its hypotheses.
+    A law restarts from this replica when all hypotheses are rejected.
 
     Attributes:
         x: (q, u), shape (2n,).
@@ -58,7 +58,7 @@ class Fallback(NamedTuple):
 
     @property
     def extent(self) -> Extent:
-        """How large the motion is by it."""
+        """How large the motion is by this replica."""
         return Extent(self.x[self.x.size // 2 :], self.largest)
 
     @property
@@ -68,7 +68,7 @@ class Fallback(NamedTuple):
 
     @property
     def lag(self) -> Vector:
-        """By the positions that shift if contacts last as long as they may, (2n,)."""
+        """The error if contacts last as long as allowed, shape (2n,)."""
         return self.errors[:, -1]
 
     def gap(self, system: System, contact: int) -> tuple[float, float]:
@@ -83,8 +83,8 @@ class Onset(NamedTuple):
 
     Attributes:
         x: (q, u) when the gap is zero, shape (2n,), as the impact has corrected it.
-        root: of its covariance, shape (2n, any); None for a law without covariance.
-        lasts: until the velocities jump, s.
+        root: root of the covariance, shape (2n, any); None for a law without covariance.
+        lasts: time until the velocities jump, s.
     """
 
     x: Vector
@@ -97,8 +97,8 @@ class Account(NamedTuple):
 
     Attributes:
         hypotheses: with parameters of the model, the likeliest first.
-        fit: how they have explained the events since they began.
-        residual: the gap that it predicted at the last impact, m; NaN before any.
+        fit: how the hypotheses have explained the events so far.
+        residual: the gap predicted at the last impact, m; NaN before any.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -126,19 +126,19 @@ class Belief(NamedTuple):
         bound: certified upper bound of V, J; None where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty: the
             bound fell below zero.
-        innovations: of the last event, by contact: the estimate's gap in standard deviations.
+        innovations: the estimate's gaps at the last event in standard deviations, by contact.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
-        learned: parameters, which most beliefs are never asked for.
-        fit: how the model has explained the latest events, of a law with innovations.
-        hypotheses: of a law that carries several, the likeliest first; empty for others. The
+        learned: estimated parameters, computed at the first request.
+        fit: how the model has explained the latest events, for a law with innovations.
+        hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The
             estimate is that of the first, the covariance that of the whole mixture.
-        fallback: where such a law restarts; None for others.
+        fallback: where a law with hypotheses restarts; None for others.
         behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
-        account: of parameters, while the model is doubted.
-        misfit: the warning that the model does not explain the impacts; empty while it does.
-        onset: of an impact that lasts: its other states are those after the jump, as if that
-            motion had begun at the onset.
+        account: estimates of parameters, while the model is doubted.
+        misfit: the warning that the model does not explain the impacts; empty without misfit.
+        onset: the onset of an impact that lasts; the other states are those after the jump,
+            carried back to the onset.
     """
 
     ensemble: Ensemble
@@ -177,8 +177,8 @@ class Prediction(ABC):
     """A belief as a function of time until the next event.
 
     Attributes:
-        is_plain: whether only the state changes: it has neither ``root`` nor ``closed``.
-        follows_samples: whether it is that of the samples of forces whenever it is asked.
+        is_plain: whether only the state changes: ``root`` and ``closed`` return None.
+        follows_samples: whether each call uses the samples of forces known at the call.
     """
 
     is_plain: ClassVar[bool] = False

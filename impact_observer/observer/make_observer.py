@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An observer of a system, made of options as users write them."""
+"""Makes an observer of a system from options as users write them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,7 +38,7 @@ def make_observer(
     ``unknowns`` are estimated in the place of those that the options name.
 
     Raises:
-        UsageError: an option cannot be used, by its name.
+        UsageError: an option cannot be used; the line names the option.
     """
     options = options or Options()
     system, live = connected(system)
@@ -99,7 +99,7 @@ def initial_state(text: str, system: System, deviation: str = "1") -> tuple[Vect
         Position and velocity, shape (n,) each.
 
     Raises:
-        UsageError: naming what was found and what is expected.
+        UsageError: the text is no state; the line has the value found and the value expected.
     """
     n = system.n
     kind, _, seed = text.strip().partition(":")
@@ -127,7 +127,7 @@ def initial_state(text: str, system: System, deviation: str = "1") -> tuple[Vect
 
 
 def options_of_laws(options: Options, laws: Sequence[str]) -> list[Options]:
-    """The options for each law: if some law can estimate parameters, the others go without.
+    """The options for each law; if some law estimates parameters, the others get none.
 
     Raises:
         UsageError: a law is not installed.

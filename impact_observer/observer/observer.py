@@ -49,8 +49,6 @@ MOST_LIVE_SAMPLES = 100_000
 """Samples of live signals that are kept while there is no event: those of 100 s at 1 kHz."""
 MOST_NUMBERS = 100_000
 """Sequence numbers that are remembered while no event can be applied."""
-
-
 MOST_WAITING = 1000
 """Events that are kept until their epoch is known."""
 
@@ -60,9 +58,9 @@ class _Waiting(NamedTuple):
 
     Attributes:
         event: the event.
-        verdicts: on its switches.
-        is_overtaken: whether an event with a higher number was received before it.
-        notices: what was noticed about its number.
+        verdicts: verdicts on the switches of the event.
+        is_overtaken: whether an event with a higher number was received earlier.
+        notices: notices about the sequence number.
     """
 
     event: ImpactEvent
@@ -86,12 +84,12 @@ class Observer:
 
     Attributes:
         system: the system that plant and replica share.
-        law: what the replica does at an event.
+        law: the law that corrects the replicas at an event.
         ensemble: how many replicas are run together.
         given_epoch: the epoch that was given, ns; 0 for none.
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
-        samples: of sensors beside the impacts, and what became of them.
+        samples: samples of the sensors beside the impacts, and verdicts on samples.
         restarts: how often a new episode or epoch has restarted the replica.
     """
 
@@ -157,7 +155,7 @@ class Observer:
         self.restart()
 
     def restart(self, reason: str = "") -> None:
-        """Forget everything, as if just made; the next verdict names the ``reason``, if any."""
+        """Forget all events and samples; the next verdict names the ``reason``, if any."""
         if reason:
             self._notices = [*self._notices, f"{reason}: the observer is reset"]
         self._runs = SenderRuns(self.given_epoch)
@@ -170,7 +168,7 @@ class Observer:
     def take_pulse(self, stamp: int) -> None:
         """The phase of the drive is zero at ``stamp`` (ns).
 
-        The first pulse is the epoch unless the events say it or it was given.
+        The first pulse is the epoch unless the events or the caller give the epoch.
         """
         self._first_pulse = self._first_pulse or stamp
         if not self.epoch:
@@ -203,7 +201,7 @@ class Observer:
         return self._take(event)
 
     def _take(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
-        """``receive`` an event; one that is late is put among those ``waiting``, if given."""
+        """``receive`` an event; a late event is put into ``waiting``, if given."""
         if event.epoch - event.stamp > NEAR_STAMPS:
             reason = f"stamped before its own epoch, {text(event.epoch)} s"
             return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
@@ -227,7 +225,7 @@ class Observer:
         return self._receive(event, waiting)
 
     def _adopt(self, epoch: int) -> None:
-        """Take the ``epoch`` (ns) of the run in use, unless it is known by more than a pulse."""
+        """Take the ``epoch`` (ns) of the run in use, if no epoch is known but by a pulse."""
         is_by_pulse = self.epoch == self._first_pulse and not self.given_epoch
         if not epoch or epoch == self.epoch or not is_by_pulse:
             return
@@ -239,7 +237,7 @@ class Observer:
     def _receive_again(
         self, released: Iterable[ImpactEvent], event: ImpactEvent
     ) -> tuple[Verdict, ...]:
-        """``receive`` an event and those that were refused until it came."""
+        """``receive`` an event, and apply the ``released`` events that were refused so far."""
         notices, self._notices = self._notices, []
         again: list[Verdict] = []
         for each in released:
@@ -298,10 +296,11 @@ class Observer:
     def receiving(
         self, events: Sequence[ImpactEvent]
     ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
-        """``receive`` several events; the late ones together, so that others run again once only.
+        """``receive`` several events; late events together, so that later events run again once.
 
-        What ``receive`` would raise is the reason of a rejection here. An estimate contains the
-        late ones once their verdicts are there; nothing else may change the observer until then.
+        An error that ``receive`` would raise becomes the reason of a rejection. An estimate
+        contains the late events once their verdicts are yielded; until then no other call may
+        change the observer.
 
         Yields:
             Each event with its verdicts; None after each step of work in between.
@@ -323,7 +322,7 @@ class Observer:
                 yield from self._receive_waiting(run, of_run)
 
     def _follow(self) -> None:
-        """Use the samples that have come, but not while events are inserted."""
+        """Use the samples received, except while events are inserted."""
         if self._is_inserting:
             return
         if self.live is not None and self.epoch:
@@ -342,7 +341,7 @@ class Observer:
     def measure(self, samples: Iterable[SensorSample]) -> tuple[Verdict, ...]:
         """Use samples of sensors, each at its own stamp, whenever they arrive.
 
-        What becomes of them is in ``samples``. They wait while the epoch of the forcing is not
+        Verdicts on samples are in ``samples``. Samples wait until the epoch of the forcing is
         known.
 
         Returns:
@@ -354,10 +353,11 @@ class Observer:
         return revised
 
     def forget_silence(self, now: int) -> None:
-        """Keep memory bounded where samples come for long without any event.
+        """Bound the memory while samples arrive for long without any event.
 
-        Of more than ``MOST_LIVE_SAMPLES`` those before ``now`` (ns) less the history are
-        forgotten, and the estimate goes on from there. Only a node needs that: a recording ends.
+        Of more than ``MOST_LIVE_SAMPLES`` samples, those before ``now`` (ns) minus the history are
+        forgotten, and the estimate goes on from there. Only a node needs the bound: a recording
+        ends.
         """
         if self.live is None:
             return
@@ -420,7 +420,7 @@ class Observer:
     def _inserted(
         self, run: RunHistory, received: Sequence[tuple[_Waiting, Insertion]]
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
-        """Note events that were ``received`` and inserted; their verdicts, and those on others."""
+        """Note events that were ``received`` and inserted; return their verdicts and others."""
         for _, insertion in received:
             if insertion.entry.belief.fit.is_misfit:
                 self.remarks[Remark.MISFIT] += 1
@@ -459,8 +459,8 @@ class Observer:
     def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
 
-        They are equal in every bit. With ``only_states`` what else changes between events, such
-        as a covariance, is that of the first of many.
+        The states equal those of ``estimate`` in every bit. With ``only_states`` all other values,
+        such as a covariance, are those of the first of many stamps.
 
         Raises:
             UsageError: as ``estimate``.
@@ -518,9 +518,9 @@ class Observer:
 
     @property
     def learned_deviations(self) -> dict[str, float]:
-        """Standard deviations of sensors that are learned, by name, as the latest samples say.
+        """Learned standard deviations of sensors by name, after the latest sample.
 
-        Also of those whose errors are much larger than declared.
+        Sensors whose errors are much larger than declared are included.
         """
         if (timeline := self._run.timeline) is None:
             return {}
@@ -579,7 +579,7 @@ class Observer:
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 
     def _change_run(self, previous: SenderRun) -> None:
-        """Follow another run of the sender than the ``previous`` one, which is kept."""
+        """Follow the new run of the sender, and keep the ``previous`` run."""
         run = self._runs.in_use
         assert run is not None, "it has changed"
         if previous.goes_on_as(run):
@@ -602,7 +602,7 @@ class Observer:
     def _resolve_contacts(
         self, event: ImpactEvent
     ) -> tuple[tuple[Verdict, ...], tuple[tuple[int, Kind], ...]]:
-        """A verdict for each switch, and the switches to apply: of one contact, OPEN last."""
+        """A verdict for each switch, and the switches to apply; OPEN last for each contact."""
         if not event.switches:
             return (_verdict(event, Ruling.REJECTED, "it names no contact"),), ()
         verdicts: list[Verdict] = []
@@ -620,7 +620,7 @@ class Observer:
         return tuple(verdicts), tuple(sorted(set(switches)) if len(switches) > 1 else switches)
 
     def refuse(self, event: ImpactEvent, reason: str, remark: Remark) -> tuple[Verdict, ...]:
-        """Reject an event of a recording, which is known to have no effect."""
+        """Reject an event of a recording that is known to have no effect."""
         return self._refuse(event, Ruling.REJECTED, reason, remark)
 
     def _refuse(
@@ -638,7 +638,7 @@ class Observer:
         return (with_reasons(first, notices), *others)
 
     def _note_disorder(self, insertion: Insertion, *, is_overtaken: bool) -> None:
-        """Count what was not in order about an event that was inserted."""
+        """Count irregularities in the order of an event that was inserted."""
         entry, again = insertion.entry, insertion.again
         if again or is_overtaken:
             self.remarks[Remark.LATE] += 1

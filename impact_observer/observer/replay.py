@@ -24,14 +24,14 @@ _BATCH = 4096
 def replay(
     observer: Observer, events: Sequence[ImpactEvent], stamps: Stamps
 ) -> Iterator[Estimate | Verdict]:
-    """Verdicts, and estimates at ``stamps``, each after all events at or before it.
+    """Verdicts, and estimates at ``stamps``, each after all events up to the stamp.
 
-    Events are received in the order of their stamps, but of their numbers where these disagree. So
-    a verdict says the same of a misplaced stamp as it does live, and reports only real gaps. Which
-    run of the sender is in use follows from the order in which they are given.
+    Events are received in the order of their stamps, or of their numbers where stamps disagree. So
+    a verdict on a misplaced stamp is the same as live, and reports only real gaps. The run of the
+    sender in use follows from the order in which events are given.
 
     Args:
-        observer: has received nothing yet.
+        observer: an observer that has received no event.
         events: in order of reception, or as ``sender_runs.in_order`` has them.
         stamps: ns, ascending, shape (samples,); those before the first estimate are skipped.
 
@@ -58,10 +58,11 @@ def replay_batches(
     """``replay`` with the estimates between two events in batches.
 
     See ``Observer.estimates`` for ``only_states``. An event to which the law has no solution is an
-    error; with ``rejects`` it is rejected, as by a node, and an error where no event was applied.
-    With ``by_stamps`` no event is late: it is faster where stamps disagree with numbers, and ends
-    the same; but verdicts may report numbers as missing then. What becomes of the ``samples`` of
-    sensors, in order of stamps, is in ``observer.samples``.
+    error; with ``rejects`` the event is rejected, as by a node, and the error is raised only if no
+    event was applied. With ``by_stamps`` no event is late: the replay is faster where stamps
+    disagree with numbers, with the same final estimates, but verdicts may report numbers as
+    missing. Verdicts on the ``samples`` of sensors, in order of stamps, are in
+    ``observer.samples``.
     """
     stamps = whole_stamps(stamps)
     errors: list[DynamicsError] | None = [] if rejects else None
@@ -90,7 +91,7 @@ def replay_batches(
 
 
 def _measured(observer: Observer, waiting: list[SensorSample], before: int) -> Sequence[Verdict]:
-    """Verdicts on events that change by the samples ``before`` a stamp (ns), the next one last."""
+    """Verdicts on events that change by the ``waiting`` samples ``before`` a stamp (ns)."""
     due = list[SensorSample]()
     while waiting and waiting[-1].stamp < before:
         due.append(waiting.pop())
@@ -100,7 +101,7 @@ def _measured(observer: Observer, waiting: list[SensorSample], before: int) -> S
 def _received(
     observer: Observer, pending: "_Pending", errors: list[DynamicsError] | None
 ) -> Sequence[Verdict]:
-    """The verdicts on an event; what the law cannot apply is noted in ``errors``, if given."""
+    """The verdicts on an event; an error of the law is noted in ``errors``, if given."""
     event, why = pending.event, pending.why
     if why.reason:
         return observer.refuse(event, why.reason, why.remark)
@@ -118,9 +119,9 @@ class _Pending(NamedTuple):
 
     Attributes:
         event: the event.
-        needed: stamp of the first estimate that needs it, ns: its own, or that of an event which
-            was sent after it, or of one that takes effect with it.
-        why: of an event without effect.
+        needed: stamp from which estimates need the event, ns: the least of its own and of the
+            events that were sent later or take effect together.
+        why: the decision on the event.
     """
 
     event: ImpactEvent
@@ -131,9 +132,7 @@ class _Pending(NamedTuple):
 def _in_order_of_sending(events: Iterable[Placed], by_stamps: bool) -> list[_Pending]:
     """The events by period and stamp, and by sequence number where stamps disagree.
 
-    Only by period and stamp if ``by_stamps``.
-
-    Those without effect are put among them by their stamps.
+    If ``by_stamps``, only by period and stamp. Events without effect are put in by their stamps.
     """
     every = sorted(events, key=lambda each: (each.period, each.event.stamp, each.event.sequence))
     without = [
@@ -172,7 +171,7 @@ def _was_sent_before(event: ImpactEvent, other: ImpactEvent) -> bool:
 
 
 def _due(pending: _Pending, observer: Observer) -> int:
-    """From which stamp on an event matters, ns: its own, or that of its new epoch."""
+    """The stamp from which an event matters, ns: its own, or a new epoch."""
     epoch = pending.event.epoch
     known = epoch in {0, observer.epoch} or pending.why.reason
     return pending.needed if known else min(pending.needed, epoch)

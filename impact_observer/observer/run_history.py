@@ -32,19 +32,19 @@ from impact_observer.states import (
 MOST_EVENTS = 5000
 """Events of the history that are kept, whatever its length."""
 MOST_MEASURED = 20_000
-"""Samples of sensors that are kept beside them."""
+"""Samples of sensors that are kept beside the events."""
 
 Refusal = tuple[Ruling, str, Remark]
-"""Why an event is refused: its ruling, its reason, and how it is counted."""
+"""Why an event is refused: ruling, reason, and the remark that is counted."""
 
 
 class RunHistory:
-    """The events of one run of the sender, and the estimates that they determine.
+    """The events of one run of the sender, and the estimates from these events.
 
     Attributes:
         update: makes the beliefs after events.
-        timeline: of the events; None before the first of them, unless the epoch was given.
-        numbers: of the events.
+        timeline: the events with their beliefs; None before the first event or a given epoch.
+        numbers: the sequence numbers of the events.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class RunHistory:
         """Start with no event.
 
         Args:
-            update: with the epoch of the run, where it is known.
+            update: makes the beliefs; has the epoch of the run, or 0.
             first_entry: the initial state at a stamp (ns), before any event.
             history: how late an event may be and still be applied, ns.
         """
@@ -74,7 +74,7 @@ class RunHistory:
         self.timeline = Timeline(self._first_entry(stamp), self.update.apply)
 
     def go_on_from(self, stamp: int) -> bool:
-        """Keep what is known at ``stamp`` (ns) of no event after the last one; whether it did."""
+        """Forget the past before ``stamp`` (ns) if no event is later; returns whether so."""
         timeline = self.timeline
         if timeline is None or timeline.entries[-1].since >= stamp:
             return False
@@ -111,7 +111,7 @@ class RunHistory:
         require_epoch(self._system, self.update.epoch)
 
     def register(self, event: ImpactEvent) -> tuple[Remark, str] | None:
-        """Remember the number of an event; what is wrong with it, or missing beside it, if any."""
+        """Remember the number of an event; returns an irregularity or a gap, if any."""
         numbers, sequence = self.numbers, event.sequence
         if numbers.follows(sequence):
             numbers.remember(sequence, event.stamp)
@@ -132,7 +132,7 @@ class RunHistory:
         return not switches or timeline is None or event.stamp <= timeline.start.stamp
 
     def too_old(self, stamp: int) -> Refusal | None:
-        """Why an event at ``stamp`` (ns), the earliest, cannot be applied any more."""
+        """Why an event at ``stamp`` (ns) is too late to be applied; None if not too late."""
         timeline = self.timeline
         if timeline is not None and timeline.newest.stamp <= stamp < timeline.entries[-1].since:
             return Ruling.TOO_LATE, _before(timeline.entries[-1].since), Remark.TOO_LATE
@@ -144,7 +144,7 @@ class RunHistory:
         return Ruling.TOO_LATE, _before(max(start, timeline.start.stamp)), Remark.TOO_LATE
 
     def timeline_from_start(self, stamp: int) -> Timeline:
-        """The timeline, from the start that all events so far and one at ``stamp`` determine."""
+        """The timeline, begun at the start by all events so far and an event at ``stamp``."""
         if stamp < self._earliest or not self._earliest:
             self._earliest = stamp
         epoch = self.update.epoch
@@ -160,7 +160,7 @@ class RunHistory:
     def verdicts(
         self, received: Sequence[tuple[tuple[Verdict, ...], Insertion]]
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
-        """The verdicts on inserted events, and on others; what is too old is forgotten.
+        """The verdicts on inserted events, and on others; too old entries are forgotten.
 
         The events are ``received`` in order of their stamps, each with its verdicts.
         """
@@ -168,11 +168,11 @@ class RunHistory:
         assert timeline is not None, "events were inserted"
         first = received[0][1].entry.key.stamp
         self._forget(timeline)
-        # Verdicts on what has been forgotten are final, also where the event itself is late.
+        # Verdicts on forgotten events are final, even if the inserted event is late.
         return self._issued.complete(received, max(first - self._history, timeline.start.stamp))
 
     def _forget(self, timeline: Timeline) -> None:
-        """Forget what is too old."""
+        """Forget entries that are older than the history."""
         most = MOST_EVENTS + MOST_MEASURED if self.update.sensors else MOST_EVENTS
         if timeline.forget_before(timeline.newest.stamp - self._history, most):
             self._issued.forget_before(timeline.start.stamp)
@@ -181,10 +181,10 @@ class RunHistory:
     def measure(
         self, keys: Iterable[EventKey]
     ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
-        """Put samples into their places; late ones together, so that others run again once only.
+        """Put samples into their places; late samples together, so that events run again once.
 
         Returns:
-            What became of each; and verdicts on events that samples have changed.
+            The outcome of each; and verdicts on events that samples have changed.
         """
         ordered = sorted(set(keys))
         timeline = self.timeline_from_start(ordered[0].stamp)
@@ -211,7 +211,7 @@ class RunHistory:
     def _measure_next(
         self, timeline: Timeline, key: EventKey
     ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
-        """Append a sample that follows all others: the usual case."""
+        """Append a sample that is later than all entries: the usual case."""
         try:
             insertion = timeline.insert(key)
         except ImpactObserverError as error:
@@ -235,7 +235,7 @@ class RunHistory:
         belief, prediction = entry.belief, self.update.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
-        if root is None and law.has_covariance:  # after a sample it is found when it is asked for
+        if root is None and law.has_covariance:  # the root after a sample is computed on request
             root = prediction.root(0.0)
         x, root = self._before_jump(entry, s, x, root)
         closed = prediction.closed(s)
@@ -294,7 +294,7 @@ class RunHistory:
     def _before_jump(
         self, entry: Entry, s: float, x: Vector, root: Matrix | None
     ) -> tuple[Vector, Matrix | None]:
-        """State and root ``s`` seconds after an entry: these, or those before velocities jump."""
+        """``x`` and ``root``; within an impact that lasts, those before the velocities jump."""
         onset, epoch = entry.belief.onset, self.update.epoch
         if onset is None or s >= onset.lasts:
             return x, root
@@ -305,11 +305,11 @@ class RunHistory:
     def _with_missed_rests(
         self, entry: Entry, s: float, x: Vector, root: Matrix | None, closed: Contacts | None
     ) -> Matrix | None:
-        """``root``, and what is wrong where a contact has come to rest and no event says so.
+        """``root`` with the error of an unreported rest on a contact as further columns.
 
-        After a hit that lasted a body leaves its stop, or rests on it. An estimate that moves
-        further inside, or stays there, by more than its deviation explains, differs from that by
-        as much as it would have to change.
+        After a hit that lasted a body leaves its stop, or rests on the stop. If an estimate moves
+        or stays inside by more than its deviation explains, its error is the change that would
+        bring the body to rest on the stop.
         """
         onset, n, moving = entry.belief.onset, self._system.n, self.update.law.moving
         if root is None or not self._soft or (onset is not None and s < onset.lasts):
@@ -362,12 +362,12 @@ class RunHistory:
         return self._from_frame(stamps, x), maps, columns
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
-        """States (q, u) at ``stamps`` (ns) from such in the frame, shape (samples, 2n)."""
+        """States (q, u) at ``stamps`` (ns) from states in the frame, shape (samples, 2n)."""
         return self._system.from_frame(stamps - self.update.epoch, x)
 
 
 def misplaced(key: EventKey, timeline: Timeline, waiting: Container[EventKey]) -> Refusal | None:
-    """Why an event, not the latest, has no place among those applied and those ``waiting``."""
+    """Why a late event is refused a place among those applied and those ``waiting``, or None."""
     if not timeline.accepts(key):
         return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
     if key in timeline or key in waiting:

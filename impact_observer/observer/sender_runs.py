@@ -18,8 +18,9 @@ CONFIRMING = 2
 RETURNING = 10
 """Events with which an earlier run takes effect again, once a confirmed one has gone silent."""
 _MOST_STEP = 3600 * NS_PER_S
-"""Largest difference of the stamps of two events that confirm each other, ns. One that is stamped
-later than that after all others has to be confirmed, too."""
+"""Largest difference of the stamps of two events that confirm each other, ns.
+
+An event stamped later than all others by more than this must be confirmed, too."""
 _MOST_RUNS, _MOST_HELD = 256, 64
 """Runs that are not in use, and events of each, that are kept."""
 
@@ -29,7 +30,7 @@ class SenderRun(NamedTuple):
 
     Attributes:
         epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
-        episode: of the sender.
+        episode: episode of the sender.
     """
 
     epoch: int
@@ -45,7 +46,7 @@ class SenderRun(NamedTuple):
         return self.episode >= other.episode
 
     def goes_on_as(self, other: "SenderRun") -> bool:
-        """Whether ``other`` is the same run, of which the epoch is known by now."""
+        """Whether ``other`` is the same run, with its epoch known by now."""
         return not self.epoch and self.episode == other.episode
 
 
@@ -53,11 +54,11 @@ class Weighed(NamedTuple):
     """The decision on an event.
 
     Attributes:
-        reason: why it has no effect for now; empty where it is of the run in use.
-        remark: under which it is counted then.
-        previous: the run in use until now, where the event has brought another into use.
-        released: earlier events of its run, held until now, in order of reception.
-        replaces: whether they replace the single event of their run that had effect so far.
+        reason: why the event has no effect for now; empty for an event of the run in use.
+        remark: the remark that counts an event without effect.
+        previous: the run in use until now, if the event has brought another run into use.
+        released: earlier events of the same run, held until now, in order of reception.
+        replaces: whether ``released`` replaces the single event of the run in effect so far.
     """
 
     reason: str = ""
@@ -75,8 +76,8 @@ class _Held:
     """Events of a run that is not in use.
 
     Attributes:
-        events: those that are kept, in order of reception.
-        confirming: the latest that agree with each other, with none of the run in use between.
+        events: the events kept, in order of reception.
+        confirming: the latest events in agreement, without an event of the run in use between.
     """
 
     events: list[ImpactEvent] = field(default_factory=list)
@@ -87,11 +88,11 @@ class SenderRuns:
     """The run in use, and the events of others.
 
     The first event received begins a run. Another run takes effect with ``CONFIRMING`` events in
-    agreement. Where an earlier one replaces one that was confirmed itself, ``RETURNING`` are
-    needed, stamped after all of the run in use.
+    agreement. To replace a confirmed run, an earlier run needs ``RETURNING`` events, stamped
+    after all events of the run in use.
 
     Attributes:
-        in_use: the run; None before the first event.
+        in_use: the run in use; None before the first event.
     """
 
     def __init__(self, epoch: int = 0) -> None:
@@ -126,7 +127,7 @@ class SenderRuns:
         return _FOLLOWED
 
     def _hold(self, run: SenderRun, event: ImpactEvent) -> Weighed:
-        """Keep an event of another run, and bring that into use if it is confirmed."""
+        """Keep an event of another run, and bring the run into use once confirmed."""
         assert self.in_use is not None, "there was an event"
         held = self._held.setdefault(run, _Held())
         self._held.move_to_end(run)
@@ -196,9 +197,9 @@ class Placed(NamedTuple):
 
     Attributes:
         event: the event.
-        period: during which its run is in use: counted from 0; -1 where it never has effect.
-        since: stamp of the first event that takes effect with it, ns.
-        why: of an event without effect.
+        period: number of the period in which its run is in use, from 0; -1 without effect.
+        since: stamp of the first event that takes effect together with this event, ns.
+        why: the decision on the event.
     """
 
     event: ImpactEvent
@@ -212,7 +213,7 @@ def placed(events: Iterable[ImpactEvent], epoch: int = 0) -> list[Placed]:
 
     Args:
         events: in order of reception.
-        epoch: as of an observer, ns; 0 to take it from the events.
+        epoch: given epoch of the observer, ns; 0 to take the epoch from the events.
     """
     runs, period, places = SenderRuns(epoch), 0, list[Placed]()
     of: dict[ImpactEvent, list[int]] = {}
@@ -233,10 +234,9 @@ def placed(events: Iterable[ImpactEvent], epoch: int = 0) -> list[Placed]:
 
 
 def in_order(events: Iterable[ImpactEvent]) -> list[ImpactEvent]:
-    """A recording by run, stamp and sequence, so that it has the effect of its own order.
+    """Sort a recording by run, stamp and sequence, without a change of its effect.
 
-    What has no effect stays behind the event that it followed. ``events`` are in order of
-    reception.
+    An event without effect stays behind its predecessor. ``events`` are in order of reception.
     """
     keys, last = list[tuple[int, int, int, int]](), (0, 0, 0)
     every = placed(events)

@@ -4,9 +4,9 @@
 from impact_observer.observer.event_order import NEAR_NUMBERS
 
 _LEAST = 64
-"""Numbers that need not be forgotten."""
+"""Fewer remembered numbers than this are not searched for old ones."""
 _MOST_MISSING = 1_000_000
-"""Numbers left out at once that may be missing; more are another way of counting."""
+"""Most numbers skipped at once that count as missing; a larger step is a new count."""
 
 
 class SequenceNumbers:
@@ -15,18 +15,18 @@ class SequenceNumbers:
     A number that leaps from the others counts once a second one confirms it.
 
     Attributes:
-        first: the lowest received; 0 before any.
-        highest: the highest received; 0 before any.
+        first: the lowest number received; 0 before any.
+        highest: the highest number received; 0 before any.
     """
 
     def __init__(self) -> None:
-        """Start with none received."""
+        """Start with no number."""
         self.first = self.highest = self._count = self._forgotten = self._leap = 0
         self._stamps: dict[int, int] = {}
         self._room = _LEAST
 
     def __len__(self) -> int:
-        """How many are remembered."""
+        """How many numbers are remembered."""
         return len(self._stamps)
 
     def __contains__(self, sequence: int) -> bool:
@@ -34,7 +34,7 @@ class SequenceNumbers:
         return sequence in self._stamps
 
     def stamp_of(self, sequence: int) -> int:
-        """The stamp of the first event with a number, ns; 0 where it is not remembered."""
+        """The stamp of the first event with a number, ns; 0 if not remembered."""
         return self._stamps.get(sequence, 0)
 
     @property
@@ -43,11 +43,11 @@ class SequenceNumbers:
         return self.highest - self.first + 1 - self._count if self.highest else 0
 
     def follows(self, sequence: int) -> bool:
-        """Whether a number is the next one, as nearly always."""
+        """Whether a number is the next after the highest: the usual case."""
         return 0 < self.highest == sequence - 1
 
     def leaps(self, sequence: int) -> bool:
-        """Whether a number is far from all others, and none was near it."""
+        """Whether a number is far from all others, the last leap included."""
         is_known = not sequence or not self.highest or self._is_near(sequence)
         return not (is_known or 0 < abs(sequence - self._leap) <= NEAR_NUMBERS)
 
@@ -87,7 +87,7 @@ class SequenceNumbers:
                 self._stamps[each] = stamp
 
     def _continues(self, sequence: int) -> bool:
-        """Whether a number follows the others; a single other one does not say how."""
+        """Whether a number continues the count, which takes at least two numbers."""
         return self._count > 1 and self.highest < sequence <= self.highest + _MOST_MISSING
 
     def discard(self, sequence: int) -> None:
@@ -96,9 +96,9 @@ class SequenceNumbers:
             self._count -= 1
 
     def forget_before(self, stamp: int) -> None:
-        """Drop numbers with earlier stamps (ns), but the highest; only when there are many.
+        """Drop numbers with earlier stamps (ns) except the highest, once many are remembered.
 
-        So the cost per number is constant, however many there are.
+        So the cost per number is constant.
         """
         if len(self._stamps) < self._room:
             return
@@ -108,7 +108,7 @@ class SequenceNumbers:
         self._room = max(2 * len(self._stamps), _LEAST)
 
     def keep_highest(self, most: int) -> None:
-        """Drop all but the ``most`` highest, once there are twice as many."""
+        """Drop all but the ``most`` highest numbers, once twice as many are remembered."""
         if len(self._stamps) < 2 * most:
             return
         kept = sorted(self._stamps)[-most:]

@@ -33,7 +33,7 @@ _MARGIN = 2.0
 _RESTING = 1e-6
 """Energy below which a motion counts as rest, relative to its largest so far."""
 _STILL = 1e-22
-"""The same of a motion that hits nothing: a rig may move much less than its start is uncertain."""
+"""The same without impacts: a rig may move much less than its start is uncertain."""
 _NONE: Mapping[int, float] = MappingProxyType({})
 _NEVER: Mapping[int, tuple[int, int]] = MappingProxyType({})
 _MOST_COMPARED = 256
@@ -46,16 +46,16 @@ class Synchronization(NamedTuple):
     Attributes:
         convergence: largest V distance between replicas just after the event, J; it only falls
             until the next one. -1 while there is only one replica.
-        energy: of the estimated motion then, kinetic and elastic, J; at rest a millionth of
-            ``largest``.
-        largest: energy after an event so far, J; where there is a covariance, of those estimates
-            of which it is less.
-        agreed: events in a row at which they agreed, this one included; of each part of the
-            system that has contacts.
-        contradicted: of each contact, how often since its last accepted event one was rejected,
-            and how often one was inserted.
-        hits: when each contact was hit last, s since the epoch; of laws without covariance, where
-            a motion is rigid.
+        energy: kinetic and elastic energy of the estimate just after the event, J; at rest a
+            millionth of ``largest``.
+        largest: largest energy after an event so far, J; with a covariance, only estimates whose
+            expected V is not above their energy count.
+        agreed: events in a row at which the replicas agreed, the last event included, for each
+            part of the system that has contacts.
+        contradicted: for each contact, how many events were rejected and how many inserted since
+            its last accepted event.
+        hits: when each contact was hit last, s since the epoch; only for laws without covariance
+            and systems with a rigid motion.
     """
 
     convergence: float
@@ -114,7 +114,7 @@ class SynchronizationTest:
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         expected = 0.0 if posterior.root is None else self._expected(posterior.root)
         largest = previous.largest
-        if expected <= energy:  # else it may be anywhere
+        if expected <= energy:  # else the estimate may be anywhere
             largest = max(largest, energy)
         is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
@@ -148,7 +148,7 @@ class SynchronizationTest:
     ) -> tuple[int, ...]:
         """Returns, for each part, the events in a row that agreed, and whether this event did.
 
-        Not if contacts of the part are ``contradicted`` too often.
+        A part with contacts that are ``contradicted`` too often has 0.
         """
         agreed = list(before or self._none)
         for i in change.hit if counts else ():
@@ -163,8 +163,8 @@ class SynchronizationTest:
     ) -> float:
         """Returns a lower bound of V before an impact, J: the plant's gaps were zero.
 
-        V does not see a rigid motion that is off; the speed does that would have made it since the
-        contact was hit before.
+        V is zero for a rigid displacement. So the bound has the energy of the speed that makes the
+        displacement in the time since the previous hit of the contact.
         """
         strain = self._projection.strain(q, change.active)
         if not self._projection.is_rigid:
@@ -179,7 +179,7 @@ class SynchronizationTest:
         return root is None or self._expected(root) <= self.threshold * result.energy
 
     def obstacle(self, result: Synchronization, root: Matrix | None) -> str:
-        """Why they are not synchronized, in a few words; empty where they are."""
+        """Why the replicas are not synchronized, in a few words; empty if synchronized."""
         limit = self.threshold * result.energy
         if result.convergence < 0:
             return "one replica"
@@ -197,7 +197,7 @@ class SynchronizationTest:
         return ""
 
     def _distance_and_energy(self, ensemble: Ensemble) -> tuple[float, float]:
-        """The largest V distance of two replicas, of very many an upper bound, and energy, J.
+        """The largest V distance of two replicas (an upper bound for very many), and energy, J.
 
         The energy is NaN where states are not finite.
         """

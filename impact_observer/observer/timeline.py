@@ -33,19 +33,19 @@ class Entry:
     """The posterior of one event.
 
     Attributes:
-        key: its event.
-        since: stamp at which ``belief`` holds, ns; that of ``key``, or of an earlier event where
-            this one has no effect.
-        belief: just after the event.
-        synchronization: of the replicas then.
-        closed: indices of the contacts with ``chi = 1`` after it, ascending.
+        key: the event.
+        since: stamp at which ``belief`` holds, ns; that of ``key``, or of an earlier event if
+            ``key`` has no effect.
+        belief: belief just after the event.
+        synchronization: synchronization of the replicas just after the event.
+        closed: indices of the contacts with ``chi = 1`` after the event, ascending.
         latest: sequence numbers of the events that have switched each contact.
-        overruled: those of its switches whose effect another event changes.
+        overruled: switches of the event whose effect another event changes.
         last: stamp (ns) and sequence of the last event so far; zeros before the first.
         impact: stamp of the last impact so far, ns; 0 before the first.
-        outcome: of a sample; None of an event.
-        known: what is known of each sensor so far, by its index.
-        prediction: from ``since`` on; None until it is needed.
+        outcome: outcome of a sample; None for an event.
+        known: state of each sensor so far, by its index.
+        prediction: prediction from ``since`` on; None until the first request.
     """
 
     key: EventKey
@@ -80,11 +80,11 @@ class Insertion(NamedTuple):
     """The changes by the insertion of an event.
 
     Attributes:
-        entry: of the event.
-        overrules: switches of other events whose effect it changes, with their events.
-        again: how many events, without samples, after it were applied again.
-        entries: of the first event that was inserted with it, or an earlier one, and of all after.
-        place: of its own entry among them.
+        entry: entry of the event.
+        overrules: switches of other events whose effect the event changes, with those events.
+        again: how many later events, samples not counted, were applied again.
+        entries: consecutive entries that contain ``entry`` and all later entries.
+        place: place of ``entry`` among ``entries``.
     """
 
     entry: Entry
@@ -103,8 +103,8 @@ class Insertions(NamedTuple):
     """The changes by the insertion of several events.
 
     Attributes:
-        insertions: of each of them, in order.
-        failed: why others could not be applied.
+        insertions: insertions of the events applied, in order.
+        failed: errors of the events that could not be applied.
     """
 
     insertions: tuple[Insertion, ...]
@@ -164,10 +164,10 @@ class Timeline:
         return self.start.sequence == _BEFORE_EVENTS
 
     def insert(self, key: EventKey) -> Insertion:
-        """Put an event that it ``accepts`` in its place, and apply the later ones again.
+        """Put an event that the timeline ``accepts`` in its place, and apply later events again.
 
         Raises:
-            ImpactObserverError: it cannot be applied, or those after it cannot; nothing changes.
+            ImpactObserverError: the event or a later one cannot be applied; nothing changes.
         """
         if self.newest.stamp < key.stamp:  # the usual case
             entry = self._update(self.entries[-1], key, ())
@@ -179,12 +179,12 @@ class Timeline:
         return made.insertions[0]
 
     def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
-        """Put events that it ``accepts`` in their places, and apply the later ones again, once.
+        """Put events that the timeline ``accepts`` in place, and apply later events again, once.
 
-        Yields after each event that is applied. Until the end nothing changes, and the timeline
-        must not be changed otherwise. An event that cannot be applied is left out; where one
-        that is there already cannot be, the new one before it is, or the one that supersedes
-        another of its stamp.
+        Yields after each event that is applied. The entries change at the end only, and the caller
+        must not change the timeline until then. A new event that cannot be applied is left out. If
+        an old event cannot be applied again, the nearest new event before it is left out, or else
+        the first new event after it.
         """
         new, failed = {*keys}, dict[EventKey, ImpactObserverError]()
         if not new:
@@ -234,9 +234,9 @@ class Timeline:
         self.entries = [last]
 
     def rerun(self, stamp: int) -> None:
-        """Apply the events after ``stamp`` (ns) again, as what is known of forces has changed.
+        """Apply the events after ``stamp`` (ns) again with changed samples of forces.
 
-        One that cannot be applied any more is left out.
+        An event that cannot be applied any more is left out.
         """
         first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
         previous = self.entries[first - 1]
@@ -260,19 +260,19 @@ class Timeline:
     def accepts(self, key: EventKey) -> bool:
         """Whether the past still reaches back to an event.
 
-        Once the past has been shortened, an event at its very start is too late as well: what it
-        may supersede cannot be undone any more.
+        Once the past has been shortened, an event at its very start is too late as well: an event
+        that it may supersede cannot be undone any more.
         """
         start = self.start
         return key.stamp > start.stamp or (key.stamp == start.stamp and self.is_complete)
 
     def __contains__(self, key: EventKey) -> bool:
-        """Whether the same event, with the same switches, is in it."""
+        """Whether the timeline has the same event, with the same switches."""
         at = self._place(key)
         return at > 0 and self.entries[at - 1].key == key
 
     def has_sample(self, stamp: int, sequence: int) -> bool:
-        """Whether there is a sample of the same sensor at the same stamp."""
+        """Whether the timeline has a sample of the same sensor at the same stamp."""
         at = bisect_right(self.entries, (stamp, sequence), key=lambda entry: entry.event)
         return self.entries[at - 1].event == (stamp, sequence)
 
@@ -295,7 +295,7 @@ class Timeline:
     def restart(self, first: Entry, *, after: bool = False) -> None:
         """Start with another ``initial_entry``, and apply the events after it again.
 
-        With ``after`` it holds after all events of its own stamp.
+        With ``after`` the state of ``first`` holds after all events of its stamp.
         """
         stamp = first.key.stamp
         keys = [entry.key for entry in self.entries[1:]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts on events: what was done with each switch, and which earlier verdicts have changed."""
+"""Verdicts on events: the ruling on each switch, and changes of earlier verdicts."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import takewhile
@@ -100,7 +100,7 @@ class IssuedVerdicts:
         return current, {s: note for s, note in self._issued.items() if s.event >= since}
 
     def forget_before(self, stamp: int) -> None:
-        """Drop verdicts on what lies before ``stamp`` (ns): they are final."""
+        """Drop verdicts on subjects before ``stamp`` (ns), which are final."""
         for subject in [*takewhile(lambda each: each.event[0] < stamp, self._issued)]:
             del self._issued[subject]
 
@@ -158,7 +158,7 @@ def _notes(entry: Entry) -> tuple[Note, ...]:
 
 
 def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:
-    """The notes added since ``before``; none if those were of another hypothesis."""
+    """The notes added since ``before``; empty if ``before`` is of another hypothesis."""
     for first, note in enumerate(before):
         if now and note is now[0]:
             kept = len(before) - first

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer's laws: how a replica is corrected while the plant's ``chi`` is 1.
 
-One file a law. A law from another package is found by its entry point in the group
+Each law has its file. Another package adds a law by an entry point in the group
 ``impact_observer.laws``.
 """
 
@@ -45,7 +45,7 @@ def law_named(name: str) -> type[Law]:
     """The law called ``name``.
 
     Raises:
-        UsageError: no such law is installed, or its entry point cannot be imported or is no law.
+        UsageError: the law is not installed, or its entry point cannot be imported or is no law.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]

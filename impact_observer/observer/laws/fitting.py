@@ -11,7 +11,7 @@ from impact_observer.estimation.misfit import ESTABLISHED, Fit
 from impact_observer.states import Vector
 
 ROUNDED = 2e-9
-"""Error of a predicted instant that is rounding, s: of the stamp to 1 ns, and of those before."""
+"""Error of a predicted instant by the rounding of this and earlier stamps to 1 ns, s."""
 
 
 def fitted(
@@ -25,14 +25,14 @@ def fitted(
 
     Errors of a model do not show in brief flights. So impacts that accumulate count once: their
     innovations would fill the window that is tested. Stamps of a periodic motion are rounded
-    periodically. So an innovation that is no more than that counts as none.
+    periodically. So an innovation within the rounding counts as zero.
 
     Args:
-        before: the fit before it.
-        change: what the contacts do.
+        before: the fit before the event.
+        change: the change of contacts.
         prior: the estimate (q, u) before the event, shape (2n,).
         corrected: the hypotheses after the event.
-        bank: of these.
+        bank: the bank of the hypotheses.
     """
     if 0 < change.flown < BRIEF * bank.filter.phases.scales.timescale:
         return before

@@ -47,7 +47,7 @@ class Geometric(ReplicaLaw):
             return self._one_impact(active[0], x, self._none)[0]
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
-        if closed and closed != active:  # where not all gaps can be zero, these are
+        if closed and closed != active:  # if not all gaps can be zero, those of ``closed`` are
             position = self._projection.position_after(position, closed)
         return np.concatenate([position, self._newton.velocity_held(x[n:], active, closed)])
 
@@ -63,7 +63,7 @@ class Geometric(ReplicaLaw):
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
-        """At a single contact each difference by itself, however small it is."""
+        """At a single contact each difference jumps by itself, however small."""
         if not self._is_single(active, closed):
             return super().impact_ensemble(before, x, active, closed)
         return Ensemble(x, self._one_impact(active[0], before.x, before.differences)[1])

@@ -54,7 +54,7 @@ class SinglePrediction(Prediction):
 
 
 class MixturePrediction(Prediction):
-    """The prediction of several hypotheses, found when they are first needed."""
+    """The prediction of several hypotheses, which are computed at the first request."""
 
     def __init__(
         self,
@@ -91,12 +91,12 @@ class _Stretch(NamedTuple):
     """The likeliest hypothesis between two missed switches.
 
     Attributes:
-        since: from when on it is the estimate, s since the last event.
-        start: when it begins, s since the last event.
-        forecast: its prediction and penetrations.
-        closed: contacts that it holds closed.
+        since: when the stretch becomes the estimate, s since the last event.
+        start: when the stretch begins, s since the last event.
+        forecast: prediction and penetrations of the hypothesis.
+        closed: contacts that the hypothesis holds closed.
         spread: the prediction whose covariance is that of the whole mixture.
-        lost: instead, a root of the covariance where no more is inserted, shape (2n, 2n).
+        lost: root of the covariance once no more switches are inserted, shape (2n, 2n); else None.
     """
 
     since: float
@@ -110,8 +110,8 @@ class _Stretch(NamedTuple):
 class MissedSwitchPrediction(MixturePrediction):
     """The prediction of several hypotheses, with missed switches inserted.
 
-    The estimate is a function of time alone: a missed switch counts from when on its dip is
-    ``CONFIDENT``, in whatever order instants are asked for.
+    The estimate is a function of time alone: a missed switch counts once its dip is ``CONFIDENT``,
+    whatever the order of the calls.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class MissedSwitchPrediction(MixturePrediction):
         return _Stretch(since, start, forecast, state.closed, spread)
 
     def _search(self) -> None:
-        """Search to the end of a window, twice as long as the last, or to a missed switch."""
+        """Search to a missed switch or the end of the window, which then doubles."""
         if len(self._stretches) > _MOST_MISSED:
             self._give_up()
             return
@@ -173,7 +173,7 @@ class MissedSwitchPrediction(MixturePrediction):
             return
         state, kind, _ = inserted
         since = start + forecast.confident_from(dip, CONFIDENT)
-        # The other hypotheses jump with it, so their differences are reversed in the same way.
+        # The other hypotheses jump too, so their differences are reversed in the same way.
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:
             pressed = tuple(sorted({*state.closed, dip.contact}))
@@ -190,7 +190,7 @@ class MissedSwitchPrediction(MixturePrediction):
         self._searched, self._window = since, self._first
 
     def _give_up(self) -> None:
-        """Insert no more: the motion passes through stops, and the plant may be anywhere.
+        """Insert no more switches: the motion passes through stops, the plant may be anywhere.
 
         Deviations stay the largest that the modes of the motion so far can give.
         """

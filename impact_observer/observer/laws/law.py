@@ -76,7 +76,7 @@ class Law(ABC):
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
-            DynamicsError: the loads of closed contacts cannot be found.
+            DynamicsError: the loads of closed contacts cannot be computed.
         """
 
     def struck(

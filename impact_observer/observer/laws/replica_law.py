@@ -36,8 +36,8 @@ class ReplicaLaw(Law):
     many replicas, or certify a bound where the energy that each event removes is known.
 
     Attributes:
-        forgives: whether a replica other than the estimate keeps its state where its impact has
-            no solution; otherwise that is an error.
+        forgives: whether a replica other than the estimate keeps its state if its impact has no
+            solution; otherwise the error is raised.
         holds_gaps: whether closed contacts hold ``g = 0``, so that no sample may move them.
     """
 
@@ -168,8 +168,8 @@ class ReplicaLaw(Law):
             x: the state (q-, u-) at the onset, shape (2n,).
 
         Returns:
-            The state after the jump of the velocities, carried back to the onset as if there had
-            been none, shape (2n,); and the state before it.
+            The state after the jump of the velocities, carried back to the onset by free motion,
+            shape (2n,); and the state before the jump.
         """
         n, late, active = self.system.n, change.delay(self.system), change.active
         on_stop = np.concatenate([self.impact(x, active, ())[:n], x[n:]])
@@ -237,12 +237,12 @@ class ReplicaLaw(Law):
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
-        """All replicas, at least two, after their own impacts; ``x`` is the estimate after it."""
+        """All replicas, at least two, after their impacts; ``x`` is the estimate after its own."""
         others = self._impacts_if_solvable(before.replicas[1:], active, closed)
         return Ensemble.of(np.concatenate([x[None], others]))
 
     def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impacts``; see ``forgives`` for one whose impact has no solution."""
+        """``impacts``; see ``forgives`` for a replica whose impact has no solution."""
         try:
             return self.impacts(replicas, active, closed)
         except ImpactLawError:
@@ -255,9 +255,9 @@ class ReplicaLaw(Law):
 
     @staticmethod
     def _checked(belief: Belief) -> Belief:
-        """``belief``; inconsistent and without bound if that has fallen below zero.
+        """``belief``; inconsistent and without bound if the bound has fallen below zero.
 
-        Then the model is wrong, or the initial error larger than declared.
+        The model is wrong then, or the initial error larger than declared.
         """
         if belief.bound is None or belief.bound >= 0:
             return belief

@@ -18,7 +18,7 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _RIGID = 1e-12
-"""``omega^2`` that counts as zero, relative to the stiffest mode's."""
+"""``omega^2`` that counts as zero, relative to that of the stiffest mode."""
 _NONE = 1e-9
 """Part of a measured function that counts as none."""
 
@@ -48,7 +48,7 @@ class SampleProjection:
     def jump(self, h: Vector, held: Contacts) -> SampleJump | None:
         """The jump by a function of the state, shape (2n,), that keeps gaps of ``held`` contacts.
 
-        None where that leaves the function as it is.
+        None if no such jump changes the function.
         """
         return self._jumps(h.tobytes(), held)
 

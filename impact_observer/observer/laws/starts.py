@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses that no event has corrected: of a start, and of a restart."""
+"""Hypotheses at a start or restart, before any event has corrected them."""
 
 import math
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ class Starts:
     """Makes the first hypotheses of a bank.
 
     Attributes:
-        filter: of the bank.
-        uncertainty: that is declared.
+        filter: filter of the bank.
+        uncertainty: the declared uncertainty.
         clocks: possible standard deviations of a stamp, s.
     """
 
@@ -36,7 +36,7 @@ class Starts:
     def restarts(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
         """Hypotheses of a restart: standard deviations as large as the motion was, any clock.
 
-        ``count`` is that of their replicas.
+        ``count`` is the number of replicas.
         """
         root = np.diag(fallback.largest)
         replicas = spread(fallback.x, root, count)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometric constraints, and those that hold for every plant: no gap is ever negative."""
+"""Geometric constraints, and the unilateral constraints of every plant: no gap is negative."""
 
 from typing import ClassVar
 
@@ -21,7 +21,7 @@ from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Vector
 
 _STEPS, _MOST_STEPS = 8, 1024
-"""In a contact time, to find where a contact reopens; most of them before it counts as lost."""
+"""Steps per contact time in the search for a reopening, and most steps of the search."""
 
 
 class Unilateral(Geometric):
@@ -54,7 +54,7 @@ class Unilateral(Geometric):
         """``q+`` by the joint projection, ``u+`` by Newton's law."""
         n = self.system.n
         x = self._projected(x, active)
-        if closed != active:  # where not all gaps can be zero, those of ``closed`` are
+        if closed != active:  # if not all gaps can be zero, those of ``closed`` are
             x = self._projected(x, closed)
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
 
@@ -84,7 +84,7 @@ class Unilateral(Geometric):
         return prior._replace(ensemble=Ensemble.of(np.array(replicas)))
 
     def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
-        """No gap negative either."""
+        """As the base class, with no gap negative."""
         replicas, system = super().admitted(ensemble, closed).replicas, self.system
         held = closed if self._unilateral.is_possible(closed) else ()
         inside = np.any(replicas[:, : system.n] @ system.W + system.q_r < 0, axis=1)
@@ -131,7 +131,7 @@ class Unilateral(Geometric):
 
 
 class _Reopening:
-    """A motion whose gaps are never negative, but for some that are until they have reopened."""
+    """A motion without negative gaps, except for contacts ``inside`` until their reopening."""
 
     def __init__(
         self, process: SweepingProcess, t: float, x: Vector, inside: Contacts, lasts: float
