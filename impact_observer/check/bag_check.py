@@ -60,11 +60,11 @@ def check_bag(
 
     Args:
         path: a rosbag2 folder, or a bare file.
-        system: of the model that the user names; None for the one in the bag.
-        progress: called with the work done and all there is to do.
+        system: system of the user's model; None for the model in the bag.
+        progress: called with the work done and the whole work.
 
     Raises:
-        UsageError: there is nothing at ``path``.
+        UsageError: ``path`` does not exist.
     """
     try:
         with BagReader(path) as reader:
@@ -99,7 +99,7 @@ class BagCheck:
     """
 
     def __init__(self, path: Path, system: System | None) -> None:
-        """Check the bag at ``path`` against a ``system``, or against that of its own model."""
+        """Check the bag at ``path`` against ``system``, or against the model in the bag."""
         self.counts: Counter[str] = Counter()
         self._path, self._name = path, _bag_name(path)
         self._system = system
@@ -111,7 +111,7 @@ class BagCheck:
         self._wrong_definitions: dict[str, Finding] = {}
 
     def check_message(self, info: TopicInfo, raw: RawMessage) -> None:
-        """Check a message; ``info`` is of its topic."""
+        """Check a message of the topic ``info``."""
         self.counts[raw.topic] += 1
         if raw.topic not in self._checks:
             self._checks[raw.topic] = self._check_for(info)
@@ -163,14 +163,14 @@ class BagCheck:
             check.count_invalid(str(error))
 
     def _keep_model(self, raw: RawMessage) -> None:
-        """Keep the last model that was published; bytes that cannot be read are an invalid one."""
+        """Keep the last published model; unreadable bytes count as an invalid model."""
         try:
             self._models[raw.topic] = self._deserialized(interfaces.STRING, raw.data).data
         except BagError as error:
             self._models[raw.topic] = f"({error})"
 
     def findings(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """The findings; ``topics`` has those without a message, too."""
+        """The findings; ``topics`` includes topics without a message."""
         yield from self._wrong_definitions.values()
         used = {}
         for own in _INTERFACES:
@@ -219,7 +219,7 @@ class BagCheck:
             return False
 
     def _no_impacts(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """An error for a bag without impacts, with the topics that impacts could be made from."""
+        """An error for a bag without impacts, with the topics that may yield impacts."""
         if any(interfaces.IMPACTS.fits(topic) for topic in topics):
             return
         others = [t for t, info in topics.items() if info.type == interfaces.IMPACT_EVENT]
@@ -273,7 +273,7 @@ def _checked_topic(
 
 
 def _damage(source: Salvage, reason: str) -> Iterator[Finding]:
-    """Why a bag cannot be read as a whole, and what can be read of it."""
+    """The reason why a bag cannot be read as a whole, and its readable part."""
     name = _bag_name(source.path)
     if not source.counts:
         yield Finding(ERROR, name, reason, remedy=f"nothing can be read: {summary(source)}")

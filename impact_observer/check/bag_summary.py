@@ -92,7 +92,7 @@ def summarize(bag: Path) -> BagSummary:
     """Summarize the contents of a bag.
 
     Raises:
-        UsageError: there is no bag.
+        UsageError: ``bag`` does not exist.
         BagError: the bag is damaged, or one of our topics has an invalid message.
     """
     try:
@@ -141,7 +141,7 @@ def _summary(reader: BagReader) -> BagSummary:
 def impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
     """Contacts and kinds of the impacts and closings that count, in constant memory.
 
-    ``WINDOW`` events are sorted at a time; those of one stamp stay together.
+    ``WINDOW`` events are sorted at a time; events of one stamp stay together.
     """
 
     def key(event: ImpactEvent) -> tuple[int, int, int]:

@@ -44,7 +44,7 @@ CONTACT_FAULTS = {
         "an OPEN was lost",
     ),
 }
-"""Faults in the order of switches: severity, what was found, what was expected, the remedy."""
+"""Faults in the order of switches: severity, fault, expectation, remedy."""
 
 
 @dataclass(slots=True)
@@ -52,14 +52,14 @@ class _ContactHistory:
     """The switches of one contact.
 
     Attributes:
-        switches: how many.
-        closed: whether the last one closed it.
-        last_stamp: stamp of the last one, ns.
+        switches: number of switches.
+        closed: whether the last switch closed the contact.
+        last_stamp: stamp of the last switch, ns.
         last_hit: stamp of the last hit, ns.
-        hits: impacts and closings.
-        intervals: between its hits.
-        fast: of them, those shorter than ``FAST``.
-        pending: fast ones since the last slow one: if they end in a CLOSE, they are no chatter.
+        hits: number of impacts and closings.
+        intervals: number of intervals between hits.
+        fast: number of intervals shorter than ``FAST``.
+        pending: fast intervals since the last slow interval; before a CLOSE they are no chatter.
     """
 
     switches: int = 0

@@ -16,7 +16,7 @@ from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.stamps import NS_PER_S, text
 
 _FAR = 3600 * NS_PER_S
-"""Difference of stamps and log times beyond which they come from different clocks, ns."""
+"""Difference of stamps and log times beyond which their clocks differ, ns."""
 
 _FAULTS = {
     "duplicate": (WARNING, "{messages} came twice, the first is {first}", "", "each counts once"),
@@ -61,7 +61,7 @@ _FAULTS = {
     ),
     **CONTACT_FAULTS,
 }
-"""Faults of events: severity, what was found, what was expected, the remedy."""
+"""Faults of events: severity, fault, expectation, remedy."""
 
 
 class EventCheck:

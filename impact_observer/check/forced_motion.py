@@ -25,7 +25,7 @@ _FAST = 100.0
 _BOUNDLESS = 1e9
 """Amplitude that counts as a resonance without damping, m."""
 _ABOVE, _BELOW = 10.0, 0.2
-"""Ratio of an excitation's frequency to the highest and to the lowest mode's that is odd."""
+"""Ratio of an excitation's frequency to the highest, and to the lowest mode's, that is unusual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

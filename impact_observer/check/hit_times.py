@@ -145,7 +145,7 @@ def longest_interval(system: System) -> float:
     """Longest likely time between impacts, s; infinite if the model does not bound the time.
 
     The time is 30 periods of the slowest mode or excitation. If bodies fly, the time is at least
-    that of a flight under their constant forces that begins at 30 m/s.
+    the duration of a flight under their constant forces that begins at 30 m/s.
     """
     if system.live is not None or system.forcing.sampled is not None:
         return math.inf

@@ -34,7 +34,8 @@ _COUPLED = 1e-12
 class Growth:
     """Growth, by an impact, of the difference between two solutions.
 
-    Both have an impulse at every contact. ``one`` closes every contact, so it can be a plant's.
+    Both solutions have an impulse at every contact. ``one`` closes every contact, so a plant can
+    have this solution.
 
     Attributes:
         contacts: indices of the contacts that close, sorted.
@@ -86,7 +87,7 @@ class _EigenvalueTest:
     """The eigenvalue test of a system, on ``H`` and on a reduced ``H``.
 
     Pairs that cannot close together, or that are parallel, are in none of the sets to be tested.
-    Their entries of ``H`` do not count and are zero in the reduced one. A set passes where either
+    Their entries of ``H`` do not count and are zero in the reduced ``H``. A set passes if either
     matrix is positive semidefinite, since then all its admissible subsets pass.
     """
 
@@ -115,7 +116,7 @@ class _EigenvalueTest:
         )
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
-        """A subset that is dependent or cannot close together; None if there is none."""
+        """A subset that is dependent or cannot close together; None without such a subset."""
         closing = self._closing
         blocked = (
             closing.conflict_so_far(contacts)

@@ -18,7 +18,7 @@ _SHOWN = 3
 
 
 def findings(checked: ModelCheck) -> list[ReportLine]:
-    """All remarks on a model, those on the impact law first."""
+    """All remarks on a model; remarks on the impact law come first."""
     return [
         *_impact_law(checked),
         *_friction(checked.system),

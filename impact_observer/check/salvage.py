@@ -46,14 +46,14 @@ class Salvage:
         topics: the topics found so far, by absolute name, without counts.
         counts: messages of each topic so far.
         last: log time of the last message of each topic so far, ns.
-        losses: what could not be read, a line each.
+        losses: one line for each unreadable part.
     """
 
     def __init__(self, path: Path) -> None:
         """Prepare to read the bag at ``path``.
 
         Raises:
-            UsageError: there is nothing at ``path``.
+            UsageError: ``path`` does not exist.
         """
         if not path.exists():
             raise UsageError(f"{path}: does not exist; expected a bag's folder or file")

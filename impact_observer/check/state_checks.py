@@ -69,7 +69,7 @@ class StateCheck:
         """The findings.
 
         Args:
-            system: of the model; None where there is none.
+            system: system of the model; None without a model.
             events: first and last stamp of the impacts, ns; None without any.
         """
         for these, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):

@@ -22,7 +22,7 @@ class LiveSample(NamedTuple):
 
     Attributes:
         name: of the input or ground.
-        stamp: when it holds, ns.
+        stamp: time of validity, ns.
         value: N, or m.
         rate: m/s of a ground; 0 of an input.
     """

@@ -30,7 +30,7 @@ class SensorReader:
     """Reads the samples of one sensor from the messages of its topic.
 
     Attributes:
-        measurement: as it was declared.
+        measurement: the declared measurement.
         index: of the sensor.
     """
 
@@ -142,7 +142,7 @@ class MeasuredTopics(NamedTuple):
 
 
 def rate_of(stamps: Sequence[int]) -> float:
-    """The mean rate of samples at ``stamps`` (ns), ascending, Hz; 0 of a single one."""
+    """The mean rate of samples at ``stamps`` (ns), ascending, Hz; 0 for a single sample."""
     span = stamps[-1] - stamps[0] if stamps else 0
     return (len(stamps) - 1) * NS_PER_S / span if span else 0.0
 

@@ -93,7 +93,7 @@ class EstimateError:
 
 
 class Messages:
-    """Makes messages of our values, from the message classes it is given.
+    """Makes messages of our values, from given message classes.
 
     Every method raises :class:`MessageError`, one line with the field's name, for a stamp that a
     message cannot carry (it must be after 0 and before 2038), for a number that is not finite,
@@ -317,7 +317,7 @@ class MessageLimits(NamedTuple):
         """Raise unless an event is within the limits.
 
         Raises:
-            MessageError: it is not, by the name of the limit.
+            MessageError: a limit is exceeded; the error names the limit.
         """
         longest = max((len(each.contact.encode()) for each in message.switches), default=0)
         frame = len(message.header.frame_id.encode())

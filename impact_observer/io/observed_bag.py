@@ -36,7 +36,7 @@ from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
 
 MOST_ESTIMATES = 10_000_000
-"""Estimates that ``observe`` makes unless more are asked for: those of a day at 100 Hz."""
+"""Most estimates of ``observe`` by default: one day at 100 Hz."""
 _MOST_NAMES = 5
 """Contacts that an error names."""
 _MOST_FIXED = 256
@@ -66,13 +66,13 @@ def observe_bag(
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
         most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
-        measured: what sensors have measured; None for nothing.
-        progress: called with the number of estimates made and of those to be made.
+        measured: the samples of sensors; None without sensors.
+        progress: called with the number of estimates made, and of all estimates.
         warn: called with what was wrong with samples of live forces and grounds, and where events
             come after the last estimate.
 
     Returns:
-        The number of estimates, and how many final verdicts there are of each kind.
+        The number of estimates, and the number of final verdicts of each kind.
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked: also where no event names a contact
@@ -119,7 +119,7 @@ def observe_bag(
 def _check_events(
     reader: BagReader, events: Sequence[ImpactEvent], system: System, epoch: int
 ) -> None:
-    """Raise UnfitBagError where nothing could be estimated from the events of a bag."""
+    """Raise UnfitBagError if the events of a bag gave no estimate."""
     if not events and not epoch:
         raise UnfitBagError(
             f"{reader.path}: no impact in it, so that nothing is estimated; expected impacts, or"
@@ -169,7 +169,7 @@ def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
 def sample_stamps(
     reader: BagReader, events: Sequence[ImpactEvent], rate: float | None, epoch: int
 ) -> Stamps:
-    """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states."""
+    """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or of the true states."""
     truth = reader.truth_topic()
     if rate is None:
         if truth is None or not reader.topics[truth].count:
@@ -186,7 +186,7 @@ def sample_stamps(
 
 
 def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps, epoch: int) -> str:
-    """A warning where events come after the last estimate; empty where none does."""
+    """A warning if events come after the last estimate; otherwise empty."""
     end = int(stamps.max()) if stamps.size else 0
     used = [each.event for each in placed(events, epoch) if each.period >= 0]
     if not (later := sum(each.stamp > end for each in used)):
@@ -243,7 +243,7 @@ class _ObserverMessages:
         self.estimates = 0
         self.others = Counter[Ruling]()  # of verdicts that do not decide on an event
         self.final: dict[tuple[int, int, str], Ruling] = {}
-        self.refusal = ""  # what became of the first event that was not applied
+        self.refusal = ""  # fate of the first event that was not applied
         self._serialize = writer.serialized
         self._names = names
         self._progress = progress

@@ -49,7 +49,7 @@ class RawMessage(NamedTuple):
 
     Attributes:
         topic: the absolute name.
-        log_time: when it was recorded, ns.
+        log_time: time of recording, ns.
         data: the serialized message (CDR).
     """
 
@@ -80,8 +80,8 @@ class BagReader:
             namespace: selects one of several rigs in the bag; empty for any.
 
         Raises:
-            UsageError: there is nothing at ``path``, or no topic in the ``namespace``.
-            BagError: it is no bag, or a damaged one.
+            UsageError: ``path`` does not exist, or the ``namespace`` has no topic.
+            BagError: ``path`` is no bag, or a damaged bag.
         """
         self.path = Path(path)
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
@@ -147,7 +147,7 @@ class BagReader:
         """The topic of the plant's true states; None when the bag has none.
 
         Raises:
-            BagError: there are several plants.
+            BagError: the bag has several plants.
         """
         return self.find(interfaces.PLANT_JOINT_STATES)
 
@@ -240,7 +240,7 @@ class BagReader:
 
         Args:
             topics: absolute names, of joint states or of an observer's states.
-            names: the columns wanted, by name; None for those of each topic's first message.
+            names: names of the columns; None for the names in each topic's first message.
             covariance: whether estimates are wanted with theirs.
 
         Yields:
@@ -285,10 +285,10 @@ class BagReader:
             raise UnfitBagError(f"{self.path}: {topic} is {type_name}; expected {wanted}")
 
     def model_text(self) -> str | None:
-        """The text of the model in the bag, as it was last published; None without one.
+        """The text of the last model published in the bag; None without a model.
 
         Raises:
-            BagError: several plants published one, or the topic is of another type.
+            BagError: several plants published a model, or the topic has another type.
         """
         if (topic := self.find(interfaces.PLANT_MODEL)) is None:
             return None
@@ -358,7 +358,7 @@ class BagReader:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Report what ``rosbags`` raises for a damaged bag as one line."""
+        """Report an error of ``rosbags`` for a damaged bag as one line."""
         try:
             yield
         except ImpactObserverError:

@@ -126,14 +126,14 @@ def write_run(
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
-    The log time of an event is that of its reception, that of a state its stamp. Where forces turn
+    The log time of an event is its time of reception; of a state, its stamp. Where forces turn
     with a drive, its index pulses are written too.
 
     Args:
         path: the bag to make.
         model: of the plant.
         run: its states and impacts.
-        seed: of everything random in it.
+        seed: seed of all random numbers in the bag.
         integrator: a description of the integrator.
         sensor: its faults.
         flush: longest time until a message is on the disk, s.
@@ -178,7 +178,7 @@ def write_run(
         ]
         if pulses:
             writer.declare(interfaces.PHASE_REFERENCE.topic)
-        # At equal stamps the event is first: the state there is the one after it.
+        # At equal stamps the event is first: the state is the state after the event.
         for stamp, topic, message in heapq.merge(
             events, states, samples, pulses, key=itemgetter(0)
         ):
@@ -190,8 +190,8 @@ def text_of_model(reader: BagReader, model: str | None) -> ModelText:
     """The text of the model file or sample ``model``, or if None of the model in the bag.
 
     Raises:
-        BagError: there is no model in the bag.
-        UsageError: there is no such file.
+        BagError: the bag has no model.
+        UsageError: the file does not exist.
     """
     if model is not None:
         return model_text(model)
@@ -205,7 +205,7 @@ def model_of(reader: BagReader, model: str | None = None) -> Model:
     """The model file or sample ``model``, or if None the model in the bag.
 
     Raises:
-        BagError: there is no model in the bag.
+        BagError: the bag has no model.
         UsageError, ModelError: the model cannot be read, or is not valid.
     """
     return parse_model(*text_of_model(reader, model))

@@ -203,7 +203,7 @@ def samples_of_run(simulation: SampleSimulation, run: Run) -> list[SensorSample]
 
 
 def _states(run: Run) -> Iterator[tuple[int, int, Vector, Contacts]]:
-    """Arguments of ``SampleSimulation.at``."""
+    """Arguments of ``SampleSimulation.sampled`` and ``messages_at`` at each stamp of a run."""
     closed, switchings = tuple[int, ...](), [*run.switchings][::-1]
     for stamp, x in zip(run.stamps.tolist(), run.states, strict=True):
         while switchings and switchings[-1].instant.stamp <= stamp:

@@ -63,7 +63,9 @@ def congruence(X: Matrix, seen: Double) -> Matrix:
 
 
 def diagonal(X: Matrix, seen: Double, within: float) -> Vector | None:
-    """The diagonal of ``X' A X``, shape (n,), in twice the digits; None with large others.
+    """The diagonal of ``X' A X``, shape (n,), in twice the digits.
+
+    Returns None if another entry is larger than ``within``.
 
     Args:
         X: shape (n, n).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Products with matrices of few entries in a row, such as those of chains and finite elements.
+"""Products with matrices of few entries in a row: chains and finite elements.
 
 A full matrix of many coordinates does not fit into the cache of a processor. Then the product with
 a vector costs the time to read the matrix.
@@ -71,9 +71,9 @@ class Factor:
 
 
 def _band_of(A: Matrix) -> Matrix | None:
-    """The diagonal of ``A``, shape (n, n), and those below it, shape (b + 1, n).
+    """The diagonal of ``A``, shape (n, n), and the diagonals below, shape (b + 1, n).
 
-    None if ``A`` is small, or if more than ``_FEW`` diagonals are not zero.
+    Returns None if ``A`` is small, or if more than ``_FEW`` diagonals are not zero.
     """
     n = len(A)
     # A copy, as scipy 1.11 refuses read-only arrays.

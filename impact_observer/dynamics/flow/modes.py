@@ -29,7 +29,7 @@ class Modes:
     """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``, or no splitting.
 
     Attributes:
-        T: columns of block ``k`` one after the other, those of pairs at ``2k`` and ``2k + 1``,
+        T: columns of block ``k`` one after the other; a pair has columns ``2k`` and ``2k + 1``,
             shape (2n, 2n). If ``proportional``, the shapes, (n, n).
         T_inverse: the inverse of ``T``.
         J: blocks, shape (n, 2, 2), 1/s; one block, shape (1, 2n, 2n), in units of energy, if no
@@ -118,7 +118,7 @@ class Modes:
 
     @cached_property
     def eigenvalues(self) -> tuple[Complex, Complex]:
-        """Eigenvalues of each pair; that of positive imaginary part, or the slow one, first."""
+        """Both eigenvalues of each pair: positive imaginary part, or the slow one, first."""
         rates, oscillates = self.rates
         a, d, slow = rates.T
         imaginary = np.where(oscillates, 1j * d, 0.0)

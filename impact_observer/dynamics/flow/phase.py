@@ -2,7 +2,7 @@
 """A linear phase: the motion while the same contacts are held.
 
 Contacts ``held`` have ``gamma = 0`` by a load ``lambda``. The geometric law keeps the gaps of all
-contacts with ``chi = 1`` closed, whether they are held or slip: these are ``fixed``, and move by
+contacts with ``chi = 1`` closed, held or slipping: the contacts ``fixed``, which move by
 equation (4) of Baumann and Leine, ``dq/dt = Q u`` with ``Q = I - Z W_A^T`` (``projection.py``).
 The substitution ::
 
@@ -14,7 +14,7 @@ phase is a linear system in ``p``, and its velocities stay in the null space of 
 system is reduced to the free coordinates of this null space and has an exact flow. Without fixed
 contacts, ``p = q``.
 
-Guides that stick are held like contacts; their indices follow those of the contacts. A guide that
+Guides that stick are held like contacts; their indices follow the contacts'. A guide that
 slips has a constant load, which is part of the force of the phase.
 """
 
@@ -39,7 +39,7 @@ from impact_observer.states import Matrix, Vector, frozen
 RANK = 1e-8
 """Part of a direction orthogonal to others that counts as zero, relative to its length."""
 _ROUNDING = 1e-12
-"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
+"""Contact speed that counts as zero, over the speed if it had all kinetic energy."""
 _CANCELLED = 1e-14
 """Stiffness that counts as zero in a reduced system, relative to the whole one's, times n."""
 
@@ -375,8 +375,8 @@ class Phases:
     def _deflections(self, held: tuple[int, ...], fixed: tuple[int, ...], K: Matrix) -> Matrix:
         """Displacements of ``p`` by unit deflections of ``held``, which load nothing else, (n, k).
 
-        Held contacts among ``fixed`` have none. A guide may stick anywhere: where gaps are fixed
-        its deflection is in balance with the stiffness ``K`` that they leave, shape (n, n).
+        Held contacts among ``fixed`` have no deflection. If gaps are fixed, the deflection of a
+        stuck guide is in balance with the remaining stiffness ``K``, shape (n, n).
         """
         if not fixed or all(i < self.system.m for i in held):
             return self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]

@@ -83,5 +83,5 @@ def _shared(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
 
 
 def _rows(jets: Jets) -> Matrix:
-    """Jets, shape (4, samples, forces), with those of each sample in a row."""
+    """Jets, shape (4, samples, forces), as one row for each sample."""
     return np.swapaxes(jets, 0, 1).reshape(jets.shape[1], -1)
