@@ -162,7 +162,7 @@ class ImpactLaw:
     def _is_nonexpansive(self, active: Contacts) -> bool:
         """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V.
 
-        With a restitution that depends on the speed, only a single contact can be nonexpansive.
+        If a restitution depends on the speed, this is known for a single contact only.
         """
         A = list(active)
         if self._curved and not self._curved.isdisjoint(A):
