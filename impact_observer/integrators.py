@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The names of the plant's integrators, without importing them."""
+"""The names of the plant's integrators; this module imports none of the integrators."""
 
 EVENT_DRIVEN = "event-driven"
 """Exact motion from event to event."""
@@ -11,5 +11,5 @@ DEFAULT_STEP = 1e-4
 
 
 def described(integrator: str, step: float) -> str:
-    """An integrator, with its step (s) if it has one."""
+    """Returns the name of an integrator; ``step`` (s) is added for time stepping."""
     return f"{integrator}, steps of {step:g} s" if integrator == MOREAU else integrator

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from impact_observer.options import Options
 
 _SMALL = 0.1
-"""Suggested deviation of a position below which one of 1 m is far outside the rig, m."""
+"""Suggested deviation of a position below which a deviation of 1 m is far outside the rig, m."""
 _UNDETERMINED = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
@@ -111,7 +111,7 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
     law = observer.law
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
-        yield f"{law.name} uses no measurements: nothing is made of {names}"
+        yield f"{law.name} uses no measurements: {names} left out"
 
 
 def far_start(system: "System", options: "Options") -> "Iterator[str]":

@@ -4,6 +4,7 @@
 import argparse
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
@@ -94,8 +95,8 @@ def run(args: argparse.Namespace) -> int:
     sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:
 
-        def show(impact: int) -> None:
-            progress.step("simulating", seconds_between(epoch, impact), duration)
+        def show(what: str, stamp: int) -> None:
+            progress.step(what, seconds_between(epoch, stamp), duration)
 
         master = plant.make_plant(
             model.system,
@@ -104,10 +105,10 @@ def run(args: argparse.Namespace) -> int:
             integrator=args.integrator,
             step=step,
         )
-        done = plant.simulate(master, np.union1d(stamps, sampled), progress=show)
+        wanted = np.union1d(stamps, sampled)
+        done = plant.simulate(master, wanted, progress=partial(show, "simulating"))
         samples = simulated_samples(simulation, done.sampled_at(sampled)) if sensors else []
         done = done.sampled_at(stamps)
-        progress.show(f"writing {args.output}")
         how = described(args.integrator, step)
         events = write_run(
             args.output,
@@ -119,6 +120,7 @@ def run(args: argparse.Namespace) -> int:
             flush=args.flush,
             samples=samples,
             types=simulation.types,
+            progress=partial(show, f"writing {args.output}"),
         )
         if warning := model.system.held_force(duration):
             progress.line(f"warning: {warning}")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Watch a running plant and its observers in the terminal, until Ctrl-C.
 
-Shown are estimates against the truth where a plant publishes the truth, V over time, the verdicts
-on the last events, warnings and the rates of the topics. Where the output is no terminal, one line
-a second is printed.
+The screen shows estimates against the truth where a plant publishes the truth, V over time, the
+verdicts on the last events, and warnings. Where the output is no terminal, one line a second is
+printed.
 """
 
 import argparse
@@ -41,8 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--once",
         action="store_true",
-        help="print one picture as soon as every topic has brought a message, after 5 s (or"
-        " --duration) at the latest; exit code 1 if nothing was received",
+        help="print one picture as soon as every topic has brought a message and every observer"
+        " has an estimate, after 5 s (or --duration) at the latest; exit code 1 if nothing was"
+        " received",
     )
     parser.add_argument("--json", action="store_true", help="print the results as lines of JSON")
 

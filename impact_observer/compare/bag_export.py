@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states, errors or events of a bag as rows of a table, block by block.
 
-In all functions ``epoch`` is the stamp of ``t = 0``, ns; None for the epoch of the events, else
-the first stamp. ``topics`` are topics of states, or observers' prefixes; None for all.
+In all functions ``epoch`` is the stamp of ``t = 0``, ns. If None, ``t = 0`` is the epoch of the
+events, or else the first stamp. ``topics`` are topics of states, or observers' prefixes; None
+means all.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -33,7 +34,7 @@ def state_rows(
 ) -> Iterator[TableBlock]:
     """The true states and the estimates, in the order of the bag.
 
-    If an observer has a covariance, the rows have standard deviations too; NaN without one.
+    If an observer has a covariance, all rows have standard deviations too, NaN for other states.
 
     Raises:
         UsageError: a topic is not in the bag.

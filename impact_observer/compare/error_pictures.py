@@ -41,7 +41,7 @@ def distance_picture(
 def error_pictures(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[tuple[list[Path], int, Figure]]:
-    """Sizes of the errors: bags, number of coordinates, and one picture per kind of system."""
+    """Yields the bags, number of coordinates and picture of errors of each kind of system."""
     bags: dict[tuple[str, ...], list[Path]] = {}
     alike: dict[tuple[str, ...], dict[str, Comparison]] = {}
     for bag, result, those in _by_bag(labelled, results):
@@ -100,7 +100,7 @@ def lyapunov_picture(
         impacts: stamps of the impacts (ns), by contact.
         title: of the picture.
         epoch: stamp at which the time axis begins, ns.
-        paper: as wide as a column and without a title, which a caption replaces.
+        paper: whether the picture is as wide as a column and has no title.
     """
     room = _PAPER_ROOM if paper else _ROOM
     with mpl.rc_context({"font.size": _PAPER_FONT if paper else _FONT}):

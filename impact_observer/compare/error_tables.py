@@ -15,11 +15,11 @@ from impact_observer.errors import UsageError
 from impact_observer.plain_text import say
 
 _ROUNDING = 1e-26
-"""V over the largest V that counts as rounding; V is a square, states have 16 digits."""
+"""Largest ratio of V to the largest V that is rounding: V is a square, states have 16 digits."""
 
 
 def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
-    """Write the metrics, a line for each estimate; metrics of states have a column a state.
+    """Write a row of metrics for each estimate; a metric of states has one column for each state.
 
     Raises:
         UsageError: the file cannot be written.

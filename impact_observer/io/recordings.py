@@ -5,7 +5,7 @@ import heapq
 import math
 import shutil
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from operator import itemgetter
@@ -123,6 +123,7 @@ def write_run(
     flush: float = FLUSH,
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
+    progress: Callable[[int], object] | None = None,
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
@@ -139,6 +140,7 @@ def write_run(
         flush: longest time until a message is on the disk, s.
         samples: messages of sensors beside the impacts, as they arrive.
         types: of these messages, by topic.
+        progress: called with the stamp (ns) of each message that is written.
 
     Returns:
         The events, in the order of their reception.
@@ -183,6 +185,8 @@ def write_run(
             events, states, samples, pulses, key=itemgetter(0)
         ):
             writer.write(topic, stamp, message)
+            if progress is not None:
+                progress(stamp)
     return [each.event for each in received]
 
 

@@ -19,7 +19,7 @@ from impact_observer.sweep.summary import CaseGroup
 
 LAW = "law"
 MOST_PANELS = 6
-"""Most combinations of the swept quantities that are not on the horizontal axis."""
+"""Most panels: each has one combination of the swept quantities beside the horizontal axis."""
 _WIDE = 20.0
 """Ratio of largest to least value from which the axis is logarithmic."""
 _SIZE, _PANEL = (3.0, 5.2), 3.6
@@ -50,8 +50,8 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
     panels = math.prod(len(values) for name, values in swept.items() if name != label)
     if panels > MOST_PANELS:
         raise UsageError(
-            f"--plot: {panels} combinations of what is not on the axis found; expected at most"
-            f" {MOST_PANELS}: put another quantity there with --against, or sweep fewer"
+            f"--plot: {panels} combinations of the quantities beside the axis found; expected at"
+            f" most {MOST_PANELS}: put another quantity there with --against, or sweep fewer"
         )
     return label
 
