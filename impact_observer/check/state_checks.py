@@ -72,13 +72,13 @@ class StateCheck:
             system: system of the model; None without a model.
             events: first and last stamp of the impacts, ns; None without any.
         """
-        for these, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
-            if these.count:
-                have = "has" if these.count == 1 else "have"
+        for tally, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
+            if tally.count:
+                have = "has" if tally.count == 1 else "have"
                 yield Finding(
                     ERROR,
                     self.topic,
-                    f"{counted(these.count, 'message')} {have} {what}, the first is {these.first}",
+                    f"{counted(tally.count, 'message')} {have} {what}, the first is {tally.first}",
                     "one finite position and velocity for every coordinate, the same throughout",
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
