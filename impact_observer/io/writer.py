@@ -252,8 +252,11 @@ class BagWriter:
             return  # the bag, or Python itself, is being closed
 
     def _flush(self) -> None:
-        """In the thread: write the messages that wait, and wait until the disk has them."""
-        if self._pending or self._unflushed:
+        """In the thread: write the messages that wait, and wait until the disk has them.
+
+        A flush that was submitted before the end and runs after the end finds the file closed.
+        """
+        if not self._closing.is_set() and (self._pending or self._unflushed):
             self._write_pending()
             self._file.flush()
             self._unflushed = False

@@ -164,6 +164,18 @@ def test_bag_is_whole_wherever_an_interrupt_strikes(
     assert times in (taken, [*taken, len(taken)])
 
 
+def test_bag_that_is_closed_during_a_flush_ends_without_an_error_in_a_thread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next flush is due at any instant, also while the bag is being closed."""
+    errors = list[object]()
+    monkeypatch.setattr(threading, "excepthook", errors.append)
+    for k in range(50):
+        with BagWriter(tmp_path / f"bag{k}", flush=1e-4) as writer:
+            writer.write("/impacts", 7, event(5))
+    assert not errors
+
+
 def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
     """A bag without messages can be read, with topics and without."""
     with BagWriter(tmp_path / "none"):
