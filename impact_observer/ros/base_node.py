@@ -58,17 +58,21 @@ class BaseNode(Node):
 
     def publish(
         self, publisher: Publisher, convert: Callable[..., AnyMessage], *values: object
-    ) -> None:
+    ) -> AnyMessage | None:
         """Publish ``convert(*values)``; log an error if no message may carry the values.
 
         So neither a number that is not finite leaves a node, nor does the node end.
+
+        Returns:
+            The message that is published; None if none is.
         """
         try:
             message = convert(*values)
         except MessageError as error:
             self.lines.error(f"{publisher.topic_name}: not published: {error}")
-        else:
-            publisher.publish(message)
+            return None
+        publisher.publish(message)
+        return message
 
     def read_state(
         self, topic: str, message: AnyMessage, names: tuple[str, ...]

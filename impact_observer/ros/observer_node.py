@@ -19,7 +19,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import AnyMessage, JointState, MessageLimits
+from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import LARGEST_INNOVATION, initial_state, make_observer
@@ -282,9 +282,9 @@ class ObserverNode(BaseNode):
             return
         self._diagnostics.failure = ""
         self._last = estimate
-        self.publish(self._states, self.make.estimate, estimate, self._names)
-        joints = JointState(stamp, self._names, estimate.q, estimate.u)
-        self.publish(self._joint_states, self.make.joint_state, joints)
+        state = self.publish(self._states, self.make.estimate, estimate, self._names)
+        if state is not None:
+            self.publish(self._joint_states, self.make.joint_state_of, state)
         if estimate.bound != (-1.0 if last is None else last.bound):
             self.publish(self._bounds, self.make.bound, estimate)
         if news := self._misfit_news.line_for(estimate):
