@@ -231,7 +231,7 @@ def check_size(
 
 def _stamps_of(reader: BagReader, topic: str) -> Stamps:
     """All stamps of a topic of states, ns, ascending, each once."""
-    return np.unique(np.concatenate([block.stamps for _, block in reader.blocks([topic])]))
+    return np.unique(reader.stamps(topic))
 
 
 class _ObserverMessages:

@@ -12,6 +12,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar, cast, final
 
+import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -28,6 +29,7 @@ from impact_observer.io.messages import (
     MessageError,
     read_event,
     read_measurement_verdict,
+    read_stamp,
     read_verdict,
 )
 from impact_observer.io.state_arrays import (
@@ -37,6 +39,7 @@ from impact_observer.io.state_arrays import (
     joined,
 )
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
+from impact_observer.states import Stamps
 
 _Value = TypeVar("_Value")
 
@@ -259,6 +262,19 @@ class BagReader:
                 yield topic, collectors[topic].take()
         for topic, collector in collectors.items():
             yield topic, collector.take()
+
+    def stamps(self, topic: str) -> Stamps:
+        """The stamps of all joint states of a topic, ns, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a stamp is not valid.
+        """
+        stamps = self._values(
+            topic,
+            interfaces.JOINT_STATE,
+            lambda message: read_stamp("JointState.header.stamp", message.header.stamp),
+        )
+        return np.fromiter(stamps, dtype=np.int64)
 
     def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
         """All states of a topic of joint states; arguments and errors as of :meth:`blocks`."""
