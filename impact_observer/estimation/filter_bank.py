@@ -12,9 +12,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.between_events import FORLORN, LATE, BetweenEvents
+from impact_observer.estimation.between_events import FORLORN, BetweenEvents
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
+from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     NONE_SETTLED,
@@ -60,8 +60,6 @@ NEAR = 3.0
 """Deviations up to which two states count as the same."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
-_NEVER = -1e3
-"""Logarithm of a probability that is zero."""
 SLOW = 1e-4
 """Speed of an impact below which it is less likely, relative to the fastest that the fallback's
 kinetic energy allows."""
@@ -154,7 +152,6 @@ class FilterBank:
             clock: tuple(clocks[i + k] for k in _CHANGES if 0 <= i + k < len(clocks))
             for i, clock in enumerate(clocks)
         }
-        self._clocks = {one: np.array([one, *others]) for one, others in self._next_clocks.items()}
         self.trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
         self.trusts_estimate = self.trusts_events and uncertainty.unknowns is None
@@ -170,8 +167,6 @@ class FilterBank:
         self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
         self._compares_states = filter_.system.m > 1
-        own, odds = self._spurious - self._reported, NEGLIGIBLE / (1.0 - NEGLIGIBLE)
-        self._doubts = np.array([CLOCK_CHANGE, max(own, _NEVER), self._rate, UNEXPLAINED, odds])
         self.between = BetweenEvents(
             filter_,
             self.errors,
@@ -225,9 +220,6 @@ class FilterBank:
         root_energy = self._root_energy(extent.u)
         if change.disorder:
             hypotheses = [h.disordered(change.disorder) for h in hypotheses]
-        may_be_clear = len(hypotheses) == 1 and self._may_be_clear(change, *hypotheses)
-        if may_be_clear and (clear := self.clear_event(change, hypotheses[0], root_energy)):
-            return clear
         branches = self._branches(change, hypotheses, root_energy, extent.largest)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
@@ -262,62 +254,9 @@ class FilterBank:
             if own and first is not None and not self._is_expected(first):
                 yield from _restarted(change, own, restarts())
 
-    def struck(
-        self,
-        change: ContactChange,
-        hypotheses: Sequence[Hypothesis],
-        since: float,
-        s: float,
-        u: Vector,
-    ) -> tuple[tuple[Hypothesis, ...], Vector] | None:
-        """``correct`` of ``hypotheses`` ``s`` seconds after ``since`` (s), where that is quick.
-
-        With them the estimate before the event, shape (2n,). One hypothesis is left, its gaps stay
-        open until the event, and it explains that well. None where anything but the event itself
-        has to be weighed or kept.
-        """
-        h = hypotheses[0]
-        if len(hypotheses) > 1 or h.missed or self._has_dead_time:
-            return None
-        if not self._may_be_clear(change, h):
-            return None
-        late = s if self.trusts_events else LATE * h.clock
-        prior = self.filter.flown(since, s, late, h.state)
-        if prior is None:
-            return None
-        h = h._replace(state=prior, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
-        found = self.clear_event(change, h, self._root_energy(u))
-        return (found, prior.x) if found else None
-
     def _root_energy(self, u: Vector) -> float:
         """The root of twice the kinetic energy of velocities ``u``, shape (n,)."""
         return math.sqrt(u.dot(self.filter.phases.inertia(u)))
-
-    def _may_be_clear(self, change: ContactChange, h: Hypothesis) -> bool:
-        """Whether the kernel can decide if an event is clearly what it is reported to be."""
-        in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
-        return not (in_doubt or h.state.closed) and self.filter.is_alone(change)
-
-    def clear_event(
-        self, change: ContactChange, h: Hypothesis, root_energy: float
-    ) -> tuple[Hypothesis, ...]:
-        """The one hypothesis after an event that it explains well, if no other one is likely."""
-        if self._slowness(change, h, root_energy) < 0:
-            return ()
-        impact = self.filter.members.free_impact(change.hit[0])
-        clocks = self._clocks.get(h.clock)
-        clocks = np.array([h.clock]) if clocks is None else clocks
-        doubts = self._doubts
-        if h.penetrating:
-            doubts = doubts.copy()
-            doubts[1] += h.penalised_weight - h.weight_before(change.hit)
-        found = impact.clear(change.t, change.flown, h.state, clocks, doubts)
-        if found is None:
-            return ()
-        made, *fit = found
-        branch = _Branch(0.0, h, change, "", Likelihood.of_single(change.hit[0], *fit))
-        after = self._accepted(change, branch, change, self.filter.free_state(made))
-        return (after,) if after.state.is_finite else ()
 
     def _branches(
         self,

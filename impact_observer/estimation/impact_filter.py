@@ -50,6 +50,8 @@ _FAR_BELOW = 0.3
 """Standard deviation that needs no limit, relative to that one."""
 _LEAST_EXTENT = 1e-9
 """Magnitude of a component of the motion that has been still, relative to the largest."""
+_LATE = 0.1
+"""Share of the rounding of the time since the epoch in the rounding of a state."""
 INSIDE = 4.0
 """Depth of a contact inside its stop that no error of the estimate explains, in deviations."""
 ROUNDS = 6
@@ -176,20 +178,13 @@ class ImpactFilter:
                 found.update((i, self._likelihood_of(asked[i])) for i in which)
                 continue
             some = [asked[i] for i in which]
-            fits = self.fits(
-                some[0].change, [each.state for each in some], [each.clock for each in some]
+            clocks = np.array([each.clock for each in some])
+            fits = self.members.free_impact(contact).fits(
+                some[0].change.t, [each.state for each in some], clocks
             )
-            for i, fit in zip(which, fits, strict=True):
+            for i, fit in zip(which, fits.tolist(), strict=True):
                 found[i] = Likelihood.of_single(contact, *fit)
         return [found[i] for i in range(len(asked))]
-
-    def fits(
-        self, change: ContactChange, states: Sequence[GaussianState], clocks: Sequence[float]
-    ) -> list[list[float]]:
-        """How states fit an impact that ``is_alone``: arguments of ``Likelihood.of_single``."""
-        impact = self.members.free_impact(change.hit[0])
-        found: list[list[float]] = impact.fits(change.t, states, np.array(clocks)).tolist()
-        return found
 
     def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
         """The states after events."""
@@ -206,17 +201,15 @@ class ImpactFilter:
             found.update(zip(which, map(self.free_state, after), strict=True))
         return [found[i] for i in range(len(asked))]
 
-    def flown(self, t: float, s: float, late: float, state: GaussianState) -> GaussianState | None:
-        """``state`` ``s`` seconds after ``t``, if no gap falls below zero on the way.
+    def _rounding(self, t: float, x: Vector, flown: float) -> Vector:
+        """Standard deviation of the rounding of a state ``x`` at ``t`` (s), shape (2n,).
 
-        But for the last ``late`` seconds. None where one does, or where the kernel does not know
-        the motion.
+        The state was ``flown`` seconds in flight. The time since the epoch is rounded, too, so
+        that harmonic forces are as wrong as they change in that rounding.
         """
-        arena = None if self._is_uncertain else self.members.given.moving.arena
-        if arena is None or self.gaps((), s) is None:
-            return None
-        made = arena.flown(t, s, late, state.x, state.root, state.differences)
-        return made and GaussianState(made[0], state.constants, *made[1:])
+        scales = self.phases.scales
+        late = _LATE * abs(t) / scales.timescale if self.system.forcing.frequency.size else 0.0
+        return STATE_ROUNDING * (1.0 + late) * scales.sizes(x, flown)
 
     def free_state(self, made: tuple[Vector, Vector, Matrix, Matrix]) -> GaussianState:
         """A state without contact that the kernel has made."""
@@ -592,7 +585,7 @@ class ImpactFilter:
             moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)
             noise = np.hstack([noise, sensitivity.noise(whole[1 : 1 + size], own)])
             differences[:size] += sensitivity.first.T.dot(joint.differences[joint.of_theta])
-        rounding = STATE_ROUNDING * self.phases.scales.sizes(x, change.flown)
+        rounding = self._rounding(joint.t, x, change.flown)
         root = _with_rounding(moved, noise, whole[1 + size :], rounding)
         constants = joint.z[1 + size :]
         return GaussianState(x, constants, root, differences, change.closed, joint.parameters)

@@ -17,11 +17,10 @@ from impact_observer.dynamics import (
 )
 from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.dynamics.watched import Watched
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import FreePhase, StateRates
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import Arena, FreeMotion, Sizes
+from impact_observer.kernel._kernel import FreeMotion, Sizes
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -29,8 +28,6 @@ _MANY = 32
 """Coordinates from which on products of matrices are faster than motions one by one."""
 _SMALL = 16
 """Most coordinates of a system whose transition matrices the kernel makes by Taylor's series."""
-_SHORTEST = 1e-8
-"""Shortest flight of an arena, relative to the model's time scale; only plants have such."""
 _MOST_TURNS = 100.0
 """Longest time that it takes, in the inverse of the fastest rate."""
 
@@ -39,7 +36,7 @@ class MovingSystem:
     """One system between its impacts.
 
     Attributes:
-        system: the system; the places of its stops matter to its ``arena`` only.
+        system: the system; the places of its stops do not matter.
         guided: whether guides rub: then a motion has many phases, and which one depends on it.
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
@@ -103,33 +100,6 @@ class MovingSystem:
         return FreeMotion(
             rates.A[n:], constant, forcing.frequency, cosine, sine, self.rate, rates.decay
         )
-
-    @cached_property
-    def arena(self) -> Arena | None:
-        """Its flights to impacts of one contact, with its own stops, for the kernel.
-
-        None where that does not know them, or has no use for them: of many coordinates, of forces
-        that are sampled, of guides.
-        """
-        system, phase = self.system, self.phase(())
-        known = self.is_plain and system.n <= _SMALL and phase.flow.is_in_closed_form
-        if not known or system.m == 0:
-            return None
-        window, timescale = self.scales.window, self.scales.timescale
-        arena = Arena(
-            Watched.gaps(system, range(system.m)).along(phase).guards,
-            system.M,
-            system.W.T,
-            system.q_r,
-            self.phases.length,
-            window,
-            timescale,
-            _SHORTEST * timescale,
-            0.0,
-        )
-        for i in range(system.m):
-            arena.learn(i, self.newton.kick(i), self.phases.projection.jump((i,))[:, 0])
-        return arena
 
     @cached_property
     def sizes(self) -> Sizes:

@@ -100,14 +100,6 @@ class Impact:
     def posteriors(
         self, t: float, flown: float, states: Sequence[tuple[object, ...]], clocks: Vector
     ) -> list[StateArrays]: ...
-    def clear(
-        self,
-        t: float,
-        flown: float,
-        state: tuple[object, ...],
-        clocks: Vector,
-        doubts: Vector,
-    ) -> tuple[StateArrays, float, float, float] | None: ...
     def missed(self, t: Vector, states: Sequence[tuple[object, ...]]) -> list[StateArrays]: ...
 
 class PhaseMotion:
@@ -233,19 +225,6 @@ class Arena:
     ) -> None: ...
     def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...
     def start(self, stamp: int, remainder: float, x: Vector) -> Flights: ...
-    def flown(
-        self, t: float, s: float, late: float, x: Vector, root: Matrix, differences: Matrix
-    ) -> tuple[Vector, Matrix, Matrix] | None: ...
-    def fallback(
-        self,
-        noise: FreeMotion,
-        contact: int,
-        t: float,
-        s: float,
-        x: Vector,
-        errors: Matrix,
-        lag: Vector,
-    ) -> tuple[Vector, Matrix, float, float]: ...
 
 def one_impact(
     w: Vector, q_r: float, kick: Vector, Z: Vector, x: Vector, differences: Matrix

@@ -263,58 +263,6 @@ std::pair<std::vector<Hit>, std::optional<Crossing>> advance(Flights& flights, s
     return {std::move(hits), flights.ended ? flights.crossing : std::nullopt};
 }
 
-// An estimate s seconds after t, by the modal flow of a system without contact.
-struct MovedEstimate {
-    std::shared_ptr<const ModalFlow> flow;
-    std::shared_ptr<PhaseMotion> motion;
-    Vector x;
-
-    MovedEstimate(const Arena& arena, const Elapsed& t, double s, const Array& given)
-        : flow(std::dynamic_pointer_cast<const ModalFlow>(arena.gaps->flow)), x(2 * arena.M.rows) {
-        expect(flow && flow->coordinates.all_move(),
-               "arena: expected the modal flow of a system without contact");
-        expect(finite(s, "s") >= 0, "s: negative");
-        motion = flow->start(t, checked(given, "x", x.size()).data);
-        motion->states(&s, 1, x.data());
-    }
-
-    // Differences, one a column; rows after those of the state stay.
-    Matrix columns_after(double s, const MatrixView& columns) const {
-        Matrix moved = columns;
-        put(flow->differences_after(s, columns.part(0, x.size())), moved, 0, 0);
-        return moved;
-    }
-};
-
-const ContactJump& known_contact(const Arena& arena, std::size_t contact) {
-    expect(contact < arena.contacts.size() && !arena.contacts[contact].kick.empty(),
-           "contact: not known");
-    return arena.contacts[contact];
-}
-
-// An estimate s seconds after t, a root of its covariance, and differences from it; None if a gap
-// falls below zero on the way, but for the last `late` seconds.
-std::optional<std::tuple<Vector, Matrix, Matrix>> move_estimate(const Arena& arena,
-                                                                const Elapsed& t, double s,
-                                                                double late, const Array& x,
-                                                                const Array& root,
-                                                                const Array& differences) {
-    const MovedEstimate after(arena, t, s, x);
-    const MatrixView own = checked(root, "root", ANY, ANY);
-    const MatrixView others = checked(differences, "differences", own.rows, ANY);
-    expect(own.rows >= after.x.size(), "root: expected rows of all states");
-    if (s > finite(late, "late") && arena.gaps->size() > 0) {
-        RootSearch search(arena.gaps->along(after.motion), arena.window);
-        if (const std::optional<Crossing>& crossing = search.first(s);
-            crossing && crossing->s <= s) {
-            if (crossing->s <= s - late) return {};
-            for (const std::size_t i : crossing->which)  // or is it over?
-                if (search.look(s).derivative(0, i) > 0) return {};
-        }
-    }
-    return std::tuple(after.x, after.columns_after(s, own), after.columns_after(s, others));
-}
-
 // A replica after an impact of one contact with these numbers, and its differences from others.
 std::pair<Vector, Matrix> one_impact(const Array& w, double q_r, const Array& kick, const Array& Z,
                                      const Array& x, const Array& differences) {
@@ -326,33 +274,6 @@ std::pair<Vector, Matrix> one_impact(const Array& w, double q_r, const Array& ki
                                      checked(differences, "differences", 2 * n, ANY));
     stop.strike(jumped.first, jumped.second);
     return jumped;
-}
-
-// A replica s seconds after t and after an impact of one contact then, with its errors by the
-// white accelerations of `noise` and by a lag; the gap at the impact, and its deviation by
-// `noise`.
-std::tuple<Vector, Matrix, double, double> fallback(const Arena& arena,
-                                                    const kalman::FreeMotion& noise,
-                                                    std::size_t contact, const Elapsed& t,
-                                                    double s, const Array& x, const Array& errors,
-                                                    const Array& lag) {
-    constexpr double small = 1e-6;  // scale of the differences by which a jump is linearised
-    const ContactJump& stop = known_contact(arena, contact);
-    MovedEstimate after(arena, t, s, x);
-    const std::size_t size = after.x.size(), n = size / 2;
-    const MatrixView late = checked(lag, "lag", n);
-    expect(noise.size() == size && s * noise.rate < 1e15,
-           "noise, s: expected that of the arena, and not too long");
-    Matrix columns = after.columns_after(s, checked(errors, "errors", size, size + 1));
-    Matrix unit = resized(resized(columns, size), 2 * size);
-    put(noise.diffusion(s), unit, 0, size);
-    unit = squared(std::move(unit));
-    put(unit, columns, 0, 0);
-    const double gap = stop.gap(after.x), deviation = length(product(stop.W, unit.part(0, n)));
-    stop.strike(after.x, columns, small);
-    const double speed = stop.speed(after.x);
-    for (std::size_t i = 0; i < n; ++i) columns(i, size) -= late[i] * speed;
-    return {after.x, columns, gap, deviation};
 }
 
 using Parts = std::pair<Array, Array>;  // both parts of numbers, see doubled.hpp
@@ -427,10 +348,7 @@ PYBIND11_MODULE(_kernel, module) {
         .def(py::init(&make_arena), "gaps"_a.none(false), "M"_a, "W"_a, "q_r"_a, "length"_a,
              "window"_a, "timescale"_a, "shortest"_a, "lowest"_a)
         .def("learn", &learn, "contact"_a, "kick"_a, "Z"_a)
-        .def("start", &fly, "stamp"_a, "remainder"_a, "x"_a)
-        .def("flown", &move_estimate, "t"_a, "s"_a, "late"_a, "x"_a, "root"_a, "differences"_a)
-        .def("fallback", &fallback, "noise"_a, "contact"_a, "t"_a, "s"_a, "x"_a, "errors"_a,
-             "lag"_a);
+        .def("start", &fly, "stamp"_a, "remainder"_a, "x"_a);
     module.def("product", &checked_product, "A"_a, "B"_a);
     module.def("dots", &checked_dots, "X"_a, "Y"_a);
     module.def("difference", &checked_difference, "Y"_a, "Z"_a, "factors"_a);

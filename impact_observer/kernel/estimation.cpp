@@ -218,18 +218,6 @@ std::vector<Posterior> posteriors(const Impact& impact, double t, double flown,
     return after;
 }
 
-// The state after an event that can be nothing else, and how it fits; None where it can. The
-// first clock is the state's own.
-std::optional<Clear> clear(const Impact& impact, double t, double flown, const StateArrays& state,
-                           const Array& clocks, const Array& doubts) {
-    const MatrixView clock = checked(clocks, "clocks", ANY), by = checked(doubts, "doubts", 5);
-    expect(clock.size() > 0, "clocks: expected the state's own first");
-    for (std::size_t k = 0; k < clock.size(); ++k) positive(clock[k], "clocks");
-    finite(t + flown, "t, flown");
-    return impact.clear(t, flown, prior_of(state, *impact.family), clock,
-                        {by[0], by[1], by[2], by[3], by[4]});
-}
-
 // The states after an impact that was not reported; each is near its zero t of the gap.
 std::vector<Posterior> missed(const Impact& impact, const Array& t, const StateList& states) {
     const MatrixView at = checked(t, "t", states.size());
@@ -434,7 +422,6 @@ void bind_estimation(py::module_& module) {
              "lags"_a)
         .def("fits", &fits, "t"_a, "states"_a, "clocks"_a, Released())
         .def("posteriors", &posteriors, "t"_a, "flown"_a, "states"_a, "clocks"_a, Released())
-        .def("clear", &clear, "t"_a, "flown"_a, "state"_a, "clocks"_a, "doubts"_a, Released())
         .def("missed", &missed, "t"_a, "states"_a, Released());
     py::class_<Gaps>(module, "Gaps")
         .def(py::init(&gaps_of), family, "W"_a, "rest"_a, "rests"_a)

@@ -32,18 +32,18 @@ struct ContactJump {
     double speed(const Vector& x) const { return dot(W, &x[W.size()]); }
 
     // A replica through an impact by switched geometric constraints (Baumann and Leine, ENOC 2014,
-    // equations (2) to (5)), and others, which differ from it by columns times `scale`. Those that
+    // equations (2) to (5)), and others, which differ from it by columns. Those that
     // separate keep their velocities.
-    void strike(Vector& x, Matrix& columns, double scale = 1.0) const {
+    void strike(Vector& x, Matrix& columns) const {
         constexpr double faded = 1e-100;  // as good as zero: denormal numbers are slow
         const std::size_t n = W.size();
         const double gamma = speed(x), g = gap(x);
         const Vector gaps = product(W, columns.part(0, n));
         Vector speeds = product(W, columns.part(n, n));
         for (double& each : speeds) {  // what is lost of each
-            const double other = gamma + scale * each;
+            const double other = gamma + each;
             if (gamma > 0 || other > 0)
-                each = (std::min(other, 0.0) - std::min(gamma, 0.0)) / scale;
+                each = std::min(other, 0.0) - std::min(gamma, 0.0);
         }
         add_scaled(-g, Z, x.data());
         add_scaled(-std::min(gamma, 0.0), kick, &x[n]);

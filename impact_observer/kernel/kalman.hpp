@@ -29,6 +29,7 @@ constexpr double CLOSING = 1e-3;    // least deviation of a closing speed, relat
 constexpr double BACK = 8.0;        // longest flow back, in time constants of fading motion
 constexpr double MOST_STEPS = 1e4;  // longest flow, in the inverse of the fastest rate
 constexpr double SLOWEST = 1e-6;    // least of that rate, 1/s
+constexpr double LATE = 0.1;        // share of the rounding of t in the rounding of a state
 constexpr int ROUNDS = 6;           // most linearisations of a measurement about its posterior
 constexpr std::size_t LARGE = 32;   // least size of a state whose roots may have more columns
 
@@ -51,23 +52,6 @@ struct Fit {
     double density;     // logarithm of that of its instant, 1/s
     double normalised;  // innovation, in standard deviations
     double deviation;   // of the innovation, m
-};
-
-// What makes an event more than certainly an impact: all alternatives together are less likely.
-struct Doubts {
-    double clock;       // logarithm of the probability that the clock's accuracy changes
-    double spurious;    // and of the odds of a spurious event, times their rate, 1/s
-    double density;     // least logarithm of the density of the instant, 1/s
-    double innovation;  // largest, in standard deviations
-    double negligible;  // largest odds of all alternatives
-};
-
-// A state after an event that can be nothing else, and how it fits.
-struct Clear {
-    Posterior state;
-    Fit fit;
-
-    auto fields() const { return std::tie(state, fit.density, fit.normalised, fit.deviation); }
 };
 
 // Logarithm of the probability that a standard normal variable is below x.
@@ -97,26 +81,6 @@ class Impact {
     Posterior posterior(double t, double flown, const Prior& prior) const {
         Fit fit;
         return jumped(t, flown, corrected(t, prior, ROUNDS, fit));
-    }
-
-    // The posterior, if nothing else can be the cause of an event. It may also be another clock's:
-    // of those after the first, which is the prior's own.
-    std::optional<Clear> clear(double t, double flown, Prior prior, const MatrixView& clocks,
-                               const Doubts& doubts) const {
-        Fit own;
-        prior.clock = clocks[0];
-        const auto is_good = [&](const Fit& fit) {
-            return std::abs(fit.normalised) <= doubts.innovation && fit.density > doubts.density;
-        };
-        const Joint joint = corrected(t, prior, ROUNDS, own, is_good);
-        if (!is_good(own)) return {};
-        double others = std::exp(doubts.spurious - own.density);
-        for (std::size_t k = 1; k < clocks.size(); ++k) {
-            prior.clock = clocks[k];
-            others += std::exp(doubts.clock + fit(t, prior).density - own.density);
-        }
-        if (others > doubts.negligible) return {};
-        return Clear{jumped(t, flown, joint), own};
     }
 
     // The posterior where the impact was not reported: it is at the zero of the estimate's own
@@ -256,13 +220,9 @@ class Impact {
 
     double within(double e) const { return std::clamp(e, -farthest(), farthest()); }
 
-    static bool any(const Fit&) { return true; }
-
     // Instant and state just before the impact, corrected by it: an iterated filter, linearised
-    // about its own posterior until that changes next to nothing. Only where the first fit is
-    // good.
-    template <class Good = bool (*)(const Fit&)>
-    Joint corrected(double t, const Prior& given, int rounds, Fit& fit, Good is_good = any) const {
+    // about its own posterior until that changes next to nothing.
+    Joint corrected(double t, const Prior& given, int rounds, Fit& fit) const {
         const Joint prior = joint_of(given);
         const std::size_t d = prior.z.size();
         const std::size_t size = given.x.size() + family->count();  // of (y, theta)
@@ -295,7 +255,7 @@ class Impact {
                 const double spread = length(seen_by(at.rho[1], prior.root));
                 fit = {density(white, std::abs(joint(0, 0)), slope, spread),
                        std::copysign(white, -value), std::abs(joint(0, 0))};
-                if (rounds == 1 || !is_good(fit)) return found;
+                if (rounds == 1) return found;
             }
             reflect(joint, 1);
             for (std::size_t i = 0; i < d; ++i) {
@@ -423,7 +383,9 @@ class Impact {
                 add_scaled(by_theta(j, i), errors.row(1 + size + j), to);
         };
 
-        const Vector rounding = family->sizes.rounding_scale(x, flown);
+        Vector rounding = family->sizes.rounding_scale(x, flown);
+        if (!motion.frequency.empty())
+            for (double& each : rounding) each *= 1.0 + LATE * std::abs(t) / family->sizes.timescale;
         const std::size_t more = c + 4 + curved.columns;
         const bool is_final = p || size < LARGE || 2 * more > 3 * size;
         Matrix root(d, std::max(d, more + (is_final ? size : 0)));

@@ -118,22 +118,6 @@ struct ModalFlow : PhaseFlow {
         }
         return coordinates.transposed_transition(carried);
     }
-
-    // Differences of motions, one a column, s seconds later; where no coordinate is held.
-    Matrix differences_after(double s, const MatrixView& columns) const {
-        Matrix x = transposed(columns), y(x.rows, coordinates.size);
-        for (std::size_t k = 0; k < x.rows; ++k) {
-            coordinates.split(x.row(k).data, {}, y.row(k).data);
-            for (std::size_t p = 0; p < pairs.size(); ++p) {
-                double* to = &y(k, 2 * p);
-                const double *D = pairs[p].D, z[4] = {to[0], to[1], D[0] * to[0] + D[1] * to[1],
-                                                      D[2] * to[0] + D[3] * to[1]};
-                pairs[p].carry(s, z, to);
-            }
-        }
-        coordinates.states(y.data.data(), x.rows, {}, x.data.data());
-        return transposed(x);
-    }
 };
 
 // One motion, from a state x at t on. A young one, small against the steady response that it has

@@ -95,9 +95,6 @@ class EventUpdate:
         """The belief after a change of contacts, and the estimate just before it, shape (2n,)."""
         s, belief = change.flown, previous.belief
         if s > 0:
-            since = Elapsed(previous.since - (self.epoch or previous.since))
-            if (struck := self.law.struck(change, belief, since, s)) is not None:
-                return struck
             belief = self.prediction(previous).belief(s)
         return self.law.correct(change, belief), belief.x
 

@@ -25,7 +25,6 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.verdicts import verdict_of
 from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
-from impact_observer.states import Vector
 
 _SETTLED = 16
 """Events after which a hypothesis has learned the errors of clock and model at an event."""
@@ -174,13 +173,6 @@ class TracedLaw(MinimumVariance):
         self.variances[reading.sensor.index] = known.variance
         if not outcome.accepted:
             self.rejected.add((reading.sensor.index, reading.instant))
-
-    def struck(
-        self, change: ContactChange, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, Vector] | None:
-        """Returns None: ``correct`` takes every event, and notes the decision."""
-        del change, posterior, since, s
-        return None
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """As the law does."""

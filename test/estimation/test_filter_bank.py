@@ -126,44 +126,6 @@ def test_a_penetration_counts_once_however_often_other_contacts_hit() -> None:
     assert not deeper.paid_after((1,))
 
 
-def test_clear_event_is_corrected_as_if_all_alternatives_were_weighed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The oracle weighs them; a spurious impact is not clear."""
-    model, start, whole = truth("two_mass", 20.0)
-    events = [*whole.events[:9], event(12.9, "stop", sequence=90), *whole.events[9:]]
-    clear, found = FilterBank.clear_event, []
-
-    def counted(*given: Any) -> tuple[Hypothesis, ...]:  # noqa: ANN401
-        found.append(bool(after := clear(*given)))
-        return after
-
-    both = []
-    for method in (counted, lambda *_: ()):
-        monkeypatch.setattr(FilterBank, "clear_event", method)
-        watcher = observer(
-            model, "minimum-variance", start, uncertainty=Uncertainty(), epoch=EPOCH
-        )
-        for each in events:
-            watcher.receive(each)
-        both.append(beliefs(watcher))
-    assert 5 <= sum(found) < len(events)
-    for one, two in zip(*both, strict=True):
-        decided, wanted = (
-            [[n._replace(innovation=0.0) for n in h.notes] for h in b.hypotheses]
-            for b in (one, two)
-        )
-        assert decided == wanted
-        said, weighed = ([n.innovation for h in b.hypotheses for n in h.notes] for b in (one, two))
-        np.testing.assert_allclose(said, weighed, atol=1e-4)  # flights are rounded differently
-        np.testing.assert_allclose(one.x, two.x, rtol=1e-12)
-        for h, other in zip(one.hypotheses, two.hypotheses, strict=True):
-            assert h.weight == pytest.approx(other.weight, abs=1e-4)
-            deviations = np.linalg.norm(other.state.root, axis=1)[:, None]
-            roots = h.state.root / deviations, other.state.root / deviations
-            np.testing.assert_allclose(*roots, atol=1e-6)
-
-
 def test_one_account_is_left_of_an_exact_run() -> None:
     """Once the others hold less than 1e-4 of the probability."""
     model, start, whole = truth("two_mass", 40.0)
@@ -272,7 +234,7 @@ def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
     state, root = by_hand(model, x, whole.events, end)
     np.testing.assert_allclose(np.concatenate([last.q, last.u]), state, atol=1e-13)
     np.testing.assert_allclose(last.covariance, root @ root.T, rtol=1e-4, atol=1e-26)
-    assert not any(each.hypotheses for each in beliefs(watcher))
+    assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
 
 
 @pytest.mark.slow
@@ -312,9 +274,6 @@ def checked(watcher: Observer, stamp: int) -> None:
     assert watcher.timeline is not None
     for entry in watcher.timeline.entries:
         hypotheses = entry.belief.hypotheses
-        if watcher.law.uncertainty.trusts_events:
-            assert not hypotheses  # nothing is weighed
-            continue
         assert 1 <= len(hypotheses) <= 2 * (MOST_HYPOTHESES + len(CLOCK_ERRORS))
         if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
             total = sum(math.exp(each.weight) for each in hypotheses)

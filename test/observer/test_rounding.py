@@ -56,11 +56,14 @@ def normalised_errors(model: System, x: Array, seconds: float, late: int) -> Arr
 def test_covariance_of_a_converged_estimate_is_consistent_however_late(
     name: str, late: int
 ) -> None:
-    """The angle of a forcing is then many times the rounding of the product ``omega t``."""
+    """The angle of a forcing is then many times the rounding of the product ``omega t``.
+
+    The deviation of a late estimate is that of the rounded time, which is wide.
+    """
     model = sample(name)
     x = np.concatenate(model.initial_state())
     z = np.abs(normalised_errors(model.system, x, 30.0, late))
-    assert 0.05 < float(np.median(z)) < 1.5
+    assert (0.01 if late else 0.05) < float(np.median(z)) < 1.5
     assert float(np.max(z)) < 5
 
 

@@ -48,19 +48,6 @@ class FallbackReplica:
         x = self._geometric.impact(x, closed, closed) if closed else x
         return Fallback(x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size + 1)))
 
-    def struck(
-        self, contact: int, t: float, s: float, before: Fallback
-    ) -> tuple[Fallback, tuple[float, float]]:
-        """The replica ``s`` seconds after ``t`` (s) and an impact then, of one contact alone.
-
-        With it the gap before that impact; see ``Fallback.gap``. The kernel knows the motion.
-        """
-        arena, noise = self._moving.arena, self._moving.free
-        assert arena is not None, "the kernel knows the motion"
-        lag = self._contact_time * self._kicks[:, contact]
-        x, errors, *gap = arena.fallback(noise, contact, t, s, before.x, before.errors, lag)
-        return Fallback(x, np.maximum(before.largest, np.abs(x)), errors), (gap[0], gap[1])
-
     def after(self, change: ContactChange, before: Fallback) -> Fallback:
         """The replica after an event."""
         if not change.hit:

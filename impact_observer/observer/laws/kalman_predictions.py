@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.between_events import CONFIDENT, BetweenEvents
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.forecast import FINE, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
@@ -28,29 +27,6 @@ _MOST_MISSED = 1024
 """Missed switches that are inserted one after the other."""
 _WINDOW = 16 / FINE
 """First window in which penetrations are searched, in the inverse of the fastest rate."""
-
-
-class SinglePrediction(Prediction):
-    """The prediction of one hypothesis: every event is trusted, no parameter is learned."""
-
-    def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
-        assert belief.root is not None, "a belief of another law"
-        self._belief, nothing = belief, np.zeros((len(belief.root), 0))
-        state = GaussianState(belief.x, np.zeros(0), belief.root, nothing, closed)
-        self._linear = filter_.predict(t, state)
-
-    def state(self, s: float) -> Vector:
-        return self._linear.state(s)
-
-    def root(self, s: float) -> Matrix:
-        return self._linear.root(s)
-
-    def belief(self, s: float) -> Belief:
-        x, map_ = self._linear.moved(s)
-        before = self._belief.ensemble
-        after = before.propagated(x, map_) if before.others else Ensemble(x, before.columns)
-        root = self._linear.root_after(map_, None, s)
-        return Belief(after, root, fit=self._belief.fit)
 
 
 class MixturePrediction(Prediction):

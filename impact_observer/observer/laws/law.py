@@ -11,7 +11,7 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix
 
 
 class Law(ABC):
@@ -78,20 +78,6 @@ class Law(ABC):
             ImpactLawError: the impact law has no solution on these contacts.
             DynamicsError: the loads of closed contacts cannot be computed.
         """
-
-    def struck(
-        self, change: ContactChange, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, Vector] | None:
-        """Predict by ``s`` seconds and correct at once, if the law has a short way to do so.
-
-        The ``posterior`` holds at ``since``, s since the epoch.
-
-        Returns:
-            The belief after the event, and the estimate (q, u-) just before it, shape (2n,). None
-            asks the caller to predict first and to ``correct`` then.
-        """
-        del change, posterior, since, s
-        return None
 
     def measure(
         self, reading: Reading, prior: Belief

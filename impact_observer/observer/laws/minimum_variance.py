@@ -48,7 +48,6 @@ from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
     MixturePrediction,
-    SinglePrediction,
 )
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
@@ -60,7 +59,6 @@ CLOCK_ERRORS = (0.0, 1e-7, *(10 ** (k / 4 - 6) for k in range(17)))
 10 ms there are four in a decade: with a coarser grid an error of the model explains the
 innovations better than the nearest standard deviation does.
 """
-_NOTHING = np.zeros(0)
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of rounding a stamp to 1 ns, s."""
 
@@ -72,9 +70,7 @@ class MinimumVariance(Law):
     ``FilterBank`` weighs hypotheses of what else they may have been. The estimate is that of the
     likeliest hypothesis. Where it penetrates a stop by more than its standard deviation explains,
     an impact was missed, and it jumps at the predicted instant. Where the model does not explain
-    the impacts, a geometric replica is weighed beside it. Where every event is trusted, the errors
-    of clock and model are declared and no parameter is estimated, one hypothesis is enough: the
-    belief has a covariance and no bank.
+    the impacts, a geometric replica is weighed beside it.
 
     Attributes:
         clocks: possible standard deviations of a stamp, s.
@@ -121,13 +117,10 @@ class MinimumVariance(Law):
             or learns_error
             or self.uncertainty.clock_offset_error
         )
-        self._single = self.uncertainty.trusts_events and not self._estimates_parameters
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, with closed contacts at rest."""
         state = self._bank.filter.begin(self._starts.declared(replicas, root, closed))
-        if self._single:
-            return Belief(state.ensemble, state.root)
         fallback = self._replica.begin(replicas[0], root, closed)
         return self._posterior(self._starts.per_clock(state), fallback, Fit())
 
@@ -147,32 +140,17 @@ class MinimumVariance(Law):
 
         None where the event is rejected. A fallback that is published is not corrected.
         """
-        if self._single:
-            state, clock = self._prior_of(prior, change.before), self.clocks[0]
-        elif not corrected.accepted:
+        if not corrected.accepted:
             return None
-        elif prior.fit.is_compared or not prior.hypotheses:
+        if prior.fit.is_compared or not prior.hypotheses:
             return Onset(prior.x, corrected.root, late)
-        else:
-            clock = corrected.hypotheses[0].clock
-            same = (h for h in prior.hypotheses if h.clock == clock)
-            state = next(same, prior.hypotheses[0]).state
+        clock = corrected.hypotheses[0].clock
+        same = (h for h in prior.hypotheses if h.clock == clock)
+        state = next(same, prior.hypotheses[0]).state
         here = change.from_closed(state.closed)
         return Onset(*self._bank.filter.before(here, state, clock), late)
 
-    @staticmethod
-    def _prior_of(belief: Belief, closed: Contacts) -> GaussianState:
-        """The state of a belief without hypotheses."""
-        assert belief.root is not None, "a belief of another law"
-        return GaussianState(belief.x, _NOTHING, belief.root, belief.ensemble.differences, closed)
-
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
-        if self._single:
-            prior = self._prior_of(belief, change.before)
-            likelihood, state = self._bank.filter.correct(change, prior, self.clocks[0])
-            innovations = likelihood.innovations
-            fit = belief.fit.after(likelihood.normalised if innovations else None)
-            return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         fallback = self._caught_up(belief, fallback, change.before)
         gap = fallback.gap(self.system, change.hit[0]) if change.hit else (math.nan, math.nan)
@@ -181,23 +159,7 @@ class MinimumVariance(Law):
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
         corrected = self._bank.correct(change, hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
-        return self._judged(change, belief, corrected, fallback, x=belief.x, gap=gap)
-
-    def struck(
-        self, change: ContactChange, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, Vector] | None:
-        """By few calls of the kernel, where one hypothesis is left and the model fits."""
-        fallback, (began, ago) = posterior.fallback, posterior.behind
-        if fallback is None or posterior.account or posterior.fit.is_misfit or change.disorder:
-            return None
-        u = fallback.extent.u
-        found = self._bank.struck(change, posterior.hypotheses, since, s, u)
-        if found is None:
-            return None
-        began, ago = (began, ago + s) if ago else (since, s)
-        corrected, x = found
-        fallback, gap = self._replica.struck(change.hit[0], began, ago, fallback)
-        return self._judged(change, posterior, corrected, fallback, x=x, gap=gap), x
+        return self._judged(change, belief, corrected, fallback, gap)
 
     def _judged(
         self,
@@ -205,16 +167,13 @@ class MinimumVariance(Law):
         prior: Belief,
         corrected: tuple[Hypothesis, ...],
         fallback: Fallback,
-        *,
-        x: Vector,
         gap: tuple[float, float],
     ) -> Belief:
-        """The belief after an event, by hypotheses and fallback after it.
+        """The belief after an event, by hypotheses and fallback after the event.
 
-        Before it, ``x`` is the estimate, ``gap`` that of the fallback, and its deviation. Of the
-        ``prior`` only what flights do not change is used.
+        The ``gap`` is that of the fallback before the event, with its deviation, m.
         """
-        fit = fitted(prior.fit, change, x, corrected, self._bank)
+        fit = fitted(prior.fit, change, prior.x, corrected, self._bank)
         best, account = _shown(corrected, fit)[0], prior.account
         if account is not None:
             account = self._accounts.after(change, account, fallback)
@@ -235,14 +194,6 @@ class MinimumVariance(Law):
     ) -> tuple[Belief, SampleOutcome, SensorState]:
         """Each hypothesis is corrected and weighed; those with other parameters too."""
         closed, account = reading.closed, prior.account
-        if self._single:
-            state = self._prior_of(prior, closed)
-            (h,), outcome, known = self._samples.after(
-                reading, [Hypothesis(state, self.clocks[0])]
-            )
-            if h.state is state:
-                return prior, outcome, known
-            return Belief(h.state.ensemble, h.state.root, fit=prior.fit), outcome, known
         hypotheses, fallback = self._hypotheses_of(prior, closed)
 
         def restart() -> GaussianState:
@@ -264,13 +215,6 @@ class MinimumVariance(Law):
     ) -> tuple[Belief, SampleOutcome, SensorState] | None:
         """By one call of the kernel, where nothing is in doubt and the model fits."""
         fit = posterior.fit
-        if self._single:
-            alone = Hypothesis(self._prior_of(posterior, reading.closed), self.clocks[0])
-            made = self._samples.followed(reading, [alone], since, s)
-            if made is None:
-                return None
-            after = made[0][0].state
-            return Belief(after.ensemble, after.root, fit=fit), *made[1:]
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account is not None or fit.is_misfit:
             return None
@@ -317,8 +261,6 @@ class MinimumVariance(Law):
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest hypothesis for the estimate, all of them for the next event."""
-        if self._single:
-            return SinglePrediction(self._bank.filter, t, belief, closed)
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         since, ago = belief.behind if belief.behind[1] else (t, 0.0)
 
