@@ -45,7 +45,6 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.identify.identification import Identification, identify
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
@@ -55,6 +54,7 @@ from impact_observer.observer import Observer, initial_state, law_named, replay
 from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 from impact_observer.states import Estimate
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 EPOCH = 5 * NS_PER_S
 END = 60.0

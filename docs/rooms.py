@@ -29,7 +29,10 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("plant", "event-driven and time-stepping plant, sensor and its faults"),
         Room("estimation", "Kalman filter of impact times, saltation, hypotheses", ""),
     ),
-    (Room("observer", "observer, timeline with roll-back, verdicts, the laws"),),
+    (
+        Room("observer", "observer, timeline with roll-back, verdicts, the laws"),
+        Room("trajectory", "one linearisation of a motion with its impacts"),
+    ),
     (Room("io", "messages, bags in and out, CSV and WAV in", "rosbags, mcap"),),
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.identify.shooting import Shot, shoot
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 LEAST = 1e-9
 """Smallest scale of gaps, m, and of shifts, s, in a robust fit."""

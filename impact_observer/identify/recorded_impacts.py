@@ -10,7 +10,6 @@ import numpy as np
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Kind
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.problem import AT_STAMPS, Instants, Problem, no_report
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
@@ -18,6 +17,7 @@ from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import from_seconds, seconds_between
 from impact_observer.states import Vector
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 NEAR = 4.0
 """Standard deviations of a stamp within which a sample may be before an impact, or after it."""
@@ -112,10 +112,8 @@ class Recording:
         newton, phases = ImpactLaw(family.system), Phases(family.system)
         moments = []
         for change in self._changes():
-            pressed = change.pressed(newton, -np.ones(len(change.hit))) if change.hit else ()
             inserted = any((change.stamp, i) in self.inserted for i in change.hit)
-            held = phases.independent(change.closed)
-            moments.append(FlightEnd(change.t, change.hit, pressed, held, not inserted))
+            moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
         clock = self.clock, self.is_declared

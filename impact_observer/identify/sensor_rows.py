@@ -14,19 +14,15 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.readings import DeclaredSensor, sensors_of
-from impact_observer.events import Contacts
-from impact_observer.model import System
-from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Vector
+from impact_observer.trajectory.linearised_system import LinearisedSystem, TangentState
+from impact_observer.trajectory.sample_rows import SampleRows
 
-_STEP = 1e-6
-"""Step of a difference by a parameter, relative to its size; of a guided motion by its start."""
 _USUAL = 1.4826
 """Standard deviation over median of the magnitudes of normal numbers."""
 
@@ -151,83 +147,39 @@ class RowMaker:
     """Collects the rows of samples while a motion is made, flight by flight."""
 
     def __init__(
-        self,
-        family: ParametricFamily,
-        values: Vector,
-        every: Sequence[CountedSamples],
-        moments: Vector,
+        self, system: LinearisedSystem, every: Sequence[CountedSamples], moments: Vector
     ) -> None:
-        """Rows for parameter ``values``, shape (p,).
-
-        ``moments`` are where flights end, s since the epoch.
-        """
-        self._n, self._every, self._values = family.system.n, every, values
-        self._offset = family.names.index(OFFSET) if OFFSET in family.names else None
-        self._here = _Expected(family.system_at(values), every)
-        self._aside = [*_asides(family, values, every)]
-        times = self._late([each.t for each in every], values)
+        """Rows of a ``system``; ``moments`` are where flights end, s since the epoch."""
+        self._every, self._p = every, system.family.size
+        self._first = 2 * system.family.system.n + self._p
+        self._samples = SampleRows(system, [each.sensor for each in every])
+        times = [self._samples.late(each.t) for each in every]
         self._place = [np.searchsorted(moments, each, side="right") for each in times]
         self._flights: list[list[tuple[Matrix, Vector, float]]] = [[] for _ in every]
         self._errors = [np.zeros(each.t.size) for each in every]
 
-    def flight(self, k: int, t: float, x: Vector, X: Matrix, closed: Contacts) -> None:
-        """Collect the samples of a flight from ``t``, s since the epoch.
-
-        The flight begins at the state ``x``, shape (2n,), just after the moment ``k``, at the
-        start for -1. ``X`` are the derivatives of this state by initial state, parameters and
-        instants.
-        """
-        places = [np.flatnonzero(place == k + 1) for place in self._place]
+    def flight(self, k: int, at: TangentState) -> None:
+        """Collect the samples of the flight before the moment ``k``, which begins at a state."""
+        places = [np.flatnonzero(place == k) for place in self._place]
         if not any(place.size for place in places):
             return
-        n2, p = 2 * self._n, self._values.size
+        size = at.x.size
         times = [each.t[place] for each, place in zip(self._every, places, strict=True)]
-        now = self._here.values(t, x, self._late(times, self._values), closed)
-        columns = self._columns(t, x, times, closed)
-        rate = self._here.moving.rate_of(t, x, closed)
-        for s, (each, place) in enumerate(zip(self._every, places, strict=True)):
+        rows = self._samples.rows(at, times)
+        for s, (each, place, row) in enumerate(zip(self._every, places, rows, strict=True)):
             if not place.size:
                 continue
-            errors = each.values[place] - now[s]
+            errors = each.values[place] - row[0]
             self._errors[s][place] = errors
-            table = np.column_stack([columns[s], errors])
+            table = np.column_stack([row[1], errors])
             table, rest = _triangular(table / each.deviation)
-            by = table[:, :n2] @ X
-            by[:, n2 : n2 + p] += table[:, n2 : n2 + p]
-            if k >= 0:
-                by[:, n2 + p + k] -= table[:, :n2] @ rate
+            by = table[:, :size] @ at.X
+            by[:, size : size + self._p] += table[:, size:-1]
             self._flights[s].append((by, table[:, -1], rest))
-
-    def _columns(
-        self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
-    ) -> list[Matrix]:
-        """Derivatives of what sensors measure at ``times`` by the state at ``t`` and parameters.
-
-        Each sensor has one of shape (samples, 2n + p).
-        """
-        n2 = x.size
-        tables = [np.zeros((each.size, n2 + self._values.size)) for each in times]
-        step, late = self._here.step, self._late(times, self._values)
-        for i, aside in enumerate(step * np.eye(n2)):
-            more = self._here.values(t, x + aside, late, closed)
-            less = self._here.values(t, x - aside, late, closed)
-            for table, one, other in zip(tables, more, less, strict=True):
-                table[:, i] = (one - other) / (2 * step)
-        for j, (above, below, high, low) in self._aside:
-            more = above.values(t, x, self._late(times, high), closed)
-            less = below.values(t, x, self._late(times, low), closed)
-            for table, one, other in zip(tables, more, less, strict=True):
-                table[:, n2 + j] = (one - other) / (high[j] - low[j])
-        return tables
-
-    def _late(self, times: Sequence[Vector], values: Vector) -> list[Vector]:
-        """``times`` by the clock of the impacts, whose offset may be among the parameters."""
-        late = 0.0 if self._offset is None else float(values[self._offset])
-        return [each + late for each in times]
 
     def rows(self, moments: int) -> tuple[Rows, ...]:
         """The triangulated rows of each sensor."""
-        rows, first = [], 2 * self._n + self._values.size
+        rows, first = [], self._first
         for parts, errors in zip(self._flights, self._errors, strict=True):
             table, rest = np.zeros((0, first + moments + 1)), 0.0
             if parts:
@@ -237,47 +189,6 @@ class RowMaker:
             by_instant = table[:, first:-1]
             rows.append(Rows(table[:, :first], by_instant, table[:, -1], rest, errors))
         return tuple(rows)
-
-
-class _Expected:
-    """The rows of the sensors of one system."""
-
-    def __init__(self, system: System, every: Sequence[CountedSamples]) -> None:
-        self.moving = MovingSystem(system)
-        self._sensors = sensors_of([each.sensor for each in every], system)
-
-    @property
-    def step(self) -> float:
-        """Step of differences by a state; any step is exact if no guide rubs."""
-        return _STEP if self.moving.guided else 1.0
-
-    def values(
-        self, t: float, x: Vector, times: Sequence[Vector], closed: Contacts
-    ) -> list[Vector]:
-        """Values at ``times``, s since the epoch, of a motion that begins with ``x`` at ``t``."""
-        motion, values = self.moving.motion(t, x, closed), []
-        for sensor, each in zip(self._sensors, times, strict=True):
-            s = np.maximum(each - t, 0.0) if self.moving.guided else each - t
-            states = motion.states(s) if s.size else np.zeros((0, x.size))
-            values.append(sensor.values(self.moving, each, states, closed))
-        return values
-
-
-def _asides(
-    family: ParametricFamily, values: Vector, every: Sequence[CountedSamples]
-) -> "Sequence[tuple[int, tuple[_Expected, _Expected, Vector, Vector]]]":
-    """Index, systems with more and with less of each parameter that is seen, and their values."""
-    gaps = [family.system.contact_names.index(s.sensor.gap) for s in every if s.sensor.gap]
-    asides = []
-    for j, each in enumerate(family.parameters):
-        if not (each.moves or np.any(each.effect.gap[gaps])):
-            continue
-        high, low = values.copy(), values.copy()
-        step = _STEP * each.size
-        high[j], low[j] = min(values[j] + step, each.high), max(values[j] - step, each.low)
-        pair = (_Expected(family.system_at(theta), every) for theta in (high, low))
-        asides.append((j, (*pair, high, low)))
-    return asides
 
 
 def _triangular(table: Matrix) -> tuple[Matrix, float]:

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.identify.general_motion import GeneralMotion, is_general
-from impact_observer.identify.motion import EquationsOfMotion, FlightEnd
 from impact_observer.identify.sensor_rows import CountedSamples, RowMaker, Rows
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
+from impact_observer.trajectory.linearised_system import FlightEnd, LinearisedSystem
 
 
 class Shot(NamedTuple):
@@ -35,14 +34,6 @@ class Shot(NamedTuple):
     sensors: tuple[Rows, ...] = ()
 
 
-def equations_of(family: ParametricFamily, values: Vector) -> EquationsOfMotion:
-    """The equations of motion for parameter ``values``, shape (p,)."""
-    numbers = family.coefficients_at(values)
-    if is_general(family.system):
-        return GeneralMotion(family, numbers, values)
-    return EquationsOfMotion(family, numbers)
-
-
 def shoot(
     family: ParametricFamily,
     start: Vector,
@@ -62,40 +53,28 @@ def shoot(
         t0: where the initial state holds, s since the epoch.
         samples: of each sensor beside the impacts.
     """
-    n = family.system.n
-    equations = equations_of(family, start[2 * n :])
-    z, Z = equations.start(start[: 2 * n], moments, t, t0)
-    W, d = family.system.W, start.size
-    states = np.zeros((len(moments), 2 * n))
-    maker = RowMaker(family, start[2 * n :], samples, t) if samples else None
+    n, W, d = family.system.n, family.system.W, start.size
+    system = LinearisedSystem(family, start[2 * n :])
+    at = system.begin(t0, start[: 2 * n], len(moments))
+    maker = RowMaker(system, samples, t) if samples else None
     if maker:
-        maker.flight(-1, t0, z[: 2 * n], Z[: 2 * n], ())
-    rows: list[tuple[float, float, Vector, int]] = []
-    for k, moment in enumerate(moments):
-        before = moments[k - 1].held if k else ()
-        z, Z, sooner = equations.flown(k, z, Z)
-        Z[:, d + k] += equations.rate(k, z)
-        if k:
-            Z[:, d + k - 1] += sooner
-        for i in moment.hit:
-            row = W[:, i] @ Z[:n]
-            row[2 * n : d] += equations.gap_change[:, i]
-            gap = float(W[:, i] @ z[:n] + equations.numbers.gap[i])
-            rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k))
-        if moment.lasts and not before:
-            z, Z = equations.lasted(k, z, Z, moment)
-        else:
-            z, Z = equations.jumped(z, Z, moment)
-        states[k] = z[: 2 * n]
+        maker.flight(0, at)
+    states, count = np.zeros((len(moments), 2 * n)), sum(len(each.hit) for each in moments)
+    gaps, speeds, moment = np.zeros(count), np.zeros(count), np.zeros(count, dtype=int)
+    table = np.zeros((count, d + len(moments)))
+    first = 0
+    for k, (instant, end) in enumerate(zip(t.tolist(), moments, strict=True)):
+        at = system.flight(at, instant)
+        if end.hit:
+            own = slice(first, first := first + len(end.hit))
+            gaps[own], table[own] = system.gaps(at, end.hit)
+            speeds[own], moment[own] = W[:, list(end.hit)].T @ at.x[n:], k
+            table[own, d + k] = speeds[own]
+        at, sooner = system.switch(at, end)
+        at.X[:, d + k] -= sooner
+        states[k] = at.x
         if maker:
-            maker.flight(k, float(t[k]), states[k], Z[: 2 * n], moment.held)
-    table = np.array([row[2] for row in rows]).reshape(len(rows), d + len(moments))
-    return Shot(
-        np.array([row[0] for row in rows]),
-        np.array([row[1] for row in rows]),
-        table[:, :d],
-        table[:, d:],
-        np.array([row[3] for row in rows], dtype=int),
-        states,
-        maker.rows(len(moments)) if maker else (),
-    )
+            maker.flight(k + 1, at)
+    by_start, by_instant = table[:, :d], table[:, d:]
+    rows = maker.rows(len(moments)) if maker else ()
+    return Shot(gaps, speeds, by_start, by_instant, moment, states, rows)

@@ -19,13 +19,13 @@ from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 Array = NDArray[np.float64]
 TRUSTING = {"missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}

@@ -13,10 +13,10 @@ from benchmarks.identify import RUBBED_FREE, RUBBED_GUESS, RUBBED_TRUE, rubbed
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.identify.identification import identify
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import Model, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from systems import EPOCH, Harmonic, chain, examples, forcing, run, sample, syst
 
 from impact_observer.dynamics import Phases
 from impact_observer.errors import UsageError
-from impact_observer.identify.motion import FlightEnd
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parametric_family
@@ -22,6 +21,7 @@ from impact_observer.model.parametric_family import (
     ParametricFamily,
 )
 from impact_observer.stamps import seconds_between
+from impact_observer.trajectory.linearised_system import FlightEnd
 
 Array = NDArray[np.float64]
 SCALES = ("stiffness-scale", "damping-scale", "mass-scale")

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights and jumps of a system with their derivatives by state, parameters and instants.
+
+``docs/theory/trajectory.md`` has the equations. A flight is that of ``MovingSystem``. Its
+derivative by a parameter is a block of an exponential in which harmonics and constants are states
+as well (Van Loan, Computing integrals involving the matrix exponential, 1978). Guides stick, slip
+and turn at instants that depend on the motion, and samples of a force are no states: there it is
+a difference of two motions.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.moving_system import MovingSystem
+from impact_observer.estimation.saltation import Measured
+from impact_observer.events import Contacts
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.restitution import PowerLaw
+from impact_observer.states import Matrix, Vector
+
+STEP = 1e-6
+"""Step of a difference by a parameter, relative to its size."""
+_NOTHING = np.zeros(0)
+
+
+class FlightEnd(NamedTuple):
+    """The impacts, closings and openings at one instant.
+
+    Attributes:
+        t: as recorded, s since the epoch.
+        hit: contacts that impact or close; empty where contacts only open.
+        pressed: closed contacts that take an impulse.
+        held: contacts that stay closed from now on, independent of each other.
+        measured: whether the moment has a stamp; else the moment was inserted as missed.
+    """
+
+    t: float
+    hit: Contacts
+    pressed: Contacts
+    held: Contacts = ()
+    measured: bool = True
+
+    @classmethod
+    def of_change(
+        cls, change: ContactChange, newton: ImpactLaw, phases: Phases, *, measured: bool = True
+    ) -> "FlightEnd":
+        """The end of a flight at a ``change``; what hits counts as equally fast.
+
+        Raises:
+            ImpactLawError: the impact law has no solution there.
+        """
+        pressed = change.pressed(newton, -np.ones(len(change.hit))) if change.hit else ()
+        return cls(change.t, change.hit, pressed, phases.independent(change.closed), measured)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether the moment can be an impact that lasts: of one contact, which stays open."""
+        return len(self.hit) == 1 and self.pressed == self.hit and not self.held
+
+
+class TangentMap(NamedTuple):
+    """A state as a function of an earlier state and of the parameters, near a motion.
+
+    Attributes:
+        x: the state (q, u), shape (2n,).
+        Phi: its derivative by the earlier state, shape (2n, 2n).
+        Gamma: its derivative by the parameters, shape (2n, p).
+    """
+
+    x: Vector
+    Phi: Matrix
+    Gamma: Matrix
+
+    def preceded_by(self, first: "TangentMap") -> "TangentMap":
+        """One map for ``first`` and then this map."""
+        return TangentMap(self.x, self.Phi @ first.Phi, self.Phi @ first.Gamma + self.Gamma)
+
+
+class TangentState(NamedTuple):
+    """A state of a motion and its derivatives by what is unknown, at a fixed instant.
+
+    Attributes:
+        t: s since the epoch.
+        x: the state (q, u), shape (2n,).
+        X: its derivatives, first by the start, then by the p parameters, then by anything else,
+            shape (2n, any). There are 2n columns of the start if p is not 0.
+        closed: contacts that are closed from now on.
+    """
+
+    t: float
+    x: Vector
+    X: Matrix
+    closed: Contacts = ()
+
+    def mapped(self, map_: TangentMap, t: float, closed: Contacts) -> "TangentState":
+        """The state and its derivatives after a flight or jump to ``t``."""
+        X, d = map_.Phi.dot(self.X), self.x.size
+        X[:, d : d + map_.Gamma.shape[1]] += map_.Gamma
+        return TangentState(t, map_.x, X, closed)
+
+
+class LinearisedSystem:
+    """One system of a family, whose flights and jumps have exact derivatives.
+
+    Attributes:
+        family: the systems.
+        theta: the parameters of the system, shape (p,), within their bounds.
+        numbers: its coefficients.
+        moving: its motion between impacts.
+        gap_change: derivatives of the gaps by the parameters, shape (p, m).
+    """
+
+    def __init__(self, family: ParametricFamily, theta: Vector) -> None:
+        """Prepare the system of ``family`` with the parameters ``theta``, shape (p,)."""
+        self.family, self.theta = family, np.array(theta)
+        self.numbers = family.coefficients_at(theta)
+        self.moving = MovingSystem(family.near(theta) if family.size else family.system)
+        self.gap_change = np.reshape(
+            [each.effect.gap for each in family.parameters], (family.size, family.system.m)
+        )
+        self._moves = [j for j, each in enumerate(family.parameters) if each.moves]
+        changes = [each.effect.contact_time for each in family.parameters]
+        self._lasts = bool(np.any([family.system.contact_time, *changes]))
+        self._driven = cache(self._driven_by)
+        self._impact = cache(self._impact_of)
+        self.beside = cache(self._beside)
+
+    def begin(self, t: float, x: Vector, others: int = 0) -> TangentState:
+        """The start ``x``, shape (2n,), at ``t``, with ``others`` more unknowns; all is open."""
+        return TangentState(t, np.array(x), np.eye(x.size, x.size + self.family.size + others))
+
+    def flight(self, at: TangentState, t: float) -> TangentState:
+        """The motion from ``at`` to ``t``, s since the epoch; nothing switches."""
+        return at.mapped(self.flow(at.t, at.x, t - at.t, at.closed), t, at.closed)
+
+    def switch(self, at: TangentState, end: FlightEnd) -> tuple[TangentState, Vector]:
+        """The motion just after ``end``, and what it gains a second that the jump comes earlier.
+
+        The second value, shape (2n,), is ``F+ - D_x R F-``.
+        """
+        map_, xi = self.jump(at, end)
+        return at.mapped(map_, at.t, end.held), xi
+
+    def gaps(self, at: TangentState, contacts: Contacts) -> tuple[Vector, Matrix]:
+        """The gaps of ``contacts``, m, and their derivatives, shapes (k,) and (k, any)."""
+        n, own = self.family.system.n, list(contacts)
+        W = self.family.system.W[:, own].T
+        rows = W.dot(at.X[:n])
+        rows[:, 2 * n : 2 * n + self.family.size] += self.gap_change[:, own].T
+        return W @ at.x[:n] + self.numbers.gap[own], rows
+
+    def speeds(self, at: TangentState, contacts: Contacts) -> Matrix:
+        """The derivatives of the speeds of ``contacts``, shape (k, any)."""
+        n = self.family.system.n
+        return np.asarray(self.family.system.W[:, list(contacts)].T @ at.X[n:])
+
+    def loads(self, at: TangentState, contacts: Contacts) -> tuple[Vector, Matrix]:
+        """The loads of closed ``contacts``, N, and their derivatives, shapes (k,) and (k, any)."""
+        n, d, moving = self.family.system.n, at.x.size, self.moving
+        loads = Measured.loads(moving.phase(at.closed), contacts)
+        rows = loads.c @ at.X
+        forces = self.family.force_changes(self.theta, at.t)
+        acceleration = moving.rate_of(at.t, at.x, at.closed)[n:]
+        for j, effect in enumerate(each.effect for each in self.family.parameters):
+            changed = effect.K @ at.x[:n] + effect.C @ at.x[n:] + effect.M @ acceleration
+            rows[:, d + j] -= loads.load @ (forces[j] - changed)
+        return loads.value(at.x, moving.forces(at.t)[0]), rows
+
+    def flow(self, t: float, x: Vector, s: float, closed: Contacts) -> TangentMap:
+        """The state ``s`` seconds after, or before, the state ``x`` at ``t``."""
+        moved, Phi = self.moving.moved(t, x, s, closed)
+        Gamma = np.zeros((x.size, self.family.size))
+        if self._moves and self.moving.is_plain and s:
+            wave = np.exp(1j * self.family.system.forcing.frequency * t)
+            z = np.concatenate([x, wave.real, wave.imag, [1.0]])
+            driven, scale = self._driven(closed)
+            block = linalg.expm(driven * s)[z.size :, : z.size]
+            found = scale[z.size :] * (block @ (z / scale[: z.size]))
+            Gamma[:, self._moves] = found.reshape(-1, x.size).T
+        elif s:
+            for j in self._moves:
+                more, less = (each.moving.moved(t, x, s, closed)[0] for each in self.beside(j))
+                Gamma[:, j] = (more - less) / self.distance(j)
+        return TangentMap(moved, Phi, Gamma)
+
+    def impact(self, x: Vector, pressed: Contacts) -> TangentMap:
+        """Newton's law on exactly the contacts ``pressed``, from the state ``x``."""
+        n, p = self.family.system.n, self.family.size
+        W, stops, by_mass, by_value, by_exponent = self._impact(pressed)
+        gamma = W.T.dot(x[n:])
+        eps, slopes, of_value, of_exponent = self._rebounds(pressed, gamma)
+        lost, x, Phi, Gamma = (1.0 + eps) * gamma, x.copy(), np.eye(2 * n), np.zeros((2 * n, p))
+        x[n:] -= stops.dot(lost)
+        Phi[n:, n:] -= (stops * (1.0 + slopes)).dot(W.T)
+        if p:
+            rebounds = (of_value * by_value + of_exponent * by_exponent) * gamma
+            Gamma[n:] = (by_mass.dot(lost) - rebounds.dot(stops.T)).T
+        return TangentMap(x, Phi, Gamma)
+
+    def at_rest(self, x: Vector, closed: Contacts) -> TangentMap:
+        """The state ``x`` with the speeds of ``closed`` contacts zero, as masses would have it."""
+        n, p = self.family.system.n, self.family.size
+        inverse, M = self.moving.phase(closed).inverse, self.numbers.M
+        Phi, Gamma, still = np.eye(2 * n), np.zeros((2 * n, p)), x.copy()
+        Phi[n:, n:] = inverse @ M
+        still[n:] = Phi[n:, n:] @ x[n:]
+        for j, each in enumerate(self.family.parameters):
+            Gamma[n:, j] = inverse @ (each.effect.M @ (x[n:] - still[n:]))
+        return TangentMap(still, Phi, Gamma)
+
+    def on_stops(self, x: Vector, closed: Contacts) -> TangentMap:
+        """The state ``x`` with the gaps of ``closed`` contacts zero, as springs would have it.
+
+        What parameters change of the projection itself is left out: near such states it is small.
+        """
+        n, own = self.family.system.n, list(closed)
+        Z, W = self.moving.phases.projection.jump(closed), self.family.system.W[:, own].T
+        Phi, Gamma, moved = np.eye(2 * n), np.zeros((2 * n, self.family.size)), x.copy()
+        moved[:n] -= Z @ (W @ x[:n] + self.numbers.gap[own])
+        Phi[:n, :n] -= Z @ W
+        Gamma[:n] = -Z @ self.gap_change[:, own].T
+        return TangentMap(moved, Phi, Gamma)
+
+    def jump(self, at: TangentState, end: FlightEnd) -> tuple[TangentMap, Vector]:
+        """The jump at ``end``; see ``switch``.
+
+        Contacts that stay closed have no speed afterwards. An impact that lasts jumps half its
+        contact time later, and is followed back to its onset.
+        """
+        t, x, _, before = at
+        late, shares = 0.0, _NOTHING
+        if self._lasts and end.lasts and not before:
+            (i,) = end.hit
+            late = float(self.numbers.contact_time[i]) / 2
+            shares = np.array([each.effect.contact_time[i] / 2 for each in self.family.parameters])
+        onward = self.flow(t, x, late, before) if late else None
+        start = x if onward is None else onward.x
+        map_ = self.impact(start, end.pressed)
+        if end.held:
+            map_ = self.at_rest(map_.x, end.held).preceded_by(map_)
+        ahead = self.moving.rate_of(t + late, map_.x, end.held)
+        xi = ahead - map_.Phi.dot(self.moving.rate_of(t + late, start, before))
+        if onward is not None:
+            back = self.flow(t + late, map_.x, -late, end.held)
+            map_, xi = back.preceded_by(map_.preceded_by(onward)), back.Phi @ xi
+        if np.any(shares):
+            map_ = map_._replace(Gamma=map_.Gamma - np.outer(xi, shares))
+        return map_, xi
+
+    def distance(self, j: int) -> float:
+        """The difference of the ``j``-th parameter of the two systems that are ``beside``."""
+        more, less = self.beside(j)
+        return float(more.theta[j] - less.theta[j])
+
+    def _beside(self, j: int) -> tuple["LinearisedSystem", "LinearisedSystem"]:
+        """Systems with a little more and a little less of the ``j``-th parameter."""
+        more, less, each = self.theta.copy(), self.theta.copy(), self.family.parameters[j]
+        more[j] = min(self.theta[j] + STEP * each.size, each.high)
+        less[j] = max(self.theta[j] - STEP * each.size, each.low)
+        return LinearisedSystem(self.family, more), LinearisedSystem(self.family, less)
+
+    def _driven_by(self, closed: Contacts) -> tuple[Matrix, Vector]:
+        """Generator of ``z`` and its derivatives by each parameter that moves it, and its scales.
+
+        ``z = (q, u, cos w t, sin w t, 1)``; the derivatives are those of (q, u).
+        """
+        n, numbers, rates = self.family.system.n, self.numbers, self.moving.rates(closed)
+        forcing, turned = self.family.system.forcing, np.exp(1j * numbers.phase)
+        h, size = forcing.frequency.size, 2 * n + 2 * forcing.frequency.size + 1
+        whole = np.zeros((size + 2 * n * len(self._moves),) * 2)
+        forces = self._waves(numbers.amplitude * turned)
+        forces[:, -1] = forcing.constant
+        whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n : size] = rates.A, rates.B @ forces
+        cos, sin = range(2 * n, 2 * n + h), range(2 * n + h, 2 * n + 2 * h)
+        whole[cos, sin], whole[sin, cos] = -forcing.frequency, forcing.frequency
+        for k, effect in enumerate(self.family.parameters[j].effect for j in self._moves):
+            pulled = -effect.M @ whole[n : 2 * n, :size]
+            pulled[:, : 2 * n] -= np.hstack([effect.K, effect.C])
+            change = effect.amplitude + 1j * numbers.amplitude * effect.phase
+            pulled[:, 2 * n :] += self._waves(change * turned)
+            own = slice(size + 2 * n * k, size + 2 * n * (k + 1))
+            whole[own, :size], whole[own, own] = rates.B @ pulled, rates.A
+        balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+        return balanced, scale
+
+    def _waves(self, factor: Vector) -> Matrix:
+        """Harmonics times complex factors, by (cos w t, sin w t, 1), shape (n, 2h + 1)."""
+        cosine, sine = self.family.system.forcing.cosine.T, self.family.system.forcing.sine.T
+        of_cos = factor.real * cosine + factor.imag * sine
+        of_sin = factor.real * sine - factor.imag * cosine
+        return np.hstack([of_cos, of_sin, np.zeros((len(cosine), 1))])
+
+    def _rebounds(self, pressed: Contacts, speeds: Vector) -> Matrix:
+        """``eps``, ``d(eps v)/dv``, and ``eps`` by value and by exponent, a number a contact."""
+        rows = []
+        for i, speed in zip(pressed, np.abs(speeds).tolist(), strict=True):
+            curve, eps = self.numbers.curve(self.family.system, i), float(self.numbers.eps[i])
+            if curve is None:
+                rows.append((eps, eps, 1.0, 0.0))
+                continue
+            by = curve.sensitivity(speed) if isinstance(curve, PowerLaw) else (0.0, 0.0)
+            rows.append((float(curve.restitution_at(np.array(speed))), curve.slope(speed), *by))
+        return np.asarray(np.reshape(rows, (-1, 4)).T)
+
+    def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, Matrix, Matrix]:
+        """``W`` and ``X`` of contacts, and what each parameter changes.
+
+        Returns:
+            ``W``, shape (n, c) for c contacts; ``X``, the same; ``-dX = R dM X``, (p, n, c); the
+            changes of the restitution's value and exponent, shape (p, c) each.
+        """
+        P, effects, p = list(pressed), [e.effect for e in self.family.parameters], self.family.size
+        W, stops = self.family.system.W[:, P], self.moving.newton.stops(pressed)
+        by_mass = np.zeros((p, *W.shape))
+        for j, each in enumerate(effects):
+            if np.any(each.M):
+                by_mass[j] = self.moving.phase(pressed).inverse @ each.M @ stops
+        by_value = np.reshape([each.eps[P] for each in effects], (p, len(P)))
+        by_exponent = np.reshape([each.exponent[P] for each in effects], (p, len(P)))
+        return W, stops, by_mass, by_value, by_exponent
