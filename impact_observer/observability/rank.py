@@ -17,6 +17,7 @@ An instant with several impacts counts as if all of them were equally fast. Ineq
 0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.
 """
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,18 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import DeclaredSensor, Place
+from impact_observer.estimation.readings import DeclaredSensor
 from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, ImpactEvent
+from impact_observer.events import ImpactEvent
 from impact_observer.model import System
+from impact_observer.observability.rank_rows import RankRows
 from impact_observer.observer.episode import Episode, last_episode
 from impact_observer.observer.samples import SensorSample
-from impact_observer.stamps import NS_PER_S, seconds_between, text
+from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
 TOLERANCE = 1e-9
@@ -163,9 +163,9 @@ def observability(
         raise UsageError("deviation: 0 throughout; expected some state that is uncertain")
     episode = last_episode(system, events)
     changes = episode.changes
-    errors = _Errors(system, scale)
+    errors = RankRows(system, scale, sensors)
     used = [s for s in samples if episode.start <= s.stamp <= changes[-1].stamp]
-    measured = [(seconds_between(episode.start, s.stamp), sensors[s.sensor]) for s in used]
+    measured = sorted((seconds_between(episode.start, s.stamp), s.sensor) for s in used)
     factor, singular = _factored(errors, changes, measured)
     counted = [(each, names) for each in changes if (names := errors.informative(each))]
     ranks = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
@@ -187,113 +187,20 @@ def observability(
         singular=frozen(singular),
         rank=rank,
         undetermined=frozen(_in_all_states(undetermined, scale)),
-        remaining=frozen(undetermined @ errors.map.T),
+        remaining=frozen(undetermined @ errors.at.X.T),
         weakest=frozen(_in_all_states(_with_sign(directions[-1:]), scale)[0]),
         samples=Counter(sensors[s.sensor].name for s in used),
     )
 
 
-class _Errors:
-    """The propagation of errors of the initial state, and the rows that events add.
-
-    Attributes:
-        map: from initial errors in standard deviations to present errors in SI units, shape
-            (2n, size).
-    """
-
-    def __init__(self, system: System, scale: Vector) -> None:
-        """Start with errors of one standard deviation, ``scale``, shape (2n,), 0 where certain."""
-        self._system = system
-        self._phases = Phases(system)
-        self._newton = ImpactLaw(system)
-        # Speeds are unknown without a motion: slopes are those at nominal speeds.
-        curves = [c.curve for c in system.contacts]
-        slopes = [c.nominal_slope if c else eps for c, eps in zip(curves, system.eps, strict=True)]
-        self._slopes = np.array(slopes)
-        self._timescale = self._phases.scales.timescale
-        self._moving = MovingSystem(system)
-        self._t = 0.0
-        self.map: Matrix = np.diag(scale)[:, scale > 0]
-        self._inside = 0.0, 0.0, self.map  # onset and jump of a hit that lasts, errors before
-
-    def informative(self, change: ContactChange) -> Contacts:
-        """The contacts that add rows: those that hit, or a single one that opens by itself."""
-        return change.informative(self._phases.independent(change.before), self._system)
-
-    def cross(self, change: ContactChange) -> Matrix:
-        """Propagate to ``change`` and across it.
-
-        Returns:
-            One row for each gap, speed or load that is zero, on the initial error, scaled to gaps
-            in m, shape (rows, size).
-        """
-        n, phases = self._system.n, self._phases
-        phase = phases.phase(phases.independent(change.before))
-        if change.t > self._t:
-            self.map = phase.transition(change.t - self._t) @ self.map
-            self._t = change.t
-        dq, du = self.map[:n], self.map[n:]
-        if change.hit:
-            rows = [self._system.W[:, list(change.hit)].T @ dq]
-            pressed = change.pressed(self._newton, -np.ones(len(change.hit)))
-            dq, du = self._jumped(phase, change, self._newton.jump(pressed, self._slopes))
-        else:
-            rows = [self._accelerations(phase, self.informative(change), dq, du)]
-        if change.closed:
-            rows.append(self._timescale * self._system.W[:, list(change.closed)].T @ du)
-            # From here on both motions are on the stop: only errors along it remain.
-            dq = phases.unloaded(change.closed).Q @ dq
-            free = phases.phase(phases.independent(change.closed)).inverse
-            du = free @ self._system.M @ du
-        self.map = np.vstack([dq, du])
-        return np.vstack(rows)
-
-    def _jumped(self, phase: Phase, change: ContactChange, jump: Matrix) -> tuple[Matrix, Matrix]:
-        """Errors after the ``jump`` of velocities, (n, n), at a ``change`` in a ``phase``.
-
-        Where a hit lasts the errors are carried to the jump and, after it, back to the onset.
-        """
-        n, delay = self._system.n, change.delay(self._system)
-        if not delay:
-            return self.map[:n], jump @ self.map[n:]
-        self._inside = change.t, change.t + delay, self.map
-        errors = phase.transition(delay) @ self.map
-        errors[n:] = jump @ errors[n:]
-        errors = phase.transition(-delay) @ errors
-        return errors[:n], errors[n:]
-
-    def measured(self, t: float, sensor: DeclaredSensor, closed: Contacts) -> Matrix:
-        """Propagate to a sample at ``t`` (s) while contacts are ``closed``; its row, in m."""
-        phase = self._phases.phase(self._phases.independent(closed))
-        onset, jump, before = self._inside
-        if onset <= t < jump:
-            errors = phase.transition(t - onset) @ before
-        elif t > self._t:
-            errors = self.map = phase.transition(t - self._t) @ self.map
-            self._t = t
-        else:
-            errors = self.map
-        at = Place(t, round(t * NS_PER_S), np.zeros(2 * self._system.n), closed)
-        row, declared = sensor.row(self._moving, at), sensor.measurement
-        order = 2 if declared.acceleration else 1 if declared.velocity else 0
-        return np.asarray(self._timescale**order * row.h[None] @ errors)
-
-    def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
-        """Gaps that the loads on ``opened`` alone would open in the time scale, m."""
-        loads = phase.loads[[phase.held.index(i) for i in opened]]
-        pushed = np.sum(self._phases.B[:, list(opened)] ** 2, axis=0)[:, None]
-        forces = phase.equations.K @ dq + phase.equations.C @ du
-        return np.asarray(self._timescale**2 * pushed * (loads @ forces))
-
-
 def _factored(
-    errors: _Errors,
+    errors: RankRows,
     changes: Sequence[ContactChange],
-    measured: Sequence[tuple[float, DeclaredSensor]],
+    samples: Sequence[tuple[float, int]],
 ) -> tuple[Matrix, Matrix]:
     """The triangular factor of all rows, and its singular values after each counted event.
 
-    Samples are ``measured`` at seconds since the start, ascending; at an event they are after it.
+    ``samples`` are instants, s since the start, ascending, and sensors; one at an event is later.
 
     Returns:
         Shapes (size, size) and (events, size).
@@ -301,19 +208,20 @@ def _factored(
     Raises:
         ImpactLawError: the impact law has no solution at an event.
     """
-    size = errors.map.shape[1]
-    factor = np.zeros((size, size))
-    singular, waiting = [], [*measured][::-1]
+    size = errors.at.X.shape[1]
+    factor, singular, first = np.zeros((size, size)), [], 0
     for change in changes:
-        while waiting and waiting[-1][0] < change.t:
-            row = errors.measured(*waiting.pop(), change.before)
-            factor = linalg.qr(np.vstack([factor, row]), mode="r")[0][:size]
+        last = bisect_left(samples, (change.t,))
+        sampled, first = errors.sampled(samples[first:last]), last
         try:
-            rows = errors.cross(change)
+            rows = np.vstack([sampled, errors.cross(change)])
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(change.stamp)} s: {error}") from None
-        if errors.informative(change):
-            factor = linalg.qr(np.vstack([factor, rows]), mode="r")[0][:size]
+        is_informative = bool(errors.informative(change))
+        if is_informative or len(sampled):
+            kept = rows if is_informative else sampled
+            factor = linalg.qr(np.vstack([factor, kept]), mode="r")[0][:size]
+        if is_informative:
             singular.append(np.linalg.svd(factor, compute_uv=False))
     return factor, np.array(singular)
 

@@ -33,8 +33,9 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.measurement import Measurement
-from impact_observer.observability.rank import Observability, _Errors, observability
+from impact_observer.observability.rank import Observability, observability
 from impact_observer.observability.rank_picture import rank_picture
+from impact_observer.observability.rank_rows import RankRows
 from impact_observer.observer.episode import last_episode
 from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import NS_PER_S, seconds_between
@@ -202,7 +203,7 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str, lasts: float) ->
     plant, n = softened(model.system, lasts), model.system.n
     truth = np.concatenate(model.initial_state())
     episode = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
-    errors, phase = _Errors(plant, np.ones(2 * n)), Phases(plant).phase()
+    errors, phase = RankRows(plant, np.ones(2 * n)), Phases(plant).phase()
     rows, gaps, x, t = [], [], np.zeros(2 * n), 0.0
     for change in episode.changes:
         x = phase.start(t, x).state(change.t - t)
