@@ -49,7 +49,7 @@ from impact_observer.identify.shooting import shoot
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.model.restitution import PowerLaw
+from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.observer import Observer, initial_state, law_named, replay
 from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
@@ -148,8 +148,8 @@ def wrong(model: System) -> System:
         K=STIFFNESS * model.K,
         contacts=tuple(
             replace(c, gap=GAP * c.gap, restitution=c.restitution + RESTITUTION * (-1) ** i)
-            if not isinstance(c.curve, PowerLaw)
-            else replace(c, gap=GAP * c.gap, curve=flatter(c.curve))
+            if not isinstance(c.rebound, PowerLaw)
+            else replace(c, gap=GAP * c.gap, rebound=flatter(c.rebound))
             for i, c in enumerate(model.contacts)
         ),
     )
@@ -169,8 +169,8 @@ def errors(found: Identification, model: System) -> np.ndarray:
         true[f"restitution.{contact.name}"] = contact.restitution
         true[f"gap.{contact.name}"] = contact.gap
         true[f"contact-time.{contact.name}"] = contact.contact_time
-        if isinstance(contact.curve, PowerLaw):
-            true[f"restitution-exponent.{contact.name}"] = contact.curve.exponent
+        if isinstance(contact.rebound, PowerLaw):
+            true[f"restitution-exponent.{contact.name}"] = contact.rebound.exponent
     return np.asarray(found.values - np.array([true[name] for name in found.family.names]))
 
 

@@ -134,12 +134,12 @@ def _nonexpansive(system: System, constant: bool | None) -> bool | None:
 
     Args:
         system: the model.
-        constant: the answer if no restitution depended on the speed.
+        constant: the answer if the slope of every rebound law were constant.
     """
-    curves = [each.curve for each in system.contacts if each.curve]
-    if not all(each.is_nonexpansive for each in curves):
+    bent = [law for law in system.rebounds if not law.is_affine]
+    if not all(law.is_nonexpansive for law in bent):
         return False
-    return None if curves and system.m > 1 and constant else constant
+    return None if bent and system.m > 1 and constant else constant
 
 
 def largest_kept(system: System) -> float | None:

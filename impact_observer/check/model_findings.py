@@ -34,8 +34,8 @@ def findings(checked: ModelCheck) -> list[ReportLine]:
 def _impact_law(checked: ModelCheck) -> Iterator[ReportLine]:
     """Whether an impact can raise V."""
     system = checked.system
-    yield from _by_speed(system)
-    if checked.nonexpansive is None and not system.curved:
+    yield from _rebounds(system)
+    if checked.nonexpansive is None and all(law.is_affine for law in system.rebounds):
         yield ReportLine(
             "warning",
             "Whether an impact can raise V is not decided: too many sets of contacts to look at."
@@ -57,22 +57,12 @@ def _impact_law(checked: ModelCheck) -> Iterator[ReportLine]:
         yield ReportLine("warning", f"An impact of {sets} of contacts can raise V too.")
 
 
-def _by_speed(system: System) -> Iterator[ReportLine]:
-    """Restitutions that depend on the speed of approach."""
-    for i in sorted(system.curved):
-        curve, name = system.contacts[i].curve, system.contact_names[i]
-        if curve is not None and not curve.is_nonexpansive:
-            yield ReportLine(
-                "warning",
-                f"Restitution of {name}: eps(v) v has a slope outside [-1, 1], so an impact of"
-                f" {name} alone can raise V, and no bound is certified. Give a table that changes"
-                " less steeply with the speed.",
-            )
-        elif curve is not None:
-            yield ReportLine(
-                "ok", f"No impact of {name} alone raises V: eps(v) v never rises faster than v."
-            )
-    if system.curved and system.m > 1:
+def _rebounds(system: System) -> Iterator[ReportLine]:
+    """What the rebound laws of single contacts mean, and those that depend on the speed."""
+    for law, name in zip(system.rebounds, system.contact_names, strict=True):
+        if remark := law.remark(name):
+            yield ReportLine(*remark)
+    if system.m > 1 and not all(law.is_affine for law in system.rebounds):
         yield ReportLine(
             "warning",
             "Restitution depends on the speed: where such a contact closes together with others,"

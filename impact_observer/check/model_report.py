@@ -63,14 +63,15 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             {
                 "name": c.name,
                 "gap": c.gap,
-                "restitution": c.curve.document if c.curve else c.restitution,
+                **law.document,
                 "effective_mass": mass,
                 "gap_under_load": rest,
                 "swing": swing,
                 "swing_speed": speed,
             }
-            for c, mass, rest, swing, speed in zip(
+            for c, law, mass, rest, swing, speed in zip(
                 system.contacts,
+                system.rebounds,
                 checked.effective_mass.tolist(),
                 *map(_finite, (motion.rest, motion.swing, motion.speed)),
                 strict=True,
@@ -194,16 +195,18 @@ def _tables(checked: ModelCheck) -> Iterator[TextTable]:
 
 def _contact_table(checked: ModelCheck, length: str, of_mass: str) -> TextTable:
     """The contacts: gap, restitution, effective mass, and the motion of the gap."""
-    contacts, motion = checked.system.contacts, forced_motion(checked.system)
+    system, motion = checked.system, forced_motion(checked.system)
     computed = np.transpose([checked.effective_mass, motion.rest, motion.swing, motion.speed])
     rows = [
         (
             contact.name,
             f"{contact.gap:g}",
-            contact.curve.text if contact.curve else f"{contact.restitution:g}",
+            law.text,
             *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact),
         )
-        for contact, of_contact in zip(contacts, computed.tolist(), strict=True)
+        for contact, law, of_contact in zip(
+            system.contacts, system.rebounds, computed.tolist(), strict=True
+        )
     ]
     speed = f"{length}/s" if length else ""
     headings = (

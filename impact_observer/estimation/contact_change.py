@@ -83,7 +83,7 @@ class ContactChange(NamedTuple):
         """Whether one contact hits while none is closed, by Newton's law and at once."""
         if len(self.hit) != 1 or self.before or self.closed:
             return False
-        return self.hit[0] not in system.curved and not system.contact_time[self.hit[0]]
+        return system.is_plain(self.hit) and not system.contact_time[self.hit[0]]
 
     @property
     def is_nothing(self) -> bool:

@@ -218,7 +218,7 @@ class ImpactFilter:
     def is_alone(self, change: ContactChange) -> bool:
         """Whether an event is an impact of one contact while none is closed: for the kernel.
 
-        One that lasts is not, nor is a restitution that depends on the speed.
+        One that lasts is not, nor is one by another law than a constant restitution.
         """
         return self._is_free and change.is_plain(self.system)
 
@@ -565,7 +565,7 @@ class ImpactFilter:
         jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed, soft=soft)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
-        if not self.system.curved.isdisjoint(pressed):
+        if not self.system.is_plain(pressed):
             bends = member.bends(joint.x, joint.root[1 : 1 + size], pressed)
             noise = np.hstack([noise, bends])
         x = x + mean

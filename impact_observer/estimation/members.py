@@ -27,7 +27,7 @@ from impact_observer.states import Matrix, Vector
 
 _LARGEST = 1e300
 """Instead of bounds that are infinite."""
-_LINEAR = {"C", "K", "gap", "eps", "exponent", "contact_time"}
+_LINEAR = {"C", "K", "gap", "rebound", "contact_time"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
 
 
@@ -77,7 +77,7 @@ class Member:
 
     def mirror_about(self, x: Vector, pressed: Contacts) -> Mirror:
         """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part."""
-        if self.system.curved.isdisjoint(pressed):
+        if self.system.is_plain(pressed):
             return self.mirror(pressed)
         return _mirror_about(self.masses, self._numbers, x, pressed)
 
@@ -96,7 +96,7 @@ class Member:
         It may be a ``soft`` one, which lasts.
         """
         moving = self.moving
-        if self.system.curved.isdisjoint(pressed) and not (moving.guided or soft):
+        if self.system.is_plain(pressed) and not (moving.guided or soft):
             return self.jump(pressed, before, closed)
         mirror = self.mirror_about(x, pressed)
         mirror = mirror.soft if soft else mirror
@@ -113,23 +113,18 @@ class Member:
         return rows, rows.along(self.moving.rates_at(t, x, before))
 
     def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
-        """What the curvature of restitutions by speed adds to the error of a jump, (2n, k).
+        """What the curvature of rebound laws adds to the error of a jump, (2n, k).
 
         Its root mean square where speeds have the deviations of ``root``, shape (2n, any), about
         those of ``x``.
         """
-        n, curved = self.system.n, [i for i in pressed if i in self.system.curved]
-        found = np.zeros((2 * n, len(curved)))
-        stops = self.masses.stops(pressed) if curved else found
-        for k, i in enumerate(curved):
+        n, bent = self.system.n, [i for i in pressed if not self.system.rebounds[i].is_affine]
+        found = np.zeros((2 * n, len(bent)))
+        stops = self.masses.stops(pressed) if bent else found
+        for k, i in enumerate(bent):
             row = self.system.W[:, i]
-            speed, seen = abs(float(row.dot(x[n:]))), row.dot(root[n:])
-            curve = self._numbers.curve(self.system, i)
-            assert curve is not None, "it depends on the speed"
-            aside = speed + np.array([0.0, 1.0, -1.0]) * math.sqrt(seen.dot(seen))
-            rebounds = curve.restitution_at(np.abs(aside)) * aside
-            line = rebounds[0] + curve.slope(speed) * (aside[1:] - aside[0])
-            bend = math.sqrt(3.0) * float(np.max(np.abs(rebounds[1:] - line)))
+            speed, seen = float(row.dot(x[n:])), row.dot(root[n:])
+            bend = self._numbers.law(self.system, i).bend(speed, math.sqrt(seen.dot(seen)))
             found[n:, k] = bend * stops[:, pressed.index(i)]
         return found
 
@@ -154,22 +149,23 @@ class Member:
 def _mirror_about(
     newton: ImpactLaw, numbers: Coefficients, x: Vector, pressed: Contacts
 ) -> Mirror:
-    """The jump of states near ``x`` where restitutions depend on the speed of approach.
+    """The jump of states near ``x`` where some restitution is not a constant.
 
-    The speeds jump by ``eps gamma`` and its derivative, the gap that is left by ``eps``: a jump a
-    little early or late then leaves the positions as they are.
+    The speeds jump by ``r(gamma)`` and its slope, the gap that is left by ``eps``. Where ``r`` is
+    ``eps gamma``, a jump a little early or late then leaves the positions as they are.
     """
     system, P = newton.system, list(pressed)
-    eps, slopes = numbers.eps.copy(), numbers.eps.copy()
+    eps, slopes, rebounds = np.zeros((3, system.m))
     gamma = system.W[:, P].T @ x[system.n :]
-    for i, speed in zip(P, np.abs(gamma).tolist(), strict=True):
-        if curve := numbers.curve(system, i):
-            eps[i], slopes[i] = float(curve.restitution_at(np.array(speed))), curve.slope(speed)
+    for i, speed in zip(P, gamma, strict=True):
+        law = numbers.law(system, i)
+        eps[i] = law.restitution_at(np.abs(speed))
+        slopes[i], rebounds[i] = law.slope(speed), law.rebound(speed)
     mirror = Mirror.of(system, newton.jump(pressed, eps), pressed, numbers)
     J, offset = mirror.J.copy(), mirror.offset.copy()
     n = system.n
     J[n:, n:] += newton.jump(pressed, slopes) - newton.jump(pressed, eps)
-    offset[n:] -= newton.stops(pressed) @ ((eps - slopes)[P] * gamma)
+    offset[n:] -= newton.stops(pressed) @ (rebounds[P] - slopes[P] * gamma)
     return Mirror(J, offset)
 
 
@@ -194,7 +190,7 @@ class Members:
         self._gap = np.array([each.effect.gap for each in family.parameters])
         self._gap = self._gap.reshape(family.size, family.system.m)
         effects = [each.effect for each in family.parameters]
-        self._still = [bool(np.any(each.eps) or np.any(each.exponent)) for each in effects]
+        self._still = [bool(np.any(each.rebound)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
         low, high = (np.clip(each, -_LARGEST, _LARGEST) for each in family.bounds)
         self.parameters = Parameters(low, high, family.sizes, self.moving)
@@ -222,7 +218,7 @@ class Members:
     def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
         effects = [each.effect for each in self.family.parameters]
-        changes = [(each.eps != 0) | (each.exponent != 0) for each in effects]
+        changes = [np.any(each.rebound, axis=1) for each in effects]
         estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(estimated[list(contacts)], dtype=np.bool_)
 
@@ -287,7 +283,7 @@ class Members:
     ) -> tuple[Vector, Matrix]:
         """The state after an impact of ``pressed``, and its derivative: a ``Mirror``."""
         key = tuple(values.tolist())
-        if self.family.system.curved.isdisjoint(pressed):
+        if self.family.system.is_plain(pressed):
             mirror = self._mirror(key, pressed)
         else:
             moving, numbers = self._heavy(key)

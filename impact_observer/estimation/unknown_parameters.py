@@ -105,8 +105,8 @@ class UnknownParameters:
         parameters = tuple(sorted(family.parameters, key=lambda each: not each.moves))
         deviations = []
         for each in parameters:
-            usual = RESTITUTION if np.any(each.effect.eps) else SHARE * each.size
             kind = each.name.partition(".")[0]
+            usual = RESTITUTION if kind == "restitution" else SHARE * each.size
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
         return cls(ParametricFamily(family.system, parameters), np.array(deviations), drift)
 

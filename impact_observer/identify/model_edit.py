@@ -6,8 +6,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from impact_observer.model import System
 from impact_observer.model.elements import labels
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.states import Vector
 
 Place: TypeAlias = tuple[str | int, ...]
@@ -32,7 +34,7 @@ def changes(
         if (force := by_name.get(f"friction.{guide['name']}")) is not None:
             entries["friction", i, "force"] = force
     if "bodies" in document:
-        return {**entries, **dict(_of_elements(document, by_name))}
+        return {**entries, **dict(_of_elements(document, family.system, by_name))}
     return {**entries, **dict(_of_matrices(family, values, by_name))}
 
 
@@ -64,10 +66,7 @@ def _of_matrices(
     for i, contact in enumerate(system.contacts):
         if f"gap.{contact.name}" in by_name:
             yield ("contacts", i, "gap"), by_name[f"gap.{contact.name}"]
-        by_speed = contact.curve is not None
-        yield from _of_restitution(
-            ("contacts", i), contact.name, by_speed=by_speed, by_name=by_name
-        )
+        yield from _of_impacts(("contacts", i), contact.name, system.rebounds[i], by_name)
     own = system.own_forcing
     for k in range(own.frequency.size):
         if {f"forcing-amplitude.{k + 1}", f"forcing-phase.{k + 1}"} & by_name.keys():
@@ -76,7 +75,9 @@ def _of_matrices(
                 yield ("forcing", "harmonics", k, name), part.tolist()
 
 
-def _of_elements(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
+def _of_elements(
+    document: Mapping[str, Any], system: System, by_name: Mapping[str, float]
+) -> Iterator[Change]:
     for i, body in enumerate(document.get("bodies", [])):
         yield from _of_element(("bodies", i), body, "mass", str(body["name"]), by_name)
     springs = document.get("springs", [])
@@ -86,6 +87,7 @@ def _of_elements(document: Mapping[str, Any], by_name: Mapping[str, float]) -> I
             if kind in spring:
                 yield from _of_element(("springs", i), spring, kind, label, by_name)
     for i, stop in enumerate(document.get("stops", [])):
+        yield from _of_impacts(("stops", i), str(stop["name"]), system.rebounds[i], by_name)
         yield from _of_stop(i, stop, by_name)
     harmonics = [
         (i, each) for i, each in enumerate(document.get("forces", [])) if "constant" not in each
@@ -109,9 +111,7 @@ def _of_element(
 
 
 def _of_stop(i: int, stop: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
-    name, by_speed = str(stop["name"]), isinstance(stop["restitution"], Mapping)
-    yield from _of_restitution(("stops", i), name, by_speed=by_speed, by_name=by_name)
-    if (gap := by_name.get(f"gap.{name}")) is None:
+    if (gap := by_name.get(f"gap.{stop['name']}")) is None:
         return
     if "between" in stop:
         yield ("stops", i, "gap"), gap
@@ -119,14 +119,12 @@ def _of_stop(i: int, stop: Mapping[str, Any], by_name: Mapping[str, float]) -> I
         yield ("stops", i, "limit"), gap if stop["side"] == "above" else -gap
 
 
-def _of_restitution(
-    place: Place, name: str, *, by_speed: bool, by_name: Mapping[str, float]
+def _of_impacts(
+    place: Place, name: str, law: ReboundLaw, by_name: Mapping[str, float]
 ) -> Iterator[Change]:
-    """The restitution of a contact, a number or a power law; and how long it lasts."""
-    own: Place = (*place, "restitution")
-    if (value := by_name.get(f"restitution.{name}")) is not None:
-        yield (*own, "value") if by_speed else own, value
-    if (exponent := by_name.get(f"restitution-exponent.{name}")) is not None:
-        yield (*own, "exponent"), exponent
+    """How a contact rebounds, and how long an impact lasts."""
+    for each in law.parameters:
+        if (value := by_name.get(f"{each.kind}.{name}")) is not None:
+            yield (*place, *each.place), value
     if (lasts := by_name.get(f"contact-time.{name}")) is not None:
         yield (*place, "contact_time"), lasts

@@ -23,7 +23,7 @@ from impact_observer.model.ground_keys import (
 )
 from impact_observer.model.grounds import LiveNames
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
-from impact_observer.model.restitution import read_restitution
+from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.system import Contact, Guide, System, moving_system
 from impact_observer.states import Matrix, Vector
 
@@ -236,8 +236,8 @@ def _sum(
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
     """A stop, and the factors of ground displacements in the gap, shape (grounds,)."""
     refuse_coulomb(key, value)
-    keys = ("name", "restitution", "contact_time", "body", "limit", "side", "ground", "between")
-    stop = Section(key, value, (*keys, "gap"))
+    keys = ("contact_time", "body", "limit", "side", "ground", "between", "gap")
+    stop = Section(key, value, ("name", *REBOUND_KEYS, *keys))
     if "between" in stop:
         for name in ("body", "limit", "side", "ground"):
             if name in stop:
@@ -253,8 +253,8 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         sign = -1.0 if side == "above" else 1.0
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
         moving = -sign * line.ground(stop)
-    lasts = stop.number("contact_time", 0.0)
-    return Contact(stop.text("name"), direction, gap, *read_restitution(stop), lasts), moving
+    law, lasts = read_rebound(stop), stop.number("contact_time", 0.0)
+    return Contact(stop.text("name"), direction, gap, law.nominal, law, lasts), moving
 
 
 def _guide(line: _Line, key: str, value: Value) -> tuple[Guide, Vector]:

@@ -10,15 +10,14 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
-from impact_observer.model.restitution import LEAST_EXPONENT, PowerLaw, RestitutionTable
+from impact_observer.model.rebounds import REBOUND_UNITS
 from impact_observer.model.system import LONGEST_CONTACT, System
 from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
 CONTACT_TIME = "contact-time"
 UNITS = {
-    "restitution": "",
-    "restitution-exponent": "",
+    **REBOUND_UNITS,
     "gap": "m",
     "stiffness-scale": "",
     "damping-scale": "",
@@ -123,15 +122,13 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         unit, effect = UNITS[name.partition(".")[0]], Coefficients.change(system, **change)
         return ModelParameter(name, value, *bounds, size, unit, effect)
 
-    for contact, one in zip(system.contacts, np.eye(system.m), strict=True):
+    columns = np.eye(Coefficients.of_system(system).rebound.shape[1])
+    for contact, law, one in zip(system.contacts, system.rebounds, np.eye(system.m), strict=True):
         name, gap = contact.name, contact.gap
-        curve = contact.curve
-        if not isinstance(curve, RestitutionTable):
-            yield parameter(f"restitution.{name}", contact.restitution, (0.0, 1.0), 1.0, eps=one)
-        if isinstance(curve, PowerLaw):
-            bounds = (LEAST_EXPONENT, 0.0)
-            kind = "restitution-exponent"
-            yield parameter(f"{kind}.{name}", curve.exponent, bounds, 1.0, exponent=one)
+        for each, column in zip(law.parameters, columns, strict=False):
+            own, bounds = f"{each.kind}.{name}", (each.low, each.high)
+            change = np.outer(one, column)
+            yield parameter(own, each.value, bounds, each.size, rebound=change)
         yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
         most, lasts = (0.0, LONGEST_CONTACT), contact.contact_time
         yield parameter(f"{CONTACT_TIME}.{name}", lasts, most, LONGEST_CONTACT, contact_time=one)
@@ -143,11 +140,11 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         yield parameter(
             f"friction.{guide.name}", guide.force, (least, np.inf), guide.force, friction=one
         )
-    for each in elements:
-        least = each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0
-        effect = {_SCALES[each.kind]: each.matrix}
-        name = f"{each.kind}.{each.label}"
-        yield parameter(name, each.value, (least, np.inf), each.value, **effect)
+    for element in elements:
+        kind, value = element.kind, element.value
+        least = value / _LARGEST_RATIO if kind == "mass" else 0.0
+        effect = {_SCALES[kind]: element.matrix}
+        yield parameter(f"{kind}.{element.label}", value, (least, np.inf), value, **effect)
     for label, one in zip(_harmonics(system), np.eye(system.forcing.frequency.size), strict=True):
         kind, _, number = label.partition(".")
         yield parameter(f"{kind}-amplitude.{number}", 1.0, ratio, 1.0, amplitude=one)

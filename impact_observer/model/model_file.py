@@ -26,7 +26,7 @@ from impact_observer.model.ground_keys import (
     read_turning,
 )
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
-from impact_observer.model.restitution import read_restitution
+from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.system import (
     LARGEST_STATE,
     UNITS,
@@ -145,7 +145,7 @@ def _matrix_form(s: System) -> dict[str, Value]:
                 "name": c.name,
                 "direction": c.direction.tolist(),
                 "gap": c.gap,
-                "restitution": c.curve.document if c.curve else c.restitution,
+                **s.rebounds[i].document,
                 **({"contact_time": c.contact_time} if c.contact_time else {}),
                 **({"motion": _motion_of(s, moving[i])} if moving else {}),
             }
@@ -338,7 +338,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     n = len(names)
     section.value("contacts")
     motions = read_grounds(section, (), folder)
-    keys = ("name", "direction", "gap", "restitution", "contact_time", "motion")
+    keys = ("name", "direction", "gap", *REBOUND_KEYS, "contact_time", "motion")
     for item in section.items("contacts"):
         refuse_coulomb(*item)
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
@@ -415,11 +415,13 @@ def _known(section: Section, key: str, motions: GroundMotions) -> int:
 
 
 def _contact(contact: Section, n: int) -> Contact:
+    law = read_rebound(contact)
     return Contact(
         contact.text("name"),
         contact.vector("direction", n),
         contact.number("gap"),
-        *read_restitution(contact),
+        law.nominal,
+        law,
         contact.number("contact_time", 0.0),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
-from impact_observer.model.restitution import Curve, PowerLaw
+from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import Contact, Guide, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -22,8 +22,8 @@ class Coefficients:
         C: damping matrix, shape (n, n), Ns/m.
         K: stiffness matrix, shape (n, n), N/m.
         gap: gaps in the rest position, shape (m,), m.
-        eps: restitution, shape (m,); the ``value`` of a power law.
-        exponent: exponents of power laws of the speed, shape (m,); 0 for other contacts.
+        rebound: parameters of the rebound laws, one row a contact, zeros beyond its own, shape
+            (m, most), at least one column.
         amplitude: amplitudes of the harmonics relative to those of the model, shape (h,).
         phase: lead of the harmonics over those of the model, shape (h,), rad.
         friction: largest forces of the guides, shape (guides,), N.
@@ -34,8 +34,7 @@ class Coefficients:
     C: Matrix
     K: Matrix
     gap: Vector
-    eps: Vector
-    exponent: Vector
+    rebound: Matrix
     amplitude: Vector
     phase: Vector
     friction: Vector
@@ -46,11 +45,12 @@ class Coefficients:
         """The coefficients of ``system``."""
         h, lasts = system.forcing.frequency.size, system.contact_time
         harmonics = np.ones(h), np.zeros(h)
-        curves = [each.curve for each in system.contacts]
-        exponent = np.array([c.exponent if isinstance(c, PowerLaw) else 0.0 for c in curves])
-        rebound = system.eps, exponent
+        numbers = [[each.value for each in law.parameters] for law in system.rebounds]
+        rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
+        for row, own in zip(rebound, numbers, strict=True):
+            row[: len(own)] = own
         return cls(
-            system.M, system.C, system.K, system.q_r, *rebound, *harmonics, system.friction, lasts
+            system.M, system.C, system.K, system.q_r, rebound, *harmonics, system.friction, lasts
         )
 
     @property
@@ -67,13 +67,15 @@ class Coefficients:
         }
         return cls(**{**zero, **parts})
 
-    def curve(self, system: System, contact: int) -> Curve | None:
-        """The restitution of a contact as a curve of the speed; None if constant."""
-        curve = system.contacts[contact].curve
-        if not isinstance(curve, PowerLaw):
-            return curve
-        value, exponent = float(self.eps[contact]), float(self.exponent[contact])
-        return replace(curve, value=value, exponent=exponent)
+    @property
+    def eps(self) -> Vector:
+        """The coefficients of restitution of plain contacts, shape (m,)."""
+        return self.rebound[:, 0]
+
+    def law(self, system: System, contact: int) -> ReboundLaw:
+        """How a contact of a ``system`` of the family rebounds."""
+        given = system.rebounds[contact]
+        return given.with_values(self.rebound[contact, : len(given.parameters)].tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,19 +189,22 @@ class ParametricFamily:
         """The unchecked system for parameter ``values`` within the bounds, shape (p,)."""
         coefficients = self.coefficients_at(values)
         changed = self._changed(coefficients)
-        changed["eps"] = frozen([each.restitution for each in changed["contacts"]])
+        laws = tuple(coefficients.law(self.system, i) for i in range(self.system.m))
         return self.system.unchecked(
-            q_r=coefficients.gap, contact_time=coefficients.contact_time, **changed
+            q_r=coefficients.gap,
+            contact_time=coefficients.contact_time,
+            rebounds=laws,
+            eps=frozen([each.nominal for each in laws]),
+            **changed,
         )
 
     def _changed(self, coefficients: Coefficients) -> dict[str, Any]:
         """The fields of the system with these ``coefficients``."""
-        numbers = (coefficients.gap, coefficients.eps, coefficients.contact_time)
-        stops = zip(self.system.contacts, *(each.tolist() for each in numbers), strict=True)
-        curves = [coefficients.curve(self.system, i) for i in range(self.system.m)]
+        numbers = (coefficients.gap.tolist(), coefficients.contact_time.tolist())
+        laws = [coefficients.law(self.system, i) for i in range(self.system.m)]
         contacts = tuple(
-            Contact(each.name, each.direction, gap, c.nominal if c else eps, c, lasts)
-            for (each, gap, eps, lasts), c in zip(stops, curves, strict=True)
+            Contact(c.name, c.direction, gap, law.nominal, None if law.is_plain else law, lasts)
+            for c, law, gap, lasts in zip(self.system.contacts, laws, *numbers, strict=True)
         )
         guides = tuple(
             Guide(each.name, each.direction, force)

@@ -8,7 +8,7 @@ Equation (1) of Baumann and Leine (ENOC 2014), for ``n`` coordinates and ``m`` c
 If stops move, the coordinates belong to a frame in which no stop moves (``grounds.py``).
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,8 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, LiveNames, MovingFrame
-from impact_observer.model.restitution import Curve
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.states import Matrix, Vector, frozen
 
 UNITS = ("m", "rad")
@@ -51,8 +52,8 @@ class Contact:
         name: name of the contact in events.
         direction: a column of W, shape (n,).
         gap: ``q_r``, gap in the rest position, m or rad.
-        restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of a ``curve``.
-        curve: restitution as a function of the speed of approach; None if constant.
+        restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of another law.
+        rebound: how the contact rebounds; None for Newton's law with ``restitution``.
         contact_time: duration of an impact, s; velocities jump half this time after the gap is
             zero.
     """
@@ -61,7 +62,7 @@ class Contact:
     direction: Vector
     gap: float
     restitution: float
-    curve: Curve | None = None
+    rebound: ReboundLaw | None = None
     contact_time: float = 0.0
 
 
@@ -98,9 +99,9 @@ class System:
         unit: unit of the coordinates, ``m`` or ``rad``; ``m or rad`` if unknown.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
-        eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
-            depends on the speed. Derived.
-        curved: indices of the contacts whose restitution depends on the speed. Derived.
+        rebounds: how each contact rebounds. Derived.
+        special: indices of the contacts whose law is not a constant coefficient. Derived.
+        eps: restitution coefficients, shape (m,); nominal ones of special contacts. Derived.
         contact_time: durations of impacts, shape (m,), s. Derived.
         W_T: directions of the guides, shape (n, k). Derived.
         directions: directions of contacts, then guides, shape (n, m + k). Derived.
@@ -122,8 +123,9 @@ class System:
     unit: str = UNKNOWN_UNIT
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
+    rebounds: tuple[ReboundLaw, ...] = field(init=False)
+    special: frozenset[int] = field(init=False)
     eps: Vector = field(init=False)
-    curved: frozenset[int] = field(init=False)
     contact_time: Vector = field(init=False)
     W_T: Matrix = field(init=False)
     directions: Matrix = field(init=False)
@@ -160,7 +162,8 @@ class System:
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
             "contact_time": frozen([c.contact_time for c in contacts]),
-            "curved": frozenset(i for i, c in enumerate(contacts) if c.curve),
+            "rebounds": tuple(c.rebound or ConstantRestitution(c.restitution) for c in contacts),
+            "special": frozenset(i for i, c in enumerate(contacts) if c.rebound),
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
@@ -238,22 +241,15 @@ class System:
         return np.asarray(self.W.T @ u)
 
     def rebound(self, gamma: Vector) -> Vector:
-        """``eps gamma`` of all contacts at speeds ``gamma``, shape (m,), m/s."""
-        if not self.curved:
-            return np.asarray(self.eps * gamma)
-        eps = self.eps.copy()
-        for i in self.curved:
-            eps[i] = self.restitution(i, abs(gamma[i]))
-        return np.asarray(eps * gamma)
+        """``r`` of all contacts at speeds ``gamma``, shape (m,), m/s; see ``ReboundLaw``."""
+        rebounds: Vector = self.eps * gamma
+        for i in self.special:
+            rebounds[i] = self.rebounds[i].rebound(gamma[i])
+        return rebounds
 
-    def restitution(self, contact: int, speed: Vector) -> Vector:
-        """``eps`` of a contact at speeds of approach, m/s, of any shape."""
-        curve = self.contacts[contact].curve
-        return (
-            np.full(np.shape(speed), self.eps[contact])
-            if curve is None
-            else curve.restitution_at(speed)
-        )
+    def is_plain(self, contacts: Collection[int]) -> bool:
+        """Whether all ``contacts`` rebound by a constant coefficient."""
+        return self.special.isdisjoint(contacts)
 
     def penetrated(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g < 0`` at ``q``, shape (n,)."""
@@ -424,13 +420,9 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
             f"{key}.contact_time",
             f"is {lasts:g}; expected a number in [0, {LONGEST_CONTACT:g}], s",
         )
-    if contact.curve is not None:
-        curve = contact.curve.checked(f"{key}.restitution")
-        return Contact(contact.name, direction, gap, curve.nominal, curve, lasts)
-    eps = float(finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
-    if not 0.0 <= eps <= 1.0:
-        raise ModelError(f"{key}.restitution", f"is {eps:g}; expected a number in [0, 1]")
-    return Contact(contact.name, direction, gap, eps, None, lasts)
+    law = (contact.rebound or ConstantRestitution(contact.restitution)).checked(key)
+    own = None if law.is_plain else law
+    return Contact(contact.name, direction, gap, law.nominal, own, lasts)
 
 
 def _checked_guide(i: int, guide: Guide, n: int) -> Guide:

@@ -12,6 +12,7 @@ from impact_observer.estimation.readings import DeclaredSensor
 from impact_observer.events import Contacts
 from impact_observer.model import Forcing, System
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.states import Matrix, Vector, frozen
 from impact_observer.trajectory.linearised_system import (
     FlightEnd,
@@ -36,13 +37,16 @@ class RankRows:
         self, system: System, scale: Vector, sensors: Sequence[DeclaredSensor] = ()
     ) -> None:
         """Start with errors of one standard deviation, ``scale``, shape (2n,), 0 where certain."""
-        contacts = [
-            replace(c, restitution=c.curve.nominal_slope if c.curve else c.restitution, curve=None)
-            for c in system.contacts
-        ]
-        slopes = frozen([each.restitution for each in contacts])
+        linear = [ConstantRestitution(law.nominal_slope) for law in system.rebounds]
         errors = system.unchecked(
-            contacts=tuple(contacts), eps=slopes, forcing=Forcing.none(system.n)
+            contacts=tuple(
+                replace(c, restitution=law.restitution, rebound=None)
+                for c, law in zip(system.contacts, linear, strict=True)
+            ),
+            rebounds=tuple(linear),
+            special=frozenset(),
+            eps=frozen([law.restitution for law in linear]),
+            forcing=Forcing.none(system.n),
         )
         self._system = LinearisedSystem(ParametricFamily(errors, ()), np.zeros(0))
         self._newton, self._phases = ImpactLaw(system), self._system.moving.phases

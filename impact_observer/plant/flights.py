@@ -3,8 +3,8 @@
 
 Nearly all events of a plant are such impacts. The kernel leaves all other events to the plant:
 impacts of several contacts at once, of a contact that may come to rest, and of a contact without
-restitution; impacts of finite duration or of speed-dependent restitution; and flights so short
-that impacts might accumulate.
+restitution; impacts of finite duration, or by another law than a constant restitution; and
+flights so short that impacts might accumulate.
 """
 
 from collections import deque
@@ -62,7 +62,7 @@ class PlainImpacts:
         self._phases, self._law = phases, law
         self._flights: Flights | None = None
         simple = (system.eps > 0) & (system.contact_time == 0)
-        self._unknown = set(np.flatnonzero(simple).tolist()) - system.curved
+        self._unknown = set(np.flatnonzero(simple).tolist()) - system.special
         self._most = max(16, _NUMBERS // (4 * system.n))
         self._hits: deque[Hit] = deque()
         self.left: tuple[float, tuple[int, ...]] | None = None

@@ -36,8 +36,6 @@ _GATE = 5.0
 """Largest distance of a reported instant from the predicted one, in standard deviations."""
 _VAGUE = 0.2
 """Largest deviation of a predicted instant, relative to the model's time scale."""
-_SOFT = 0.1
-"""Least restitution by which the speed before an impact is guessed from the speed after."""
 
 _FALSE = "spurious: the smoothed motion does not hit then"
 _MISSED = "IMPACT missed: the smoothed motion hits then"
@@ -150,8 +148,8 @@ class Retracing:
         system = self._filter.system
         x: Vector = hit.x.copy()
         speed = float(system.W[:, hit.contact] @ x[system.n :])
-        restitution = max(float(system.eps[hit.contact]), _SOFT)
-        x[system.n :] -= self._kicks[:, hit.contact] * speed * (1 + 1 / restitution)
+        before = system.rebounds[hit.contact].speed_before(speed)
+        x[system.n :] += self._kicks[:, hit.contact] * (before - speed)
         return x
 
     def _reported(

@@ -20,7 +20,6 @@ from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.model.restitution import PowerLaw
 from impact_observer.states import Matrix, Vector
 
 STEP = 1e-6
@@ -191,15 +190,15 @@ class LinearisedSystem:
     def impact(self, x: Vector, pressed: Contacts) -> TangentMap:
         """Newton's law on exactly the contacts ``pressed``, from the state ``x``."""
         n, p = self.family.system.n, self.family.size
-        W, stops, by_mass, by_value, by_exponent = self._impact(pressed)
+        W, stops, by_mass, by_law = self._impact(pressed)
         gamma = W.T.dot(x[n:])
-        eps, slopes, of_value, of_exponent = self._rebounds(pressed, gamma)
-        lost, x, Phi, Gamma = (1.0 + eps) * gamma, x.copy(), np.eye(2 * n), np.zeros((2 * n, p))
+        rebounds, slopes, by = self._rebounds(pressed, gamma)
+        lost, x, Phi, Gamma = gamma + rebounds, x.copy(), np.eye(2 * n), np.zeros((2 * n, p))
         x[n:] -= stops.dot(lost)
         Phi[n:, n:] -= (stops * (1.0 + slopes)).dot(W.T)
         if p:
-            rebounds = (of_value * by_value + of_exponent * by_exponent) * gamma
-            Gamma[n:] = (by_mass.dot(lost) - rebounds.dot(stops.T)).T
+            changes = np.sum(by_law * by, axis=2)
+            Gamma[n:] = (by_mass.dot(lost) - changes.dot(stops.T)).T
         return TangentMap(x, Phi, Gamma)
 
     def at_rest(self, x: Vector, closed: Contacts) -> TangentMap:
@@ -295,24 +294,23 @@ class LinearisedSystem:
         of_sin = factor.real * sine - factor.imag * cosine
         return np.hstack([of_cos, of_sin, np.zeros((len(cosine), 1))])
 
-    def _rebounds(self, pressed: Contacts, speeds: Vector) -> Matrix:
-        """``eps``, ``d(eps v)/dv``, and ``eps`` by value and by exponent, a number a contact."""
-        rows = []
-        for i, speed in zip(pressed, np.abs(speeds).tolist(), strict=True):
-            curve, eps = self.numbers.curve(self.family.system, i), float(self.numbers.eps[i])
-            if curve is None:
-                rows.append((eps, eps, 1.0, 0.0))
-                continue
-            by = curve.sensitivity(speed) if isinstance(curve, PowerLaw) else (0.0, 0.0)
-            rows.append((float(curve.restitution_at(np.array(speed))), curve.slope(speed), *by))
-        return np.asarray(np.reshape(rows, (-1, 4)).T)
+    def _rebounds(self, pressed: Contacts, gamma: Vector) -> tuple[Vector, Vector, Matrix]:
+        """``r`` and ``dr/dgamma``, shape (c,) each, and ``dr`` by parameters, shape (c, most)."""
+        rebounds, slopes = np.zeros((2, len(pressed)))
+        by = np.zeros((len(pressed), self.numbers.rebound.shape[1]))
+        for k, (i, speed) in enumerate(zip(pressed, gamma, strict=True)):
+            law = self.numbers.law(self.family.system, i)
+            rebounds[k], slopes[k] = law.rebound(speed), law.slope(speed)
+            own = law.sensitivity(speed)
+            by[k, : len(own)] = own
+        return rebounds, slopes, by
 
-    def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, Matrix, Matrix]:
+    def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, np.ndarray]:
         """``W`` and ``X`` of contacts, and what each parameter changes.
 
         Returns:
             ``W``, shape (n, c) for c contacts; ``X``, the same; ``-dX = R dM X``, (p, n, c); the
-            changes of the restitution's value and exponent, shape (p, c) each.
+            changes of the parameters of the rebound laws, (p, c, most).
         """
         P, effects, p = list(pressed), [e.effect for e in self.family.parameters], self.family.size
         W, stops = self.family.system.W[:, P], self.moving.newton.stops(pressed)
@@ -320,6 +318,7 @@ class LinearisedSystem:
         for j, each in enumerate(effects):
             if np.any(each.M):
                 by_mass[j] = self.moving.phase(pressed).inverse @ each.M @ stops
-        by_value = np.reshape([each.eps[P] for each in effects], (p, len(P)))
-        by_exponent = np.reshape([each.exponent[P] for each in effects], (p, len(P)))
-        return W, stops, by_mass, by_value, by_exponent
+        by_law = np.zeros((p, *self.numbers.rebound[P].shape))
+        for j, each in enumerate(effects):
+            by_law[j] = each.rebound[P]
+        return W, stops, by_mass, by_law

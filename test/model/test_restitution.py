@@ -9,7 +9,10 @@ from systems import examples
 
 from impact_observer.errors import ModelError
 from impact_observer.model import parse_model
-from impact_observer.model.restitution import PowerLaw, RestitutionTable
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
+from impact_observer.model.rebounds.power_law import PowerLaw
+from impact_observer.model.rebounds.restitution_table import RestitutionTable
 
 TEXT = """
 name: ball
@@ -23,15 +26,15 @@ TABLE = "{speeds: [0.1, 1, 3], values: [0.9, 0.7, 0.5]}"
 def test_power_law_has_its_value_at_its_speed_and_its_limit_below() -> None:
     """The closed form, and 0.95 for slow impacts where no limit is given."""
     contact = parse_model(TEXT.replace("CURVE", POWER), "ball").system.contacts[0]
-    assert isinstance(contact.curve, PowerLaw)
-    found = contact.curve.restitution_at(np.array([0.0, 1e-300, 2.0, 32.0]))
+    assert isinstance(contact.rebound, PowerLaw)
+    found = contact.rebound.restitution_at(np.array([0.0, 1e-300, 2.0, 32.0]))
     np.testing.assert_allclose(found, [0.95, 0.95, 0.7, 0.35], rtol=1e-15)
     assert contact.restitution == 0.7
 
 
 def test_table_is_linear_between_its_speeds_and_constant_outside() -> None:
     """By hand."""
-    curve = parse_model(TEXT.replace("CURVE", TABLE), "ball").system.contacts[0].curve
+    curve = parse_model(TEXT.replace("CURVE", TABLE), "ball").system.contacts[0].rebound
     assert curve is not None
     found = curve.restitution_at(np.array([0.0, 0.1, 0.55, 2.0, 9.0]))
     np.testing.assert_allclose(found, [0.9, 0.9, 0.8, 0.6, 0.5], rtol=1e-14)
@@ -43,10 +46,10 @@ def test_curve_survives_the_text_of_its_model(curve: str) -> None:
     model = parse_model(TEXT.replace("CURVE", curve), "ball")
     assert parse_model(model.text(), "again").text() == model.text()
     matrices = type(model)(model.system)
-    again = parse_model(matrices.text(), "again").system.contacts[0].curve
+    again = parse_model(matrices.text(), "again").system.contacts[0].rebound
     assert again is not None
     speeds = np.linspace(0, 5, 40)
-    own = model.system.contacts[0].curve
+    own = model.system.contacts[0].rebound
     assert own is not None
     np.testing.assert_array_equal(again.restitution_at(speeds), own.restitution_at(speeds))
 
@@ -103,29 +106,24 @@ def test_slope_of_a_table_is_checked() -> None:
 
 
 @pytest.mark.parametrize(
-    "curve",
+    "law",
     [
+        ConstantRestitution(0.7),
         PowerLaw(0.7, 1.0, -0.25, 0.9),
         RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5])),
     ],
 )
-@pytest.mark.parametrize("speed", [0.05, 0.3, 1.7, 8.0])
-def test_slope_is_that_of_finite_differences(
-    curve: PowerLaw | RestitutionTable, speed: float
+@pytest.mark.parametrize("gamma", [-8.0, -1.7, -0.3, -0.05, 0.3])
+def test_slope_and_sensitivity_of_a_rebound_are_those_of_finite_differences(
+    law: ReboundLaw, gamma: float
 ) -> None:
-    """Of ``eps(v) v``, and of the power law by its value and exponent."""
-    h = 1e-6
-    v = speed + np.array([-h, h])
-    found = float(np.diff(curve.restitution_at(v) * v)[0]) / (2 * h)
-    assert curve.slope(speed) == pytest.approx(found, abs=1e-8)
-    if isinstance(curve, PowerLaw):
-        at = np.array(speed)
-        by = [
-            float(
-                PowerLaw(0.7 + a, 1.0, -0.25 + b, 0.9).restitution_at(at)
-                - curve.restitution_at(at)
-            )
-            / h
-            for a, b in ((h, 0.0), (0.0, h))
-        ]
-        assert curve.sensitivity(speed) == pytest.approx(by, abs=1e-5)
+    """Of ``r`` by the speed and by each parameter."""
+    h, at = 1e-6, np.array(gamma)
+    found = float(np.diff(law.rebound(gamma + np.array([-h, h])))[0]) / (2 * h)
+    assert law.slope(gamma) == pytest.approx(found, abs=1e-8)
+    values = np.array([each.value for each in law.parameters])
+    by = [
+        float(law.with_values((values + step).tolist()).rebound(at) - law.rebound(at)) / h
+        for step in h * np.eye(values.size)
+    ]
+    assert law.sensitivity(gamma) == pytest.approx(by, abs=1e-4)

@@ -25,7 +25,7 @@ from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, LiveNames, motion_of
 from impact_observer.model.live_signals import connected
-from impact_observer.model.restitution import PowerLaw
+from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.system import Guide, moving_system
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
@@ -59,7 +59,7 @@ def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
     contacts = model.contacts
     if model.m == 1 and draw(st.booleans()):
         law = PowerLaw(draw(numbers(0.0, 1.0)), 1.0, -draw(numbers(0.0, 0.875)), 0.9)
-        contacts = (replace(contacts[0], curve=law),)
+        contacts = (replace(contacts[0], rebound=law),)
     jets = np.array([[draw(vectors(n, -1.0, 1.0)) for _ in range(3)] for _ in range(4)])
     forcing = model.forcing.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
     model = replace(model, guides=guides, contacts=contacts, forcing=forcing)

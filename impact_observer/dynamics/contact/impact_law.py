@@ -3,8 +3,8 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W = B^T B``,
-``B = L^-1 W``, ``M = L L^T``. A restitution that depends on the speed of approach is evaluated at
-the contact's own ``|gamma-|``.
+``B = L^-1 W``, ``M = L L^T``. Contacts with another law than a constant ``eps`` have their
+``r(gamma-)`` in the place of ``eps gamma-``; see ``model.rebounds``.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,8 @@ from impact_observer.dynamics.flow.few import Factor
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import System
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.states import Matrix, Vector
 
 _ROUNDING = 1e-12
@@ -42,8 +44,11 @@ class ImpactLaw:
         """Prepare the law; ``restitution``, shape (m,), is used instead of the system's."""
         factor = Factor(system.M)
         self.system = system
-        self._eps = system.eps if restitution is None else restitution
-        self._curved = system.curved if restitution is None else frozenset[int]()
+        self._laws: tuple[ReboundLaw, ...] = system.rebounds
+        self._special, self._eps = system.special, system.eps
+        if restitution is not None:
+            self._laws = tuple(map(ConstantRestitution, restitution.tolist()))
+            self._special, self._eps = frozenset(), restitution
         self._B = factor.solved(system.W)
         self._Minv_W = factor.solved_transposed(self._B)
         # Nearly every event has a single contact: u+ = u- - kick gamma.
@@ -67,9 +72,9 @@ class ImpactLaw:
         if len(active) == 1:
             i = active[0]
             gamma = self.system.W[:, i].dot(u)
-            if i in self._curved and gamma < 0:
-                lost = (1.0 + float(self.system.restitution(i, -gamma))) * gamma
-                return np.asarray(u - self._stopped[i] * lost)
+            if i in self._special:
+                lost = gamma + float(self._laws[i].rebound(gamma))
+                return np.asarray(u - self._stopped[i] * lost) if lost < 0 else u
             return u - self._kicks[i] * gamma if gamma < 0 else u
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
@@ -106,11 +111,11 @@ class ImpactLaw:
         """
         if len(active) == 1 and not closed:
             i = active[0]
-            gamma = np.minimum(U @ self.system.W[:, i], 0.0)
-            if i in self._curved:
-                gamma *= 1.0 + self.system.restitution(i, -gamma)
-                return np.asarray(U - gamma[:, None] * self._stopped[i])
-            return np.asarray(U - gamma[:, None] * self._kicks[i])
+            gamma = U @ self.system.W[:, i]
+            if i in self._special:
+                lost = np.minimum(gamma + self._laws[i].rebound(gamma), 0.0)
+                return np.asarray(U - lost[:, None] * self._stopped[i])
+            return np.asarray(U - np.minimum(gamma, 0.0)[:, None] * self._kicks[i])
         return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
 
     def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
@@ -134,7 +139,7 @@ class ImpactLaw:
     def kick(self, contact: int) -> Vector:
         """Velocity that an impact of one contact takes away per speed of approach, shape (n,).
 
-        At the nominal restitution, where that depends on the speed.
+        Of another law than a constant coefficient, at the nominal coefficient.
         """
         return np.asarray(self._kicks[contact])
 
@@ -162,12 +167,11 @@ class ImpactLaw:
     def _is_nonexpansive(self, active: Contacts) -> bool:
         """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V.
 
-        If a restitution depends on the speed, this is known for a single contact only.
+        Where the slope of a rebound law is not constant, this is known for a single contact only.
         """
         A = list(active)
-        if self._curved and not self._curved.isdisjoint(A):
-            curve = self.system.contacts[A[0]].curve
-            return len(A) == 1 and curve is not None and curve.is_nonexpansive
+        if not all(self._laws[i].is_affine for i in A):
+            return len(A) == 1 and self._laws[A[0]].is_nonexpansive
         B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
         if np.all(eps == eps[:1]):
             return True
@@ -191,10 +195,11 @@ class ImpactLaw:
 
     def _impulses(self, active: list[int], gamma: Vector) -> Vector:
         eps = self._eps[active]
+        lost = (1.0 + eps) * gamma
         for k, i in enumerate(active):
-            if i in self._curved:
-                eps[k] = self.system.restitution(i, abs(gamma[k]))
-        impulses = complementary(self._B[:, active], (1.0 + eps) * gamma)
+            if i in self._special:
+                lost[k] = gamma[k] + self._laws[i].rebound(gamma[k])
+        impulses = complementary(self._B[:, active], lost)
         if impulses is None:
             names = [self.system.contact_names[i] for i in active]
             raise ImpactLawError.for_contacts(

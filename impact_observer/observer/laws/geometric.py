@@ -70,7 +70,7 @@ class Geometric(ReplicaLaw):
 
     def _is_single(self, active: Contacts, closed: Contacts) -> bool:
         """Whether the kernel knows the jump: one contact impacts, none is closed after it."""
-        return len(active) == 1 and not closed and active[0] not in self.system.curved
+        return len(active) == 1 and not closed and self.system.is_plain(active)
 
     def _one_impact(self, contact: int, x: Vector, differences: Matrix) -> tuple[Vector, Matrix]:
         """A replica and its differences, one a column, after the impact of one contact."""
@@ -91,7 +91,7 @@ class Geometric(ReplicaLaw):
 
         The plant is on the stop, and the jump is the orthogonal projection onto it.
         """
-        if len(active) == 1 and active[0] not in self.system.curved:
+        if len(active) == 1 and self.system.is_plain(active):
             return self._projection.strain(before[: self.system.n], active)
         return self.energy_of_jump(before, after, active)
 

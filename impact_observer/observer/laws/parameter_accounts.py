@@ -28,7 +28,6 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import UNITS
-from impact_observer.model.restitution import RestitutionTable
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
@@ -65,11 +64,9 @@ def doubted(system: System) -> UnknownParameters:
     """The parameters that an account estimates; no scales of what moving grounds act through."""
     deviations = OF_MOTION | OF_IMPACTS
     deviations["contact-time"] *= Scales.of_equations(system).timescale
-    curves = [c.curve for c in system.contacts]
-    eps = system.eps * [not isinstance(c, RestitutionTable) for c in curves]
     at_rest = system.frame is None
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
-    parts["restitution"] = eps
+    parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
     return UnknownParameters.named(system, wanted)
 

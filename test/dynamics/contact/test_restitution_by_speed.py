@@ -35,7 +35,9 @@ from impact_observer.identify.model_edit import changes
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
-from impact_observer.model.restitution import Curve, PowerLaw, RestitutionTable
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.rebounds.power_law import PowerLaw
+from impact_observer.model.rebounds.restitution_table import RestitutionTable
 from impact_observer.observer import ReplicaLaw
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
@@ -50,15 +52,15 @@ POWER = PowerLaw(0.7, 1.0, -0.25, 0.9)
 STEEP = RestitutionTable(np.array([1.0, 1.2]), np.array([0.9, 0.3]))
 
 
-def with_curve(model: System, *curves: Curve | None) -> System:
+def with_curve(model: System, *curves: ReboundLaw | None) -> System:
     """The same system whose first contacts have restitutions by speed."""
     given_ = [*curves, *[None] * (model.m - len(curves))]
     contacts = zip(model.contacts, given_, strict=True)
-    return replace(model, contacts=tuple(replace(c, curve=curve) for c, curve in contacts))
+    return replace(model, contacts=tuple(replace(c, rebound=curve) for c, curve in contacts))
 
 
 @st.composite
-def curves(draw: st.DrawFn) -> Curve:
+def curves(draw: st.DrawFn) -> ReboundLaw:
     """Power laws of any kind."""
     value, speed = draw(st.integers(0, 8)) / 8, draw(st.integers(1, 16)) / 8
     return PowerLaw(value, speed, -draw(st.integers(0, 7)) / 8, draw(st.integers(0, 7)) / 8)
@@ -218,7 +220,7 @@ def test_value_and_exponent_are_identified_and_written_back() -> None:
     for text in (model.text(), replace(model, element_form={}).text()):
         document = load_yaml(text)
         written = edited(text, changes(document, family, np.array([0.6, -0.1])))  # type: ignore[arg-type]
-        curve = parse_model(written, "fitted").system.contacts[0].curve
+        curve = parse_model(written, "fitted").system.contacts[0].rebound
         assert curve == PowerLaw(0.6, 1.0, -0.1, 0.9)
 
 

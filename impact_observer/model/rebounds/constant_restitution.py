@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Newton's law with a constant coefficient: ``r = eps gamma``."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from impact_observer.model.document import Section, Value
+from impact_observer.model.rebounds.rebound_law import (
+    ReboundLaw,
+    ReboundParameter,
+    checked_restitution,
+)
+from impact_observer.states import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantRestitution(ReboundLaw):
+    """``r = eps gamma``.
+
+    Attributes:
+        restitution: ``eps``, in [0, 1].
+    """
+
+    units: ClassVar[Mapping[str, str]] = {"restitution": ""}
+    is_plain: ClassVar[bool] = True
+    is_affine: ClassVar[bool] = True
+
+    restitution: float
+
+    @classmethod
+    def read(cls, contact: Section) -> "ConstantRestitution":
+        """The law of any ``contact`` of which the restitution is a number."""
+        return cls(contact.number("restitution"))
+
+    def checked(self, key: str) -> "ConstantRestitution":
+        """The same law with a checked coefficient."""
+        return ConstantRestitution(checked_restitution(f"{key}.restitution", self.restitution))
+
+    @property
+    def document(self) -> dict[str, Value]:
+        """The key ``restitution`` with a number."""
+        return {"restitution": self.restitution}
+
+    @property
+    def text(self) -> str:
+        """The coefficient."""
+        return f"{self.restitution:g}"
+
+    @property
+    def nominal(self) -> float:
+        """``eps``."""
+        return self.restitution
+
+    def restitution_at(self, speed: Vector) -> Vector:
+        """``eps`` at speeds of any shape."""
+        return np.full(np.shape(speed), self.restitution)
+
+    def slope(self, gamma: float) -> float:
+        """``eps``."""
+        del gamma
+        return self.restitution
+
+    @property
+    def parameters(self) -> tuple[ReboundParameter, ...]:
+        """The coefficient."""
+        place = ("restitution",)
+        return (ReboundParameter("restitution", self.restitution, 0.0, 1.0, 1.0, place),)
+
+    def with_values(self, values: Sequence[float]) -> "ConstantRestitution":
+        """The law with another coefficient."""
+        return ConstantRestitution(*values)
+
+    def sensitivity(self, gamma: float) -> tuple[float, ...]:
+        """``dr/deps = gamma``."""
+        return (gamma,)

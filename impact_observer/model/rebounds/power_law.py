@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Restitution that falls as a power of the speed of approach, as that of metals that yield."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Section, Value, finite
+from impact_observer.model.rebounds.rebound_law import ReboundLaw, ReboundParameter, ReboundRemark
+from impact_observer.states import Vector
+
+LIMIT = 0.95
+"""Default of the largest restitution; below 1, so that slow impacts come to rest."""
+LEAST_EXPONENT = -0.999
+"""Least exponent of a power law; at -1 all impacts would have the same speed afterwards."""
+
+
+@dataclass(frozen=True, slots=True)
+class PowerLaw(ReboundLaw):
+    """``r = eps(v) gamma``, ``v = |gamma|``, ``eps = min(limit, value (v / speed)^exponent)``.
+
+    The slope of ``r`` always lies in [-1, 1].
+
+    Attributes:
+        value: restitution at ``speed``, in [0, 1].
+        speed: positive, m/s.
+        exponent: in [``LEAST_EXPONENT``, 0].
+        limit: largest restitution, in [0, 1).
+    """
+
+    units: ClassVar[Mapping[str, str]] = {"restitution": "", "restitution-exponent": ""}
+
+    value: float
+    speed: float
+    exponent: float
+    limit: float = LIMIT
+
+    @classmethod
+    def read(cls, contact: Section) -> "PowerLaw | None":
+        """The law of a ``contact`` of which the restitution has keys, but no table."""
+        if not isinstance(value := contact.value("restitution"), Mapping):
+            return None
+        law = Section(contact.key("restitution"), value, ("value", "speed", "exponent", "limit"))
+        value, speed, exponent = (law.number(name) for name in ("value", "speed", "exponent"))
+        return cls(value, speed, exponent, law.number("limit", LIMIT))
+
+    def checked(self, key: str) -> "PowerLaw":
+        """The same law with checked numbers."""
+        numbers = {
+            name: float(finite(f"{key}.restitution.{name}", number, (), "a number"))
+            for name, number in self._numbers.items()
+        }
+        within = {
+            "value": (0.0 <= numbers["value"] <= 1.0, "a number in [0, 1]"),
+            "speed": (numbers["speed"] > 0.0, "a positive number, m/s"),
+            "exponent": (
+                LEAST_EXPONENT <= numbers["exponent"] <= 0.0,
+                f"a number in [{LEAST_EXPONENT:g}, 0]",
+            ),
+            "limit": (0.0 <= numbers["limit"] < 1.0, "a number in [0, 1)"),
+        }
+        for name, (holds, wanted) in within.items():
+            if not holds:
+                problem = f"is {numbers[name]:g}; expected {wanted}"
+                raise ModelError(f"{key}.restitution.{name}", problem)
+        return PowerLaw(**numbers)
+
+    @property
+    def _numbers(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in ("value", "speed", "exponent", "limit")}
+
+    @property
+    def document(self) -> dict[str, Value]:
+        """The key ``restitution`` with its numbers by name."""
+        return {"restitution": self._numbers}
+
+    @property
+    def text(self) -> str:
+        """The power with its limit."""
+        return f"{self.value:g} (v/{self.speed:g})^{self.exponent:g}, at most {self.limit:g}"
+
+    @property
+    def nominal(self) -> float:
+        """The restitution at ``speed``."""
+        return self.value
+
+    @property
+    def nominal_slope(self) -> float:
+        """The slope of ``r`` at ``speed``."""
+        return (1 + self.exponent) * self.value
+
+    def restitution_at(self, speed: Vector) -> Vector:
+        """``eps`` at speeds ``v`` >= 0, m/s, of any shape."""
+        return np.minimum(self.limit, self._unlimited(speed))
+
+    def slope(self, gamma: float) -> float:
+        """``dr/dgamma`` at one contact speed, m/s."""
+        unlimited = float(self._unlimited(np.abs(gamma)))
+        return self.limit if unlimited >= self.limit else (1 + self.exponent) * unlimited
+
+    def _unlimited(self, speed: Vector) -> Vector:
+        if not self.value:
+            return np.zeros(np.shape(speed))
+        with np.errstate(divide="ignore", over="ignore"):  # the limit replaces an infinite value
+            return np.asarray(self.value * (np.asarray(speed) / self.speed) ** self.exponent)
+
+    @property
+    def parameters(self) -> tuple[ReboundParameter, ...]:
+        """Value and exponent."""
+        value, exponent = ("restitution", "value"), ("restitution", "exponent")
+        return (
+            ReboundParameter("restitution", self.value, 0.0, 1.0, 1.0, value),
+            ReboundParameter(
+                "restitution-exponent", self.exponent, LEAST_EXPONENT, 0.0, 1.0, exponent
+            ),
+        )
+
+    def with_values(self, values: Sequence[float]) -> "PowerLaw":
+        """The law with another value and exponent."""
+        value, exponent = values
+        return PowerLaw(value, self.speed, exponent, self.limit)
+
+    def sensitivity(self, gamma: float) -> tuple[float, ...]:
+        """``dr`` by value and exponent; zero where the limit holds."""
+        unlimited = float(self._unlimited(np.abs(gamma)))
+        if unlimited >= self.limit or not gamma:
+            return 0.0, 0.0
+        ratio = abs(gamma) / self.speed
+        return float(ratio**self.exponent) * gamma, unlimited * float(np.log(ratio)) * gamma
+
+    def remark(self, contact: str) -> ReboundRemark:
+        """A proof of no rise of V."""
+        text = f"No impact of {contact} alone raises V: eps(v) v never rises faster than v."
+        return ReboundRemark("ok", text)

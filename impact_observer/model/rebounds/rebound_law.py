@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every rebound law of one contact says of itself.
+
+A contact that is hit with the speed ``gamma- < 0`` rebounds with ``gamma+ = -r(gamma-)``; speeds
+are positive where the gap opens. Of several contacts at once Newton's law asks
+``0 <= gamma+ + r(gamma-)  _|_  Lambda >= 0``.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Section, Value, finite
+from impact_observer.states import Vector
+
+_SOFT = 0.1
+"""Least restitution by which the speed before an impact is guessed from the speed after."""
+
+
+class ReboundParameter(NamedTuple):
+    """A number of a rebound law that may be estimated.
+
+    Attributes:
+        kind: first part of the parameter's name, such as ``restitution``.
+        value: as in the model.
+        low: least value allowed.
+        high: largest value allowed.
+        size: an error that makes the model useless.
+        place: path of the value in the contact of a model file.
+    """
+
+    kind: str
+    value: float
+    low: float
+    high: float
+    size: float
+    place: tuple[str, ...]
+
+
+class ReboundRemark(NamedTuple):
+    """A line of ``check-model``.
+
+    Attributes:
+        kind: ``ok``, ``note`` or ``warning``.
+        text: a fact with its consequence for an observer.
+    """
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReboundLaw(ABC):
+    """The rebound of one contact, ``gamma+ = -r(gamma-)``.
+
+    Attributes:
+        keys: keys of a contact in a model file that only this law has.
+        units: kinds of the parameters that may be estimated, with SI units; empty for a ratio.
+        is_plain: whether ``r = eps gamma`` with a constant ``eps``, which the kernel knows.
+        is_affine: whether the slope of ``r`` is constant.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ()
+    units: ClassVar[Mapping[str, str]] = {}
+    is_plain: ClassVar[bool] = False
+    is_affine: ClassVar[bool] = False
+
+    @classmethod
+    @abstractmethod
+    def read(cls, contact: Section) -> "ReboundLaw | None":
+        """The law of a ``contact`` of a model file; None for a contact of another law.
+
+        Raises:
+            ModelError: a value is wrong; the error names the key and the expected value.
+        """
+
+    @abstractmethod
+    def checked(self, key: str) -> "ReboundLaw":
+        """The same law with checked numbers; ``key`` is the contact's in the model file.
+
+        Raises:
+            ModelError: a number is wrong.
+        """
+
+    @property
+    @abstractmethod
+    def document(self) -> dict[str, Value]:
+        """The keys of a contact in a model file from which ``read`` makes this law."""
+
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """The law in a few words."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> float:
+        """A usual coefficient of restitution, where no speed is known."""
+
+    @property
+    def nominal_slope(self) -> float:
+        """The slope of ``r`` where no speed is known."""
+        return self.nominal
+
+    @property
+    def is_nonexpansive(self) -> bool:
+        """Whether the slope of ``r`` lies in [-1, 1]: then an impact alone never raises V."""
+        return True
+
+    @property
+    def drives(self) -> bool:
+        """Whether the stop hits a body that touches it at rest: ``r(0) < 0``.
+
+        Then impacts can add energy, and no body comes to rest on the stop.
+        """
+        return False
+
+    @abstractmethod
+    def restitution_at(self, speed: Vector) -> Vector:
+        """The coefficient of restitution at speeds >= 0, m/s, of any shape."""
+
+    def rebound(self, gamma: Vector) -> Vector:
+        """``r`` at contact speeds of any shape, m/s."""
+        return np.asarray(self.restitution_at(np.abs(gamma)) * gamma)
+
+    @abstractmethod
+    def slope(self, gamma: float) -> float:
+        """``dr/dgamma`` at one contact speed, m/s."""
+
+    def bend(self, gamma: float, deviation: float) -> float:
+        """Root mean square of what the curvature of ``r`` adds to an error of the speed, m/s.
+
+        The speed has the standard ``deviation`` about ``gamma``, m/s.
+        """
+        aside = gamma + np.array([0.0, 1.0, -1.0]) * deviation
+        rebounds = self.rebound(aside)
+        line = rebounds[0] + self.slope(gamma) * (aside[1:] - aside[0])
+        return math.sqrt(3.0) * float(np.max(np.abs(rebounds[1:] - line)))
+
+    def speed_before(self, after: float) -> float:
+        """About ``gamma-`` of an impact that led to the contact speed ``after``, m/s."""
+        return -after / max(self.nominal, _SOFT)
+
+    @property
+    def parameters(self) -> tuple[ReboundParameter, ...]:
+        """The numbers that may be estimated, in the order of ``units``."""
+        return ()
+
+    def with_values(self, values: Sequence[float]) -> "ReboundLaw":
+        """The law with other ``values`` of its parameters, unchecked."""
+        del values
+        return self
+
+    def sensitivity(self, gamma: float) -> tuple[float, ...]:
+        """``dr`` by each parameter at one contact speed, m/s."""
+        del gamma
+        return ()
+
+    def remark(self, contact: str) -> ReboundRemark | None:
+        """What ``check-model`` says of a ``contact`` of this name; None for nothing."""
+        del contact
+        return None
+
+
+def checked_restitution(key: str, value: float) -> float:
+    """A coefficient of restitution, which must lie in [0, 1].
+
+    Raises:
+        ModelError: another value at the ``key`` of a model file.
+    """
+    eps = float(finite(key, value, (), "a number in [0, 1]"))
+    if not 0.0 <= eps <= 1.0:
+        raise ModelError(key, f"is {eps:g}; expected a number in [0, 1]")
+    return eps
