@@ -21,9 +21,11 @@ from impact_observer.events import Kind
 from impact_observer.states import Vector
 
 UNLIKELY = -16.0
-"""Logarithm of a probability, relative to the largest, below which none is kept before an event:
-there they have not paid for what they penetrate.
+"""Logarithm of a probability, relative to the largest, below which no hypothesis is kept before an
+event. The next event may explain gaps that are negative by then.
 """
+_IMPOSSIBLE = -1e3
+"""Least logarithm of a survival: sums with smaller ones would lose the digits of a weight."""
 FORLORN = -40.0
 """The same for hypotheses with an exact model: a misfit shows in how unlikely they are."""
 POSSIBLE = 0.5
@@ -140,27 +142,25 @@ class BetweenEvents:
                 h._replace(state=state, since=h.since + s)
                 for h, state in zip(hypotheses, states, strict=True)
             )
-        found: list[Hypothesis] = []
+        found: list[tuple[float, Hypothesis]] = []
         paths, flights = [_Path(t, s, h) for h in hypotheses], 1
         most = -math.inf
         while paths:
             dips = self._dips(paths)
             flown = [*self._flown(paths, dips)]
-            most = most if found else max(h.weight for h in flown)
+            most = most if found else max(chance for chance, _ in flown)
             found += flown
             missed: list[_Missed] = []
-            for path, some, after in zip(paths, dips, flown, strict=True):
-                most = max(most, after.weight)
+            for path, some, (chance, _) in zip(paths, dips, flown, strict=True):
+                most = max(most, chance)
                 if some and flights + len(missed) < _MOST_FLIGHTS:
                     missed += self._missed_first(path, some, most + self._least(path.h))
             flights += len(missed)
             paths = self._inserted(missed) if missed else []
-        if len(found) == 1:
-            return tuple(found)
-        found.sort(key=lambda each: -each.weight)
-        most = found[0].weight
-        likely = [h for h in found[: 2 * self._most] if h.weight >= most + self._least(h)]
-        return tuple(sorted(likely, key=lambda each: each.penalised_weight, reverse=True))
+        found.sort(key=lambda each: -each[0])
+        most = found[0][0]
+        likely = [h for w, h in found[: 2 * self._most] if w >= most + self._least(h)]
+        return tuple(sorted(likely, key=lambda each: each.weight, reverse=True))
 
     def _least(self, h: Hypothesis) -> float:
         """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
@@ -180,27 +180,25 @@ class BetweenEvents:
 
     def _flown(
         self, paths: Sequence[_Path], dips: Sequence[Sequence[Dip]]
-    ) -> Iterator[Hypothesis]:
-        """The hypotheses of ``paths`` at their ends; each pays for the dips it goes through."""
+    ) -> Iterator[tuple[float, Hypothesis]]:
+        """The hypotheses of ``paths`` at their ends, with the survival of the dips on the way.
+
+        A dip that had begun before counts by how much deeper it has become. Beside each hypothesis
+        stands the logarithm of its probability if the next event explains what dips go on.
+        """
         for (_, s, h), state, found in zip(paths, self._priors(paths), dips, strict=True):
             some = [dip for dip in found if not self._is_now(dip, s, h.clock)]
-            if not some:
-                yield h._replace(state=state, penetrating=NOTHING, paid=NOTHING, since=h.since + s)
-                continue
-            over = sum(
-                h.owed(dip.contact, dip.unlikely) if dip.goes_on else dip.unlikely
-                for dip in some
-                if dip.over
-            )
-            deep = [dip for dip in some if not dip.over]
-            known = [dip.contact for dip in deep if dip.goes_on and dip.contact in h.paid]
-            yield h._replace(
-                state=state,
-                weight=h.weight + over,
-                penetrating={dip.contact: dip.unlikely for dip in deep},
-                paid={i: h.paid[i] for i in known},
-                since=h.since + s,
-            )
+            weight, chance, survival = h.weight, h.weight, dict[int, float]()
+            for dip in some:
+                before = h.survival.get(dip.contact, 0.0) if dip.goes_on else 0.0
+                now = min(max(dip.unlikely, _IMPOSSIBLE), before)
+                weight += now - before
+                if dip.over:
+                    chance += now - before
+                else:
+                    survival[dip.contact] = now
+            after = h._replace(state=state, weight=weight, since=h.since + s)
+            yield chance, after._replace(survival=survival or NOTHING)
 
     def _priors(self, paths: Sequence[_Path]) -> list[GaussianState]:
         """The states of ``paths`` at their ends."""
@@ -224,7 +222,7 @@ class BetweenEvents:
         dead = self.dead(h, dip.contact, dip.kind, path.t + dip.began)
         weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
         if dip.goes_on:
-            weight -= h.paid.get(dip.contact, 0.0)  # it has hit, and penetrates nothing
+            weight -= h.survival.get(dip.contact, 0.0)  # the impact explains the negative gap
         if weight < enough:
             return
         yield _Missed(path, dip, weight, dead > DEAD)
@@ -241,8 +239,8 @@ class BetweenEvents:
             h, left = path.h, path.left - dip.began
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
             switches = (*h.missed, switch)
-            paid = {i: each for i, each in h.paid.items() if i != dip.contact} or NOTHING
-            h = h._replace(state=state, weight=weight, paid=paid, missed=switches)
+            survival = h.survival_without((dip.contact,))
+            h = h._replace(state=state, weight=weight, survival=survival, missed=switches)
             if kind is Kind.CLOSE:
                 rest = rest_after(self.filter, dip.contact, at, flight, h.clock)
                 h = h._replace(settled={**h.settled, dip.contact: rest})

@@ -18,7 +18,6 @@ from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     NONE_SETTLED,
-    NOTHING,
     Hypothesis,
     Note,
     log_sum,
@@ -266,7 +265,7 @@ class FilterBank:
         largest: Vector,
     ) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
-        weights = [each.weight_before(change.contacts) for each in hypotheses]
+        weights = [each.weight_without(change.contacts) for each in hypotheses]
         leading = max(weights) + LEADING
         of_exact = [w for w, h in zip(weights, hypotheses, strict=True) if h.is_exact]
         leading_exact = max(of_exact, default=0.0) + LEADING if self._judges else math.inf
@@ -282,7 +281,7 @@ class FilterBank:
             if here.is_nothing:
                 found.append(self._spurious_event(change, h, "its contact is not closed"))
                 continue
-            prior = self._reported + (weight if here is change else h.weight_before(here.contacts))
+            prior = self._reported + h.weight_without(here.contacts)
             true.append((prior, h, here, ""))
             leads.append(weight >= leading or (h.is_exact and weight >= leading_exact))
             nexts = self._next_clocks.get(h.clock, ()) if leads[-1] else ()
@@ -344,7 +343,7 @@ class FilterBank:
         """Alternatives to the branch in which the event is ``true``, but for other clocks."""
         h, here, likelihood = true.before, true.here, true.likelihood
         assert here is not None, "it is true"
-        prior = h.weight_before(here.contacts)
+        prior = h.weight_without(here.contacts)
         depth = max(likelihood.innovations.values(), default=-1.0)
         if leads and self.errors is not None:
             for other, chance in self.errors.others(h, here, likelihood):
@@ -363,7 +362,7 @@ class FilterBank:
             others = [i for i in contacts if i not in (*change.hit, *closed)]
             for i in others:
                 other_contact = change._replace(before=closed, hit=(i,), closed=closed)
-                weight = h.weight_before((i,)) + self._mislabelled - math.log(len(others))
+                weight = h.weight_without((i,)) + self._mislabelled - math.log(len(others))
                 reason = f"mislabelled: it hit {self.filter.system.contact_names[i]}"
                 yield weight, h, other_contact, reason
 
@@ -425,7 +424,7 @@ class FilterBank:
             _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched, kind=kind),
             innovation=likelihood.normalised if innovations else None,
             residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
-            paid=h.paid_after(here.contacts),
+            survival=h.survival_without(here.contacts),
             subset=h.subset,
             events=h.events + 1,
             last_error=h.last_error,
@@ -444,8 +443,6 @@ class FilterBank:
         return h._replace(
             weight=branch.weight,
             notes=notes,
-            penetrating=NOTHING,
-            paid=h.paid_after(()),
             missed=(),
             innovation=None,
         )
@@ -472,7 +469,7 @@ class FilterBank:
     ) -> _Branch:
         """The event was nothing, for a ``reason`` or as its ``likelihood`` is small."""
         odds = self._spurious if self._spurious > -math.inf else 0.0
-        weight = h.penalised_weight + len(change.contacts) * odds
+        weight = h.weight + len(change.contacts) * odds
         return _Branch(weight, h, None, reason, likelihood)
 
     def distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -28,6 +28,7 @@ FIRST = 12
 _EXACT = 24
 """Events in a row without an error of the model, after which it counts as exact again."""
 NOTHING: Mapping[int, float] = MappingProxyType({})
+"""The survival where no gap and no load is negative."""
 NONE_SETTLED: Mapping[int, Rest] = MappingProxyType({})
 
 
@@ -94,10 +95,8 @@ class Hypothesis(NamedTuple):
         clock: standard deviation of a stamp, s.
         weight: logarithm of its probability.
         notes: its decisions on the latest events, in their order.
-        penetrating: contacts whose gap or load is negative now, with the logarithm of the
-            probability that this is an error of the estimate.
-        paid: of contacts that were so already at the last event the same logarithm, which its
-            weight contains.
+        survival: of contacts whose gap or load is negative, the least logarithm of the
+            probability that the plant's was not: of no impact in the plant. The weight has it.
         missed: missed switches since the last event.
         error: of the model.
         since: duration of the flight, s: since the last event, or a switch inserted after it.
@@ -118,8 +117,7 @@ class Hypothesis(NamedTuple):
     clock: float
     weight: float = 0.0
     notes: tuple[Note, ...] = ()
-    penetrating: Mapping[int, float] = NOTHING
-    paid: Mapping[int, float] = NOTHING
+    survival: Mapping[int, float] = NOTHING
     missed: tuple[MissedSwitch, ...] = ()
     error: LearnedError = NO_ERROR
     since: float = 0.0
@@ -142,34 +140,20 @@ class Hypothesis(NamedTuple):
         by_first = last <= FIRST <= events
         return not self.error.level and (not last or by_first or events - last >= _EXACT)
 
-    @property
-    def penalised_weight(self) -> float:
-        """Its weight, less for the contacts that it penetrates."""
-        return self.weight_before(()) if self.penetrating else self.weight
+    def weight_without(self, contacts: Contacts) -> float:
+        """The logarithm of its probability without the survival of ``contacts``.
 
-    def weight_before(self, contacts: Contacts) -> float:
-        """Its weight before an event of ``contacts``, less for the others that it penetrates.
-
-        Those of the event do not penetrate if they hit now.
+        An impact or release of these contacts explains the negative gaps and loads.
         """
-        if not (self.penetrating or self.paid):
+        if not self.survival:
             return self.weight
-        owed = sum(self.owed(i, w) for i, w in self.penetrating.items() if i not in contacts)
-        return self.weight + owed - sum(self.paid.get(i, 0.0) for i in contacts)
+        return self.weight - sum(self.survival.get(i, 0.0) for i in contacts)
 
-    def owed(self, contact: int, unlikely: float) -> float:
-        """What of a penetration is not in the weight yet, as each counts once.
-
-        ``unlikely`` is the logarithm of its probability.
-        """
-        return min(unlikely - self.paid.get(contact, 0.0), 0.0)
-
-    def paid_after(self, contacts: Contacts) -> Mapping[int, float]:
-        """``paid`` after an event of ``contacts``."""
-        left = [i for i in self.penetrating if i not in contacts] if self.penetrating else []
-        if not left:
+    def survival_without(self, contacts: Contacts) -> Mapping[int, float]:
+        """``survival`` after an event of ``contacts``."""
+        if not self.survival:
             return NOTHING
-        return {i: min(self.penetrating[i], self.paid.get(i, 0.0)) for i in left}
+        return {i: each for i, each in self.survival.items() if i not in contacts}
 
     @property
     def acceleration_error(self) -> float:
@@ -234,7 +218,7 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
     """
     if len(hypotheses) == 1:
         return hypotheses
-    ordered = sorted(hypotheses, key=lambda h: -h.penalised_weight)
+    ordered = sorted(hypotheses, key=lambda h: -h.weight)
     in_error = [h for h in ordered if h.error.level]
     if in_error and len(in_error) < len(ordered):
         if misfit:
@@ -248,8 +232,8 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
 
 def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:
     """The probability that the first, the first two, ... of ``some`` hold of ``whole``."""
-    total = log_sum([h.penalised_weight for h in whole])
-    return np.cumsum(np.exp([h.penalised_weight - total for h in some]))
+    total = log_sum([h.weight for h in whole])
+    return np.cumsum(np.exp([h.weight - total for h in some]))
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Vector:

@@ -14,7 +14,6 @@ from impact_observer.estimation.filter_bank import RESTART, FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
-    NOTHING,
     Hypothesis,
     MissedSwitch,
     normalised,
@@ -197,7 +196,7 @@ class SampleUpdate:
         if not math.isfinite(known.variance):
             return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
         doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
-        if doubt or any(h.penetrating for h in hypotheses):
+        if doubt or any(h.survival for h in hypotheses):
             hypotheses = [
                 branch
                 for h in hypotheses
@@ -208,6 +207,7 @@ class SampleUpdate:
                 begun = best._replace(
                     state=restart(),
                     weight=best.weight + RESTART,
+                    survival={},
                     missed=(),
                     error=NO_ERROR,
                     impact=None,
@@ -276,7 +276,7 @@ class SampleUpdate:
         if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
             return None
         for h in hypotheses:
-            if h.penetrating or h.missed or h.state.closed:
+            if h.survival or h.missed or h.state.closed:
                 return None
         return known
 
@@ -316,11 +316,8 @@ class SampleUpdate:
 
         A sample ends a dip: either the estimate is in error, or an impact was missed.
         """
-        if not h.penetrating:
-            yield h
-            return
-        yield h._replace(weight=h.penalised_weight, penetrating=NOTHING, paid=h.paid_after(()))
-        for contact, unlikely in h.penetrating.items():
+        yield h
+        for contact, unlikely in h.survival.items():
             depth = -float(special.ndtri_exp(unlikely))
             between = self.bank.between
             dead = between.dead(h, contact, Kind.IMPACT, reading.t)
@@ -331,7 +328,7 @@ class SampleUpdate:
             if (after := insert_switch(self.bank.filter, reading.t, h.state, dip)) is None:
                 continue
             state, kind, flight = after
-            weight = h.weight_before((contact,)) + missed + float(special.log_ndtr(depth))
+            weight = h.weight_without((contact,)) + missed + float(special.log_ndtr(depth))
             inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
             settled = h.settled
             if kind is Kind.CLOSE:
@@ -341,8 +338,7 @@ class SampleUpdate:
                 state=state,
                 weight=weight,
                 missed=inserted,
-                penetrating=NOTHING,
-                paid=h.paid_after((contact,)),
+                survival=h.survival_without((contact,)),
                 since=0.0,
                 settled=settled,
             )

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import stats
 from systems import (
     EPOCH,
     PRESSED,
@@ -102,7 +103,7 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), clocks)
     x = np.array([[-0.1 - 4e-10, -1.0]])
     state = GaussianState.of(x, 1e-12 * np.eye(2))
-    best = Hypothesis(state, clocks[0], 0.0, penetrating={penetrated: -50.0})
+    best = Hypothesis(state, clocks[0], -50.0, survival={penetrated: -50.0})
     other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
     change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
     found = bank.correct(change, [best, other], lambda: (), Extent(np.ones(1), np.ones(2)))
@@ -110,20 +111,34 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 
 
-def test_a_penetration_counts_once_however_often_other_contacts_hit() -> None:
-    """And not at all where its own contact hits: then it was no error."""
+def test_a_negative_gap_counts_once_however_often_other_contacts_hit() -> None:
+    """And not at all where its own contact hits: then the gap was no error."""
     state = GaussianState.of(np.zeros((1, 2)), np.eye(2))
-    h = Hypothesis(state, 1e-9, -1.0, penetrating={1: -2.0})
-    assert (h.penalised_weight, h.weight_before((1,))) == (-3.0, -1.0)
-    later = Hypothesis(state, 1e-9, h.weight_before((0,)), paid=h.paid_after((0,)))
-    deeper = later._replace(penetrating={1: -5.0})
-    assert deeper.penalised_weight == -6.0
-    assert deeper.weight_before((0,)) == -6.0
-    assert deeper.weight_before((1,)) == -1.0
-    less = later._replace(penetrating={1: -1.5})
-    assert less.penalised_weight == -3.0
-    assert less.paid_after((0,)) == {1: -2.0}
-    assert not deeper.paid_after((1,))
+    h = Hypothesis(state, 1e-9, -3.0, survival={1: -2.0})
+    assert h.weight_without((0,)) == -3.0
+    assert h.weight_without((1,)) == -1.0
+    assert h.survival_without((0,)) == {1: -2.0}
+    assert not h.survival_without((1,))
+
+
+def test_a_gap_that_stays_negative_has_the_least_survival_so_far() -> None:
+    """The oracle is the normal distribution of the gap where it is deepest, before any event.
+
+    A gap that rises, with no event that explains the negative gap, keeps the least probability.
+    """
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
+    declared = Uncertainty(model_error=0.0, missed=0.0)
+    bank = FilterBank(ImpactFilter(model), declared, (1e-9,))
+    root = np.diag([1e-3, 0.0])
+    falling = GaussianState.of(np.array([[0.0, -1e-3]]), root)
+    (one,) = bank.between.predict([Hypothesis(falling, 1e-9)], 0.0, 1.0)
+    (two,) = bank.between.predict([one], 1.0, 1.0)
+    (rising,) = bank.between.predict(
+        [two._replace(state=two.state._replace(x=two.state.x * [1.0, -1.0]))], 2.0, 1.0
+    )
+    for h, depth in ((one, 1.0), (two, 2.0), (rising, 2.0)):
+        assert h.weight == pytest.approx(stats.norm.logcdf(-depth), rel=1e-6)
+        assert h.survival == ({} if h is rising else {0: pytest.approx(h.weight)})
 
 
 def test_one_account_is_left_of_an_exact_run() -> None:
@@ -187,9 +202,9 @@ def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
     state = GaussianState.of(np.array([[1.0, -1.0]]), 1e-9 * np.eye(2))
     found = bank.between.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
     assert len(found) == ways
-    unpaid = [h for h in found if not h.missed]
-    assert [bool(h.penetrating) for h in unpaid] == [ways == 2]
-    (later,) = bank.between.predict([unpaid[0]], 1.0 + 1e-6, 0.5)[:1]
+    waiting = [h for h in found if not h.missed]
+    assert [bool(h.survival) for h in waiting] == [ways == 2]
+    (later,) = bank.between.predict([waiting[0]], 1.0 + 1e-6, 0.5)[:1]
     assert [each.kind for each in later.missed] == [Kind.IMPACT]
     np.testing.assert_allclose(later.state.x, [0.25, 0.5], atol=1e-5)
 

@@ -432,7 +432,7 @@ def _best_first(
         if fit.is_misfit or fit.is_in_error:
             best = _shown(hypotheses, fit)[0]
         else:
-            best = max(hypotheses, key=attrgetter("penalised_weight"))
+            best = max(hypotheses, key=attrgetter("weight"))
         if hypotheses[0] is not best:
             hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
     return hypotheses, hypotheses[0].state
