@@ -61,6 +61,7 @@ class ClosingSets:
         B: directions, columns of length one, shape (n, m).
         G: ``B^T B``, shape (m, m).
         eps: restitution coefficients, shape (m,).
+        still: contact speeds that an impact of the contact alone leaves, shape (m,), m/s.
         lengths: of the columns before scaling, shape (m,), kg^(-1/2).
         gap: gaps in the rest position, scaled, shape (m,), the largest 1.
         feasible: whether some position is outside all stops.
@@ -75,6 +76,7 @@ class ClosingSets:
         self.B: Matrix = B / self.lengths
         self.G: Matrix = self.B.T @ self.B
         self.eps = system.eps
+        self.still = -system.rebound(np.zeros(system.m)) / (1 + system.eps)
         gap = system.q_r / self.lengths
         # A common factor of all gaps changes nothing, and HiGHS has absolute tolerances.
         self.gap: Vector = gap / (float(np.max(np.abs(gap), initial=0.0)) or 1.0)

@@ -183,7 +183,8 @@ def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
     step = R.T @ directions[0]
     pull = linalg.cho_solve((R, False), (1 + eps) * step)
     two = one + step * (0.5 * np.min(impulses) / np.max(np.abs(pull)))
-    return Growth(contacts, factor, frozen(one * lengths), frozen(two * lengths))
+    one, two = (closing.still[index] + each * lengths for each in (one, two))
+    return Growth(contacts, factor, frozen(one), frozen(two))
 
 
 def _closing_impulses(G: Matrix) -> Vector:

@@ -111,8 +111,10 @@ def _comes_to_rest(
     """Whether ``contact`` rests after an impact that leaves it a ``speed`` (m/s).
 
     It does if its next ``flight`` (s) is one that a plant may neglect, or short and not higher
-    than the deviation of its gap.
+    than the deviation of its gap; it does not on a stop that drives it.
     """
+    if filter_.system.rebounds[contact].drives:
+        return False
     seen = filter_.system.W[:, contact].dot(state.root[: filter_.system.n])
     deviation = math.sqrt(seen.dot(seen))
     brief = _BRIEF * filter_.phases.scales.timescale

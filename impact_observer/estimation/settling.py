@@ -68,8 +68,8 @@ def settled(
 ) -> Settled | None:
     """What follows from an impact if the next flight is one that the clock does not resolve.
 
-    None where the clock resolves it, where nothing presses the contact back onto its stop, and
-    where the state says nothing of that flight.
+    None where the clock resolves it, where nothing presses the contact back onto its stop, where
+    that drives it away, and where the state says nothing of that flight.
 
     Args:
         filter_: of the state.
@@ -81,7 +81,7 @@ def settled(
     if len(change.hit) != 1 or change.hit[0] in change.closed or since > _LONGEST * clock:
         return None
     contact = change.hit[0]
-    if filter_.system.contact_time[contact]:
+    if filter_.system.contact_time[contact] or filter_.system.rebounds[contact].drives:
         return None
     speed = filter_.speed(contact, after)
     fall = filter_.fall(change.t, contact, after)

@@ -93,9 +93,11 @@ class Plant:
         start, x = Instant(epoch), np.concatenate([q, u])
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
         self._begin(start, x, grip)
-        if initially_closed := system.closed_at(q):
-            switching = self._impact(start, x, initially_closed)
-            closing = np.any(system.contact_speed(u)[list(initially_closed)] < 0)
+        gamma, drives = system.contact_speed(u), system.drives
+        # What leaves a stop that drives is not hit again.
+        if touching := tuple(i for i in system.closed_at(q) if not (drives[i] and gamma[i] > 0)):
+            switching = self._impact(start, x, touching)
+            closing = np.any((gamma < 0)[list(touching)] | drives[list(touching)])
             if closing or switching.closed:
                 self._next = switching
             else:  # the contacts separate; only rounding in the gaps is removed

@@ -13,6 +13,7 @@ from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.rebounds.restitution_table import RestitutionTable
+from impact_observer.model.rebounds.velocity_offset import VelocityOffset
 
 TEXT = """
 name: ball
@@ -109,6 +110,7 @@ def test_slope_of_a_table_is_checked() -> None:
     "law",
     [
         ConstantRestitution(0.7),
+        VelocityOffset(0.7, 0.2),
         PowerLaw(0.7, 1.0, -0.25, 0.9),
         RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5])),
     ],

@@ -66,6 +66,7 @@ def doubted(system: System) -> UnknownParameters:
     deviations["contact-time"] *= Scales.of_equations(system).timescale
     at_rest = system.frame is None
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
+    parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
     return UnknownParameters.named(system, wanted)
