@@ -12,8 +12,9 @@ from scipy import special
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch
+from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.ledger import MissedSwitch
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.settling import rest_after
@@ -133,13 +134,13 @@ class BetweenEvents:
         One that penetrates a stop branches: the stop was missed by the sensor, or the estimate
         is in error.
         """
-        if any(each.missed for each in hypotheses):
-            hypotheses = [each.later(s) for each in hypotheses]
+        if any(each.ledger.missed for each in hypotheses):
+            hypotheses = [each._replace(ledger=each.ledger.later(s)) for each in hypotheses]
         if self._trusts_events:
             levels = [each.acceleration_error for each in hypotheses]
             states = self.filter.priors(t, s, [each.state for each in hypotheses], levels)
             return tuple(
-                h._replace(state=state, since=h.since + s)
+                h._replace(state=state, jump=h.jump.later(s))
                 for h, state in zip(hypotheses, states, strict=True)
             )
         found: list[tuple[float, Hypothesis]] = []
@@ -197,8 +198,8 @@ class BetweenEvents:
                     chance += now - before
                 else:
                     survival[dip.contact] = now
-            after = h._replace(state=state, weight=weight, since=h.since + s)
-            yield chance, after._replace(survival=survival or NOTHING)
+            after = h._replace(state=state, weight=weight, survival=survival)
+            yield chance, after._replace(jump=h.jump.later(s))
 
     def _priors(self, paths: Sequence[_Path]) -> list[GaussianState]:
         """The states of ``paths`` at their ends."""
@@ -217,7 +218,7 @@ class BetweenEvents:
             and not self._is_now(dip, path.left, h.clock)
         )
         dip = next(likely, None)
-        if dip is None or len(h.missed) >= _MOST_MISSED:
+        if dip is None or len(h.ledger.missed) >= _MOST_MISSED:
             return
         dead = self.dead(h, dip.contact, dip.kind, path.t + dip.began)
         weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
@@ -238,12 +239,15 @@ class BetweenEvents:
             state, kind, flight = inserted
             h, left = path.h, path.left - dip.began
             switch = MissedSwitch(dip.contact, kind, left, dip.depth, is_dead)
-            switches = (*h.missed, switch)
-            survival = h.survival_without((dip.contact,))
-            h = h._replace(state=state, weight=weight, survival=survival, missed=switches)
+            rest = None
             if kind is Kind.CLOSE:
                 rest = rest_after(self.filter, dip.contact, at, flight, h.clock)
-                h = h._replace(settled={**h.settled, dip.contact: rest})
+            h = h._replace(
+                state=state,
+                weight=weight,
+                ledger=h.ledger.with_missed(switch, rest),
+                survival=h.survival_without((dip.contact,)),
+            )
             if self.errors is not None:
                 hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
                 h = self.errors.kicked(h, prior.x, hit)
@@ -266,8 +270,8 @@ class BetweenEvents:
         it report the end of a rest that it has not reported.
         """
         if kind is Kind.OPEN and self._dead_time:
-            return float(h.closed_unreported(contact))
-        if (last := h.reported.get(contact)) is None:
+            return float(h.ledger.closed_unreported(contact))
+        if (last := h.ledger.reported.get(contact)) is None:
             return 0.0
         return float(special.ndtr((last + self._dead_time - t) / h.clock))
 

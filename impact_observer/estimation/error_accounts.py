@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.hypotheses import Hypothesis, Jump
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL, Likelihood
 from impact_observer.estimation.model_error import (
@@ -62,7 +62,7 @@ class ErrorAccounts:
         With each the logarithm of its probability.
         """
         size, deviation = abs(likelihood.normalised), likelihood.deviation
-        if not (here.hit and likelihood.innovations and h.since > self._brief):
+        if not (here.hit and likelihood.innovations and h.jump.ago > self._brief):
             return
         chance, clocks = OTHER_ERROR, [h.clock]
         if h.error.level:
@@ -93,12 +93,13 @@ class ErrorAccounts:
             unit, most = self._seen(h, error.kind, here), self._largest(h, error.kind, here)
             error = error.matched(likelihood.normalised, likelihood.deviation, unit, most)
         if error is not NO_ERROR:
-            posterior = posterior._replace(error=error, last_error=posterior.events)
+            ledger = posterior.ledger._replace(last_error=posterior.ledger.events)
+            posterior = posterior._replace(error=error, ledger=ledger)
         return posterior if here.closed else self.kicked(posterior, h.state.x, here.hit)
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
         """``after`` an impact of the contacts ``hit`` at the state ``x``; no contact is closed."""
-        after = after._replace(impact=(x, hit) if hit else None, since=0.0)
+        after = after._replace(jump=Jump(0.0, x, hit) if hit else Jump())
         if not (hit and after.error.kind is ErrorKind.RESTITUTION):
             return after
         kicked = after.error.level * self.kicks(x, hit)
@@ -113,13 +114,13 @@ class ErrorAccounts:
         """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
         closed = h.state.closed
         if kind is ErrorKind.ACCELERATION:
-            return self._moving.diffusion(closed, h.since)
-        assert h.impact is not None, "it is seen"
-        return self._moving.carried(self.kicks(*h.impact), h.since, closed)
+            return self._moving.diffusion(closed, h.jump.ago)
+        assert h.jump.x is not None, "an impact of which the restitution may err"
+        return self._moving.carried(self.kicks(h.jump.x, h.jump.hit), h.jump.ago, closed)
 
     def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The standard deviation that this gives the gap of the impact, m."""
-        if kind is ErrorKind.RESTITUTION and h.impact is None:
+        if kind is ErrorKind.RESTITUTION and h.jump.x is None:
             return 0.0
         w = self._system.W[:, here.hit[0]]
         seen = w.dot(self._root(h, kind)[: w.size])

@@ -6,7 +6,7 @@ Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,18 +17,17 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
-    NONE_SETTLED,
     Hypothesis,
-    Note,
     log_sum,
     normalised,
 )
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.estimation.ledger import Ledger, Note
 from impact_observer.estimation.likelihood import CERTAIN, STILL, Likelihood
 from impact_observer.estimation.settling import Rest, settled
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.events import Kind, Ruling
 from impact_observer.states import Vector
 
 SPURIOUS_RATE = 0.1
@@ -57,8 +56,6 @@ SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
 NEAR = 3.0
 """Deviations up to which two states count as the same."""
-_NOTES = 32
-"""Notes that a hypothesis keeps, at least: older decisions do not change."""
 SLOW = 1e-4
 """Speed of an impact below which it is less likely, relative to the fastest that the fallback's
 kinetic energy allows."""
@@ -204,9 +201,10 @@ class FilterBank:
         """
         if not self._has_dead_time:
             return self._corrected(change, hypotheses, restarts, extent)
-        reported = {**hypotheses[0].reported, **dict.fromkeys(change.hit, change.t)}
+        before = hypotheses[0].ledger.reported
+        reported = {**before, **dict.fromkeys(change.hit, change.t)}
         found = self._corrected(change, hypotheses, restarts, extent)
-        return tuple([h._replace(reported=reported) for h in found])
+        return tuple([h._replace(ledger=h.ledger._replace(reported=reported)) for h in found])
 
     def _corrected(
         self,
@@ -275,7 +273,7 @@ class FilterBank:
         leads = []
         for h, weight in zip(hypotheses, weights, strict=True):
             here = change.from_closed(h.state.closed)
-            if h.settled and (bounce := self._bounce(change, h, weight)):
+            if h.ledger.settled and (bounce := self._bounce(change, h, weight)):
                 found.append(bounce)
                 continue
             if here.is_nothing:
@@ -330,7 +328,7 @@ class FilterBank:
         least = SLOW * float(phases.length[i]) * root_energy
         if abs(mean) >= least:
             return 0.0
-        applied = (n for n in reversed(h.notes) if n.ruling is not Ruling.REJECTED)
+        applied = (n for n in reversed(h.ledger.notes) if n.ruling is not Ruling.REJECTED)
         if (last := next((n.stamp for n in applied if n.switched == i), None)) is not None:
             flight = (here.stamp - last) / 1e9  # it may bounce: slower, but sooner
             least *= min(flight / (2 * phases.scales.timescale), 1.0)
@@ -407,28 +405,26 @@ class FilterBank:
         kind = Kind.CLOSE
         if not here.is_nothing:
             kind = Kind.IMPACT
-            if rest := settled(self.filter, branch.asked, state, h.since):
+            if rest := settled(self.filter, branch.asked, state, h.jump.ago):
                 here, state, kind = rest.change, rest.state, Kind.CLOSE
                 rests[here.hit[0]] = rest.rest
-        if h.settled:
-            rests = {i: each for i, each in h.settled.items() if i in state.closed} | rests
+        settled_before = h.ledger.settled.items()
+        rests = {i: each for i, each in settled_before if i in state.closed} | rests
         innovations, switched = likelihood.innovations, change.contacts
         if here is not change and len(here.contacts) == len(switched):
             switched = here.contacts
             pairs = zip(change.contacts, switched, strict=True)
             innovations = {i: innovations[j] for i, j in pairs if j in innovations}
+        ruling = (Ruling.APPLIED, branch.reason)
+        ledger = h.ledger.with_event(change, ruling, innovations, switched, kind=kind)
         posterior = Hypothesis(
             state,
             h.clock,
             branch.weight,
-            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched, kind=kind),
-            innovation=likelihood.normalised if innovations else None,
-            residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
+            ledger._replace(events=h.ledger.events + 1, settled=rests),
             survival=h.survival_without(here.contacts),
+            innovation=likelihood.innovation if innovations else None,
             subset=h.subset,
-            events=h.events + 1,
-            last_error=h.last_error,
-            settled=rests or NONE_SETTLED,
         )
         if self.errors is None:
             return posterior
@@ -438,21 +434,16 @@ class FilterBank:
     def _rejected(change: ContactChange, branch: _Branch) -> Hypothesis:
         """The event was nothing."""
         h = branch.before
-        reason = branch.reason or _excuse(change, h.notes, branch.likelihood)
-        notes = _noted(h, change, (Ruling.REJECTED, reason), {})
-        return h._replace(
-            weight=branch.weight,
-            notes=notes,
-            missed=(),
-            innovation=None,
-        )
+        reason = branch.reason or _excuse(change, h.ledger.notes, branch.likelihood)
+        ledger = h.ledger.with_event(change, (Ruling.REJECTED, reason), {})
+        return h._replace(weight=branch.weight, ledger=ledger, innovation=None)
 
     def _bounce(self, change: ContactChange, h: Hypothesis, weight: float) -> _Branch | None:
         """The event was one of the last bounces of a contact that has settled, or None."""
         if not len(change.contacts) == len(change.hit) == 1:
             return None
         contact, closed = change.hit[0], h.state.closed
-        rest = h.settled.get(contact) if contact in closed else None
+        rest = h.ledger.settled.get(contact) if contact in closed else None
         density = None if rest is None else rest.log_density(change.t)
         if density is None:
             return None
@@ -484,12 +475,12 @@ class FilterBank:
         numbers: dict[object, int] = {}
         known: dict[int, int] = {}  # hypotheses share notes
         for h in sorted(made, key=_weight):
-            notes = h.notes[-self._scan :]
+            notes = h.ledger.notes[-self._scan :]
             for note in notes:
                 if id(note) not in known:
                     known[id(note)] = numbers.setdefault(note.decision, len(numbers))
             decisions = [known[id(note)] for note in notes]
-            inserted = tuple((each.contact, each.kind) for each in h.missed)
+            inserted = tuple((each.contact, each.kind) for each in h.ledger.missed)
             same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             kept = found.setdefault(same, [])
             compares = self._compares_states and h.is_exact
@@ -535,14 +526,10 @@ def _restarted(
     """``restarts`` after an event, weighed beside the hypotheses ``made`` of it."""
     total = log_sum([h.weight for h in made]) if made else 0.0
     ruling = (Ruling.APPLIED, "restart: the estimate before it is rejected")
-    event = (change.stamp, change.sequence)
-    notes = made[0].notes if made else ()
-    notes = tuple(note for note in notes if note.event != event or note.is_inserted)
+    before = made[0].ledger.without_event(change) if made else Ledger()
+    ledger = before._replace(settled={}).with_event(change, ruling, {})
     for h in restarts:
-        begun = Hypothesis(h.state, h.clock, h.weight + total + RESTART, notes)
-        if made:
-            begun = begun._replace(events=made[0].events, last_error=made[0].last_error)
-        yield begun._replace(notes=_noted(begun, change, ruling, {}))
+        yield Hypothesis(h.state, h.clock, h.weight + total + RESTART, ledger)
 
 
 def _logs(probability: float) -> tuple[float, float]:
@@ -551,43 +538,3 @@ def _logs(probability: float) -> tuple[float, float]:
 
 def _weight(h: Hypothesis | _Branch) -> float:
     return -h.weight
-
-
-def _noted(
-    h: Hypothesis,
-    change: ContactChange,
-    ruling: tuple[Ruling, str],
-    innovations: Mapping[int, float],
-    switched: Contacts = (),
-    *,
-    kind: Kind = Kind.IMPACT,
-) -> tuple[Note, ...]:
-    """The notes of ``h`` with those on an event, and on the missed switches before it.
-
-    The contacts that have ``switched`` are those of the event unless others are given; ``kind`` is
-    how they have.
-    """
-    event = (change.stamp, change.sequence)
-    inserted = [
-        Note(
-            event,
-            change.stamp - round(each.ago * 1e9),
-            each.contact,
-            Ruling.INSERTED,
-            f"{each.kind.name} {'in the dead time' if each.is_dead else 'missed'}: without it the"
-            f" estimate would penetrate by {each.depth:.3g} standard deviations",
-            switched=each.contact,
-            kind=each.kind,
-            is_dead=each.is_dead,
-        )
-        for each in h.missed
-    ]
-    own = [
-        Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j, kind)
-        for i, j in zip(change.contacts, switched or change.contacts, strict=True)
-    ]
-    notes = (*h.notes, *inserted, *own)
-    first = max(len(notes) - _NOTES, 0)
-    while first and notes[first - 1].event == notes[first].event:
-        first -= 1  # an event's notes stay together
-    return notes[first:]

@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -11,10 +10,11 @@ import numpy as np
 from scipy import special
 
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.ledger import Ledger
+from impact_observer.estimation.likelihood import Innovation
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
-from impact_observer.estimation.settling import Rest
 from impact_observer.estimation.square_root import triangular
-from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
 _RARE = 1e-3
@@ -29,62 +29,25 @@ _EXACT = 24
 """Events in a row without an error of the model, after which it counts as exact again."""
 NOTHING: Mapping[int, float] = MappingProxyType({})
 """The survival where no gap and no load is negative."""
-NONE_SETTLED: Mapping[int, Rest] = MappingProxyType({})
 
 
-class Note(NamedTuple):
-    """What a hypothesis decides on one contact of an event, or on an impact it inserts.
-
-    Attributes:
-        event: stamp (ns) and sequence of the event at which it was decided.
-        stamp: of the impact, ns: that of the event, or an earlier one for an inserted impact.
-        contact: index.
-        ruling: applied, rejected or inserted.
-        reason: in plain words; empty for an event that is accepted as it was reported.
-        innovation: in standard deviations; -1 where there is none.
-        switched: index of the contact that has switched: another one where it was mislabelled.
-        kind: how it has switched, of an inserted one; of others CLOSE where a contact has settled
-            though it was reported to bounce on.
-        is_dead: whether it was in the sensor's dead time, which could not report it.
-    """
-
-    event: tuple[int, int]
-    stamp: int
-    contact: int
-    ruling: Ruling
-    reason: str = ""
-    innovation: float = -1.0
-    switched: int = -1
-    kind: Kind = Kind.IMPACT
-    is_dead: bool = False
-
-    @property
-    def is_inserted(self) -> bool:
-        """Whether it is on a missed impact that the hypothesis inserts."""
-        return self.ruling is Ruling.INSERTED
-
-    @property
-    def decision(self) -> tuple[object, ...]:
-        """The decision without its numbers, which follow the colon of the reason."""
-        return self.event, self.contact, self.ruling, self.reason.partition(":")[0]
-
-
-class MissedSwitch(NamedTuple):
-    """A switch that was predicted and not reported.
+class Jump(NamedTuple):
+    """The latest jump of a state: at an event, or at a switch that was inserted after the event.
 
     Attributes:
-        contact: index.
-        kind: how it switches.
-        ago: when, seconds before the next event.
-        depth: penetration that the estimate would reach without it, in standard deviations.
-        is_dead: whether it is in the sensor's dead time, which cannot report it.
+        ago: seconds since then.
+        x: the state (q, u-) before the jump, shape (2n,), of an impact of which the restitution
+            may err; else None.
+        hit: the contacts that hit.
     """
 
-    contact: int
-    kind: Kind
-    ago: float
-    depth: float
-    is_dead: bool = False
+    ago: float = 0.0
+    x: Vector | None = None
+    hit: Contacts = ()
+
+    def later(self, s: float) -> "Jump":
+        """The same jump, seen ``s`` seconds later."""
+        return Jump(self.ago + s, self.x, self.hit)
 
 
 class Hypothesis(NamedTuple):
@@ -94,41 +57,24 @@ class Hypothesis(NamedTuple):
         state: estimate and covariance.
         clock: standard deviation of a stamp, s.
         weight: logarithm of its probability.
-        notes: its decisions on the latest events, in their order.
+        ledger: its decisions on the events.
         survival: of contacts whose gap or load is negative, the least logarithm of the
             probability that the plant's was not: of no impact in the plant. The weight has it.
-        missed: missed switches since the last event.
         error: of the model.
-        since: duration of the flight, s: since the last event, or a switch inserted after it.
-        impact: at the start of the flight: the state (q, u-) before it, shape (2n,), and the
-            contacts that hit. None where that was no impact of which the restitution may err.
-        innovation: of the last event, in standard deviations; positive where the predicted gap
-            was negative. None where it was rejected or measured nothing.
-        residual: the same in m.
+        jump: the latest jump.
+        innovation: of the last event. None where the event was rejected or measured nothing.
         subset: which of the parameters it estimates, as a number; 0 for all.
-        events: that it has explained.
-        last_error: which of them it has explained by an error of the model, the last; 0 for none.
-        reported: when the sensor has reported each contact last, s since the epoch; empty where it
-            has no dead time.
-        settled: closed contacts of which bounces may still be reported.
     """
 
     state: GaussianState
     clock: float
     weight: float = 0.0
-    notes: tuple[Note, ...] = ()
+    ledger: Ledger = Ledger()
     survival: Mapping[int, float] = NOTHING
-    missed: tuple[MissedSwitch, ...] = ()
     error: LearnedError = NO_ERROR
-    since: float = 0.0
-    impact: tuple[Vector, Contacts] | None = None
-    innovation: float | None = None
-    residual: float = 0.0
+    jump: Jump = Jump()
+    innovation: Innovation | None = None
     subset: int = 0
-    events: int = 0
-    last_error: int = 0
-    reported: Mapping[int, float] = NOTHING
-    settled: Mapping[int, Rest] = NONE_SETTLED
 
     @property
     def is_exact(self) -> bool:
@@ -136,7 +82,7 @@ class Hypothesis(NamedTuple):
 
         The latest, and but for the first, once these are over.
         """
-        last, events = self.last_error, self.events
+        last, events = self.ledger.last_error, self.ledger.events
         by_first = last <= FIRST <= events
         return not self.error.level and (not last or by_first or events - last >= _EXACT)
 
@@ -164,33 +110,6 @@ class Hypothesis(NamedTuple):
         """It pays for two stamps whose order is wrong by ``s`` seconds."""
         unlikely = float(special.log_ndtr(-s / (math.sqrt(2.0) * self.clock)))
         return self._replace(weight=self.weight + max(unlikely, _DISORDERED))
-
-    def later(self, s: float) -> "Hypothesis":
-        """Its missed switches are another ``s`` seconds ago."""
-        return self._replace(missed=tuple(m._replace(ago=m.ago + s) for m in self.missed))
-
-    def is_as_reported(self, event: tuple[int, int]) -> bool:
-        """Whether ``event``, the latest, happened as it was reported, and nothing before it.
-
-        Nothing that the sensor could have reported.
-        """
-        latest = [*takewhile(lambda note: note.event == event, reversed(self.notes))]
-        return all(
-            note.is_dead or (note.ruling is Ruling.APPLIED and not note.reason) for note in latest
-        )
-
-    def closed_unreported(self, contact: int) -> bool:
-        """Whether ``contact``, which is closed, was closed in the sensor's dead time."""
-        latest = next((each for each in reversed(self.missed) if each.contact == contact), None)
-        if latest is not None:
-            return latest.is_dead
-        notes = (each for each in reversed(self.notes) if each.switched == contact)
-        return next((each.is_dead for each in notes), False)
-
-    def notes_on(self, event: tuple[int, int]) -> list[Note]:
-        """Its notes on the contacts of ``event``, which is the latest."""
-        latest = takewhile(lambda note: note.event == event, reversed(self.notes))
-        return [note for note in latest if not note.is_inserted][::-1]
 
 
 def log_sum(weights: Sequence[float]) -> float:

@@ -18,6 +18,23 @@ _CLOSING = 1e-3
 _NORMAL = math.log(2 * math.pi) / 2
 
 
+class Innovation(NamedTuple):
+    """How an event differed from its prediction.
+
+    Attributes:
+        normalised: in standard deviations; positive where the predicted gap was negative.
+        deviation: the standard deviation, m.
+    """
+
+    normalised: float
+    deviation: float
+
+    @property
+    def residual(self) -> float:
+        """The innovation, m."""
+        return self.normalised * self.deviation
+
+
 class Likelihood(NamedTuple):
     """The likelihood of an event.
 
@@ -36,6 +53,11 @@ class Likelihood(NamedTuple):
     normalised: float = 0.0
     deviation: float = math.inf
     expected: Expected | None = None
+
+    @property
+    def innovation(self) -> Innovation:
+        """The innovation of the first contact."""
+        return Innovation(self.normalised, self.deviation)
 
     @classmethod
     def of_single(

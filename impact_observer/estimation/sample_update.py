@@ -15,10 +15,11 @@ from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
-    MissedSwitch,
+    Jump,
     normalised,
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.ledger import MissedSwitch
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
@@ -207,11 +208,10 @@ class SampleUpdate:
                 begun = best._replace(
                     state=restart(),
                     weight=best.weight + RESTART,
+                    ledger=best.ledger._replace(missed=()),
                     survival={},
-                    missed=(),
                     error=NO_ERROR,
-                    impact=None,
-                    since=0.0,
+                    jump=Jump(),
                 )
                 hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -254,7 +254,7 @@ class SampleUpdate:
         for h, found in zip(hypotheses, made, strict=True):
             _, _, _, _, innovation, normalized, density, residual = found
             after, weight = GaussianState(*found[:4]), h.weight + density
-            followed = h._replace(state=after, weight=weight, since=h.since + s)
+            followed = h._replace(state=after, weight=weight, jump=h.jump.later(s))
             weighed.append(_Weighed(followed, _judged(innovation, normalized, gate), residual))
         goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
         if goes_on or not all(each.is_finite for each in weighed):
@@ -276,7 +276,7 @@ class SampleUpdate:
         if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
             return None
         for h in hypotheses:
-            if h.survival or h.missed or h.state.closed:
+            if h.survival or h.ledger.missed or h.state.closed:
                 return None
         return known
 
@@ -329,25 +329,22 @@ class SampleUpdate:
                 continue
             state, kind, flight = after
             weight = h.weight_without((contact,)) + missed + float(special.log_ndtr(depth))
-            inserted = (*h.missed, MissedSwitch(contact, kind, 0.0, depth, dead > DEAD))
-            settled = h.settled
+            switch, rest = MissedSwitch(contact, kind, 0.0, depth, dead > DEAD), None
             if kind is Kind.CLOSE:
                 rest = rest_after(self.bank.filter, contact, reading.t, flight, h.clock)
-                settled = {**settled, contact: rest}
             yield h._replace(
                 state=state,
                 weight=weight,
-                missed=inserted,
+                ledger=h.ledger.with_missed(switch, rest),
                 survival=h.survival_without((contact,)),
-                since=0.0,
-                settled=settled,
+                jump=h.jump._replace(ago=0.0),
             )
 
     def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:
         result = self.one.after(reading, h.state, known, self._jump_in_doubt(reading, h))
         state, outcome, density, residual = result
         blanking = reading.sensor.measurement.blanking
-        if h.missed and min(each.ago for each in h.missed) < blanking:
+        if h.ledger.missed and min(each.ago for each in h.ledger.missed) < blanking:
             # What is not used does not judge: as likely as any sample that is expected.
             density += (min(outcome.normalized, reading.sensor.measurement.gate) ** 2 - 1) / 2
             reason = f"blanking: an impact that was missed is less than {blanking:g} s ago"

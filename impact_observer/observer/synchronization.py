@@ -73,7 +73,8 @@ def _contradicted(
     if not posterior.hypotheses:
         return before
     counts, event = dict(before), (change.stamp, change.sequence)
-    latest = takewhile(lambda note: note.event == event, reversed(posterior.hypotheses[0].notes))
+    notes = posterior.hypotheses[0].ledger.notes
+    latest = takewhile(lambda note: note.event == event, reversed(notes))
     for note in [*latest][::-1]:
         if note.ruling is Ruling.APPLIED:
             counts.pop(note.switched, None)

@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple
 
-from impact_observer.estimation.hypotheses import Note
+from impact_observer.estimation.ledger import Note
 from impact_observer.events import REVISED, Ruling, Verdict
 from impact_observer.observer.event_order import EventKey, OverruledSwitch
 from impact_observer.observer.timeline import Entry, Insertion
@@ -154,7 +154,7 @@ def _event(sequence: int) -> str:
 
 def _notes(entry: Entry) -> tuple[Note, ...]:
     hypotheses = entry.belief.hypotheses
-    return hypotheses[0].notes if hypotheses else ()
+    return hypotheses[0].ledger.notes if hypotheses else ()
 
 
 def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:

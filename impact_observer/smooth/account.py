@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.hypotheses import Note
+from impact_observer.estimation.ledger import Note
 from impact_observer.estimation.model_error import NO_ERROR, LearnedError
 from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
@@ -185,7 +185,7 @@ class TracedLaw(MinimumVariance):
         self.traces[event] = (
             _Trace(change, (), self.clocks[0], NO_ERROR)
             if best is None
-            else _Trace(change, best.notes, best.clock, best.error)
+            else _Trace(change, best.ledger.notes, best.clock, best.error)
         )
         self.last = posterior
         return posterior

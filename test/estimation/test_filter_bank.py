@@ -31,6 +31,7 @@ from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, Extent, Filt
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.ledger import Ledger
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
@@ -158,8 +159,8 @@ def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() ->
 
     def is_exact(events: int, last_error: int, level: float = 0.0) -> bool:
         error = LearnedError(ErrorKind.ACCELERATION, level) if level else NO_ERROR
-        h = Hypothesis(state, 1e-9, error=error, events=events, last_error=last_error)
-        return h.is_exact
+        ledger = Ledger(events=events, last_error=last_error)
+        return Hypothesis(state, 1e-9, error=error, ledger=ledger).is_exact
 
     assert [is_exact(events, 5) for events in (6, 11, 12, 40)] == [False, False, True, True]
     assert [is_exact(events, 13) for events in (13, 36, 37)] == [False, False, True]
@@ -202,10 +203,10 @@ def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
     state = GaussianState.of(np.array([[1.0, -1.0]]), 1e-9 * np.eye(2))
     found = bank.between.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
     assert len(found) == ways
-    waiting = [h for h in found if not h.missed]
+    waiting = [h for h in found if not h.ledger.missed]
     assert [bool(h.survival) for h in waiting] == [ways == 2]
     (later,) = bank.between.predict([waiting[0]], 1.0 + 1e-6, 0.5)[:1]
-    assert [each.kind for each in later.missed] == [Kind.IMPACT]
+    assert [each.kind for each in later.ledger.missed] == [Kind.IMPACT]
     np.testing.assert_allclose(later.state.x, [0.25, 0.5], atol=1e-5)
 
 

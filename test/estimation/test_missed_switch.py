@@ -127,6 +127,6 @@ def test_hypotheses_in_which_an_event_is_impossible_are_dropped() -> None:
     hypotheses = [Hypothesis(held, 1e-6, -0.1), Hypothesis(free, 1e-6, -2.3)]
     extent = Extent(np.ones(1), np.ones(2))
     found = bank.correct(change, hypotheses, lambda: (), extent)
-    rulings = {h.state.closed: h.notes[-1].ruling for h in found}
+    rulings = {h.state.closed: h.ledger.notes[-1].ruling for h in found}
     assert rulings[()] is Ruling.APPLIED
     assert rulings.get((0,), Ruling.REJECTED) is Ruling.REJECTED

@@ -14,8 +14,9 @@ from systems import EPOCH, run, sample
 
 from impact_observer.estimation.between_events import BetweenEvents
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, MissedSwitch
+from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.ledger import Ledger, MissedSwitch
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict, final_rulings
 from impact_observer.observer import Options, make_observer, replay
 from impact_observer.plant import Run, SensorModel, simulate_sensor
@@ -82,7 +83,7 @@ def test_a_hit_is_unreported_as_often_as_it_is_in_the_dead_time_or_missed(
 ) -> None:
     """The stamp has a normal error, so the dead time ends by a normal distribution."""
     here = between(missed, dead_time)
-    h = Hypothesis(STATE, clock, reported={0: 3.0})
+    h = Hypothesis(STATE, clock, ledger=Ledger(reported={0: 3.0}))
     dead = here.dead(h, 0, Kind.IMPACT, 3.0 + ago)
     assert dead == pytest.approx(stats.norm.cdf((dead_time - ago) / clock), abs=1e-6)
     chance = 1 - (1 - dead) * (1 - missed)
@@ -100,8 +101,10 @@ def test_without_a_report_or_a_dead_time_a_hit_is_only_missed() -> None:
 def test_the_end_of_a_rest_is_as_unreported_as_its_beginning() -> None:
     """A rest that began in the dead time ends without a report, whenever it ends."""
     here, begun = between(0.1, 0.5), MissedSwitch(0, Kind.CLOSE, 0.2, 4.0, is_dead=True)
-    silent = Hypothesis(STATE, 1e-3, reported={0: 3.0}, missed=(begun,))
-    seen = silent._replace(missed=(begun._replace(is_dead=False),))
+    ledger = Ledger(reported={0: 3.0}, missed=(begun,))
+    silent = Hypothesis(STATE, 1e-3, ledger=ledger)
+    told = ledger._replace(missed=(begun._replace(is_dead=False),))
+    seen = silent._replace(ledger=told)
     assert here.dead(silent, 0, Kind.OPEN, 9.0) == 1.0
     assert here.dead(seen, 0, Kind.OPEN, 3.1) == 0.0
 

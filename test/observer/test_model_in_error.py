@@ -20,6 +20,7 @@ from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.likelihood import Innovation
 from impact_observer.estimation.misfit import Fit
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.model import System, parse_model
@@ -218,7 +219,7 @@ def test_impacts_that_accumulate_count_once() -> None:
     law = MinimumVariance(sample("two_mass").system)
     bank = FilterBank(ImpactFilter(law.system), law.uncertainty, law.clocks)
     state = GaussianState(np.zeros(4), np.zeros(0), np.eye(4), np.zeros((4, 0)))
-    corrected = [Hypothesis(state, law.clocks[0], innovation=1.0, residual=1.0)]
+    corrected = [Hypothesis(state, law.clocks[0], innovation=Innovation(1.0, 1.0))]
     timescale, fit = bank.filter.phases.scales.timescale, Fit()
     for k in range(30):
         flown = timescale * (1.0 if k % 10 == 0 else 0.09)

@@ -29,7 +29,8 @@ from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, Note
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.ledger import Ledger, Note
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
@@ -393,7 +394,7 @@ def test_impacts_that_are_inserted_beside_rejected_ones_end_synchronization(
             state.ensemble,
             state.root,
             accepted=False,
-            hypotheses=(Hypothesis(state, 0.0, notes=notes),),
+            hypotheses=(Hypothesis(state, 0.0, ledger=Ledger(notes)),),
         )
         change = ContactChange(1.0 + k, (), (0,), (), stamp=k)
         assert test.is_synchronized(result, state.root)

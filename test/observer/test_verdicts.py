@@ -85,7 +85,7 @@ def final(verdicts: Iterable[Verdict]) -> Rulings:
 def likeliest(watcher: Observer) -> Rulings:
     """The same, by the likeliest hypothesis after the last event."""
     assert watcher.timeline is not None
-    notes = watcher.timeline.entries[-1].belief.hypotheses[0].notes
+    notes = watcher.timeline.entries[-1].belief.hypotheses[0].ledger.notes
     names = watcher.system.contact_names
     return {
         (n.stamp, 0 if n.is_inserted else n.event[1], names[n.contact]): n.ruling for n in notes

@@ -37,14 +37,15 @@ def fitted(
     if 0 < change.flown < BRIEF * bank.filter.phases.scales.timescale:
         return before
     likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
+    normalised = None if innovation is None else innovation.normalised
     if innovation is not None and change.hit:
         system = bank.filter.system
         speed = abs(float(system.W[:, change.hit[0]].dot(prior[system.n :])))
-        innovation = 0.0 if abs(likeliest.residual) <= ROUNDED * speed else innovation
+        normalised = 0.0 if abs(innovation.residual) <= ROUNDED * speed else normalised
     return before.after(
-        innovation,
+        normalised,
         in_error=error_share(corrected) > ESTABLISHED,
-        as_reported=likeliest.is_as_reported((change.stamp, change.sequence)),
+        as_reported=likeliest.ledger.is_as_reported((change.stamp, change.sequence)),
         exact=exact_share(corrected),
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),
     )

@@ -179,7 +179,7 @@ class MinimumVariance(Law):
             account = self._accounts.after(change, account, fallback)
         if change.hit and best.innovation is not None and fit is not prior.fit:
             by_account = math.nan if account is None else account.residual
-            fit = fit.compared(Residual(best.residual, *gap, by_account))
+            fit = fit.compared(Residual(best.innovation.residual, *gap, by_account))
         fit = fit.beside(0.0 if account is None else self._accounts.change(account))
         if not (self._doubts and fit.is_doubted):
             account = None
@@ -366,7 +366,7 @@ class MinimumVariance(Law):
             by_filter = best.state.x, root
             root = combined(fit, by_filter, fallback, part, explained=explained)
         if change:
-            notes = best.notes_on((change.stamp, change.sequence))
+            notes = best.ledger.notes_on((change.stamp, change.sequence))
         return Belief(
             ensemble,
             root,
