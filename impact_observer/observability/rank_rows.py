@@ -83,7 +83,7 @@ class RankRows:
         else:
             opened = self.informative(change)
             pushed = np.sum(self._phases.B[:, list(opened)] ** 2, axis=0)[:, None]
-            rows = [self._timescale**2 * pushed * system.loads(at, opened)[1]]
+            rows = [self._timescale**2 * pushed * system.guard(at, opened, hit=False).rows]
         if closed:
             rows.append(self._timescale * system.speeds(at, closed))
             # From here on both motions are on the stop: only errors along it remain.

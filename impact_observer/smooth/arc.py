@@ -121,8 +121,7 @@ class Arc(Linearised):
                 early[k], x[k] = change.t - joint.t, followed(joint.x)
                 state = filter_.posterior(change, joint, math.inf if moment.until else 0.0)
             followed(state.x)
-        deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
-        return Path(start, early, x, doubt, state.constants, deviations)
+        return Path(start, early, x, doubt, state.constants)
 
     def beginning(self, count: int) -> "Arc":
         """The arc of the first ``count`` moments; this arc if it has no more."""
@@ -181,7 +180,7 @@ class Arc(Linearised):
                     Moment(ContactChange(at, closed, (), closed), 0.0, self.moments[k + 1].error)
                 )
                 early.append(0.0)
-                moving = self.member(path).moving
+                moving = self.system_of(path).moving
                 states.append(moving.moved(t, self._state_after(path, k), at - t, closed)[0])
         arc = Arc(self.filter, self._t, self._state, moments, self.samples)
         doubt = np.zeros(len(moments))

@@ -4,39 +4,32 @@
 At each moment the chain's vector is ``z = (e, x, constants)``: the jump comes ``e`` seconds before
 an instant ``T`` of the path, and the state at ``T`` would be ``x`` without the jump; constants are
 what no flight changes. Between two instants the state moves by an affine map, whatever the path.
-At a moment the guard and the jump are functions of ``(e, x)`` (``estimation/saltation.py``). They
-are linearised about the path's state at ``T``. A reported stamp is the instant ``T - e`` and a
+At a moment the guard and the jump are functions of ``(e, x)``. They are linearised about the
+path's state at ``T`` (docs/theory/trajectory.md). A reported stamp is the instant ``T - e`` and a
 normal error; the instant of an inserted moment is the root of the guard.
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import Motion
 from impact_observer.errors import DynamicsError
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL
-from impact_observer.estimation.members import Member
 from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.process_noise import ProcessNoise
-from impact_observer.estimation.resting import (
-    RestProjection,
-    rest_measurement,
-    rest_projection,
-)
+from impact_observer.estimation.resting import rest_measurement
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import Sensitivity
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
 from impact_observer.states import Matrix, Vector
+from impact_observer.trajectory.linearised_system import FlightEnd, LinearisedSystem, TangentMap
 
 IMPOSSIBLE = -1e4
 """Logarithm of a probability that counts as none."""
@@ -67,8 +60,6 @@ class Path(NamedTuple):
         x: states (q, u) just before, as if without the jump, shape (k, 2n).
         doubt: standard deviations of the gap of a contact that hits then, m, shape (k,).
         constants: parameters and clock offset, shape (c,).
-        spread: standard deviations of the parameters, shape (p,): the distances over which
-            derivatives with respect to them are taken.
     """
 
     start: Vector
@@ -76,28 +67,6 @@ class Path(NamedTuple):
     x: Matrix
     doubt: Vector
     constants: Vector
-    spread: Vector
-
-
-class _Jump(NamedTuple):
-    """The jump at a moment as a linear function of ``(e, x)``.
-
-    An impact of finite duration jumps after the moment; the motion after the jump is followed
-    back to the moment.
-
-    Attributes:
-        value: the state after it, at the instant of the moment, shape (2n,).
-        H: its derivatives, shape (2n, 1 + 2n).
-        pressed: contacts that take an impulse.
-        x: the state that jumps, shape (2n,).
-        back: derivative of ``value`` by the state just after the jump, shape (2n, 2n).
-    """
-
-    value: Vector
-    H: Matrix
-    pressed: Contacts
-    x: Vector
-    back: Matrix
 
 
 class Linearised:
@@ -121,8 +90,8 @@ class Linearised:
         self._sizes = filter_.phases.scales.sizes
         self._diffusion = filter_.members.given.moving.diffusion
         self._errors = ErrorAccounts(filter_, (0.0,))
-        self._latest: tuple[Path | None, int, _Jump | None] = (None, -1, None)
-        self._moved: tuple[Path | None, int, float | None, Motion | None] = (None, -1, None, None)
+        self._systems = lru_cache(2)(self._system_at)
+        self._latest: tuple[Path | None, int, tuple[TangentMap, Vector] | None] = (None, -1, None)
 
     def instant(self, path: Path, k: int) -> float:
         """The ``k``-th instant of a path, s since the epoch; -1 for the start."""
@@ -136,9 +105,15 @@ class Linearised:
         """Whether contacts are at rest after the ``k``-th moment, which measures their gaps."""
         return bool(self.closed_after(k))
 
-    def member(self, path: Path) -> Member:
+    def system_of(self, path: Path) -> LinearisedSystem:
         """The system with the parameters of a path."""
-        return self._members.at(path.constants[: self._p])
+        return self._systems(tuple(path.constants[: self._p].tolist()))
+
+    def _system_at(self, theta: tuple[float, ...]) -> LinearisedSystem:
+        members = self._members
+        return LinearisedSystem(
+            members.family, np.array(theta), None if theta else members.given.moving
+        )
 
     def noise_after(self, k: int) -> ProcessNoise | None:
         """The process noise of the flight after the ``k``-th moment; None without noise."""
@@ -164,7 +139,7 @@ class Linearised:
     def moved_before(self, path: Path, k: int, x: Vector, s: float) -> Vector:
         """The state ``x`` before the ``k``-th moment, ``s`` seconds after the path's instant."""
         closed = self.moments[k].change.before
-        return self.member(path).moving.moved(self.instant(path, k), x, s, closed)[0]
+        return self.system_of(path).moving.moved(self.instant(path, k), x, s, closed)[0]
 
     def gap_deviation(self, k: int, root: Matrix) -> float:
         """Standard deviation of the gap of the contact that hits at the ``k``-th moment, m.
@@ -195,23 +170,12 @@ class Linearised:
         """
         closed, x = self.closed_after(k), self._state_at(path, k, since)
         t = self.instant(path, k) if since is None else since
-        s, theta, q, size = end - t, path.constants[: self._p], self._members.moving, self._size
-
-        def moved_with(values: Vector) -> tuple[Vector, Matrix]:
-            return self._members.motion(values).moved(t, x, s, closed)
-
-        moved, map_ = moved_with(theta) if q else self._flown(path, k, since, s)
-        A = np.eye(size + self._count)
-        A[:size, :size] = map_
-        if q:
-            steps = self._members.parameters.steps(theta, np.diag(path.spread)[:q])
-            A[:size, size : size + q] = Sensitivity(moved_with, theta[:q], steps).first.T
-        b = np.zeros(len(A))
-        b[:size] = moved - A[:size] @ np.append(x, path.constants)
+        s = end - t
+        A, b = self._affine(self.system_of(path).flow(t, x, s, closed), x, path)
         noise = self.noise_after(k) if noisy else None
         root = np.zeros((len(A), 0))
         if noise is not None and s > 0:
-            root = noise.added_to(root, size, partial(self._diffusion, closed), s)
+            root = noise.added_to(root, self._size, partial(self._diffusion, closed), s)
         return Step.unmeasured(A, b, root)
 
     def resting(self, path: Path, k: int) -> Step:
@@ -219,11 +183,14 @@ class Linearised:
 
         A contact that still chatters is not measured: the account closes the contact too early.
         """
-        change, x, member = self.moments[k].change, self._jumped(path, k), self.member(path)
+        change, x, system = self.moments[k].change, self._jumped(path, k), self.system_of(path)
         new = tuple(i for i in change.closed if i not in change.before)
         new = () if self.moments[k].until else new
-        short = self.filter.neglected(member, change.before, x, self.instant(path, k))
-        near = self._near(path, x, change.closed)
+        pressing = system.moving.rate_of(self.instant(path, k), x, change.before)
+        short = self.filter.short * self.filter.system.contact_speed(pressing[x.size // 2 :])
+        d = self._size + self._count
+        nothing = np.zeros((d, 0))
+        near = GaussianState(x, path.constants, nothing, nothing, change.closed, self._p)
         rest = rest_measurement(self._members, near, new, short[list(new)])
         jump, y = self._jump(path, k), rest.H @ np.append(x, path.constants) - rest.value
         return jump._replace(H=rest.H, y=y, V=np.diag(rest.floor))
@@ -246,21 +213,20 @@ class Linearised:
 
     def _guard(self, path: Path, k: int) -> Step:
         """The measurement that the guards of the ``k``-th moment are zero."""
-        change, x, member = self.moments[k].change, path.x[k], self.member(path)
+        change, x, system = self.moments[k].change, path.x[k], self.system_of(path)
         contacts, d = self.filter.measured_contacts(change), 1 + self._size + self._count
         if self.moments[k].is_inserted:
             contacts = change.contacts[:1]
         if not contacts:
             return Step.unmeasured(np.eye(d), np.zeros(d))
-        t = self.instant(path, k)
-        rows, jet = member.guard_at(t, x, change.before, contacts, hit=bool(change.hit))
-        value, own, _, bend = jet.expanded(x, member.moving.forces(t))
+        at = system.begin(self.instant(path, k), x)._replace(closed=change.before)
+        guard = system.guard(at, contacts, hit=bool(change.hit))
+        value, bend = guard.value, guard.bend
         H = np.zeros((len(contacts), d))
-        H[:, : own.shape[1]] = own
-        end = own.shape[1] + self._p
-        H[:, own.shape[1] : end] = self.filter.measured_sensitivity(member, change, contacts, x, t)
-        scale = self._sizes(x) if change.hit else x
-        floor = rows.rounding(scale, member.moving.forces(t)[0])
+        H[:, 0], H[:, 1 : 1 + at.X.shape[1]] = -guard.rate, guard.rows
+        floor = guard.measured.rounding(
+            self._sizes(x) if change.hit else x, system.moving.forces(at.t)[0]
+        )
         if self.moments[k].is_inserted:
             # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
             # A gap that stands still tells no instant: its error stays one that can be followed.
@@ -273,23 +239,11 @@ class Linearised:
 
     def _jump(self, path: Path, k: int) -> Step:
         """From (e, x, constants) at the ``k``-th moment to (x, constants) just after it."""
-        moment, x, jump = self.moments[k], path.x[k], self._jump_of(path, k)
+        moment, x, (map_, xi) = self.moments[k], path.x[k], self._jump_of(path, k)
         change, size, d = moment.change, self._size, self._size + self._count
-        A, b = np.zeros((d, 1 + d)), np.zeros(d)
-        A[:, 1:] = np.eye(d)
-        A[:size, : 1 + size] = jump.H
-        if self._p and jump.pressed:
-            theta = path.constants[: self._p]
-            steps = self._members.parameters.steps(theta, np.diag(path.spread))
-            soft = bool(change.delay(self.filter.system))
-            sensitivity = Sensitivity(
-                lambda values: self._members.impact(values, jump.x, jump.pressed, soft=soft),
-                theta,
-                steps,
-            )
-            of_theta = jump.back @ sensitivity.first.T
-            A[:size, 1 + size : 1 + size + self._p] = of_theta
-        b[:size] = jump.value - A[:size, 1:] @ np.append(x, path.constants)
+        A = np.zeros((d, 1 + d))
+        A[:, 1:], b = self._affine(map_, x, path)
+        A[:size, 0] = xi
         columns = [np.diag(STATE_ROUNDING * self._sizes(x, change.flown))]
         level = level_of(moment, ErrorKind.RESTITUTION)
         if level and change.hit and not change.closed:
@@ -298,31 +252,33 @@ class Linearised:
         noise[:size] = np.hstack(columns)
         return Step.unmeasured(A, b, noise)
 
-    def _jump_of(self, path: Path, k: int) -> _Jump:
-        """The jump at the ``k``-th moment."""
+    def _jump_of(self, path: Path, k: int) -> tuple[TangentMap, Vector]:
+        """The jump at the ``k``-th moment, and the gain a second that it comes earlier."""
         about, which, known = self._latest
         if about is path and which == k and known is not None:
             return known
-        change, x, member = self.moments[k].change, path.x[k], self.member(path)
-        t, late = self.instant(path, k), change.delay(self.filter.system)
-        onward = np.eye(len(x))
-        if late:
-            x, onward = member.moving.moved(t, x, late, change.before)
-            t += late
-        pressed = self.filter.pressed(member, change, x)
-        jet = member.jump_about(t, x, pressed, change.before, change.closed, soft=bool(late))
-        value, H, *_ = jet.expanded(x, member.moving.forces(t))
-        back = np.eye(len(x))
-        if late:
-            value, back = member.moving.moved(t, value, -late, change.closed)
-            H = back @ np.column_stack([H[:, 0], H[:, 1:] @ onward])
-        jump = _Jump(value, H, pressed, x, back)
+        change, x, system = self.moments[k].change, path.x[k], self.system_of(path)
+        pressed = change.hit
+        if change.hit and len(change.active) > 1:
+            gamma = self.filter.system.W[:, list(change.hit)].T @ x[x.size // 2 :]
+            pressed = change.pressed(system.moving.newton, gamma)
+        at = system.begin(self.instant(path, k), x)._replace(closed=change.before)
+        end = FlightEnd(at.t, change.hit, pressed, change.closed)
+        jump = system.jump(at, end, is_measured=True)
         self._latest = path, k, jump
         return jump
 
     def _jumped(self, path: Path, k: int) -> Vector:
         """The path's state just after the jump at the ``k``-th moment, (2n,)."""
-        return self._jump_of(path, k).value
+        return self._jump_of(path, k)[0].x
+
+    def _affine(self, map_: TangentMap, x: Vector, path: Path) -> tuple[Matrix, Vector]:
+        """``map_`` of the path's state ``x`` as ``A z + b`` of (x, constants)."""
+        size, d = self._size, self._size + self._count
+        A, b = np.eye(d), np.zeros(d)
+        A[:size, :size], A[:size, size : size + self._p] = map_.Phi, map_.Gamma
+        b[:size] = map_.x - A[:size] @ np.append(x, path.constants)
+        return A, b
 
     def _state_after(self, path: Path, k: int) -> Vector:
         """The path's state just after the ``k``-th moment, contacts at rest; -1 for the start."""
@@ -333,44 +289,21 @@ class Linearised:
 
     def _state_at(self, path: Path, k: int, since: float | None) -> Vector:
         """The path's state after the ``k``-th moment: just then, or at ``since``."""
+        x = self._state_after(path, k)
         if since is None:
-            return self._state_after(path, k)
-        return self._flown(path, k, None, since - self.instant(path, k))[0]
-
-    def _flown(self, path: Path, k: int, since: float | None, s: float) -> tuple[Vector, Matrix]:
-        """The flow over ``s`` seconds from after the ``k``-th moment, or from ``since``.
-
-        Guides that rub make a motion of many phases, which is kept for the next ``s``.
-        """
-        moving, closed = self.member(path).moving, self.closed_after(k)
-        about, *place, motion = self._moved
-        if about is not path or place != [k, since] or s <= 0:
-            t = self.instant(path, k) if since is None else since
-            x = self._state_at(path, k, since)
-            if not moving.guided or s <= 0:
-                return moving.moved(t, x, s, closed)
-            motion = moving.motion(t, x, closed)
-            self._moved = path, k, since, motion
-        assert motion is not None, "kept for this path"
-        return motion.state(s), transition_of(motion, s)
+            return x
+        t, moving = self.instant(path, k), self.system_of(path).moving
+        return moving.moved(t, x, since - t, self.closed_after(k))[0]
 
     def _projection(self, path: Path, k: int) -> Step:
         """From (x, constants) after the rest measurement to closed contacts exactly at rest."""
-        x, size = self._jumped(path, k), self._size
-        rest = self._rested(path, k, x)
-        A, b = np.eye(size + self._count), np.zeros(size + self._count)
-        A[:size, :size], A[:size, size : size + self._p] = rest.map_, rest.sensitivity
-        b[:size] = rest.x - A[:size] @ np.append(x, path.constants)
-        return Step.unmeasured(A, b)
+        x = self._jumped(path, k)
+        return Step.unmeasured(*self._affine(self._rested(path, k, x), x, path))
 
-    def _rested(self, path: Path, k: int, x: Vector) -> RestProjection:
-        return rest_projection(self._members, self._near(path, x, self.closed_after(k)))
-
-    def _near(self, path: Path, x: Vector, closed: Contacts = ()) -> GaussianState:
-        """A state of the path, without a covariance."""
-        d = self._size + self._count
-        nothing = np.zeros((d, 0))
-        return GaussianState(x, path.constants, nothing, nothing, closed, self._p)
+    def _rested(self, path: Path, k: int, x: Vector) -> TangentMap:
+        system, closed = self.system_of(path), self.closed_after(k)
+        placed = system.on_stops(x, closed)
+        return system.at_rest(placed.x, closed).preceded_by(placed)
 
 
 def level_of(moment: Moment, kind: ErrorKind) -> float:

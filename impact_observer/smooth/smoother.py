@@ -360,4 +360,4 @@ def _improved(
     start = first.mean[: x.shape[1]]
     nothing = np.zeros((constants.size, 0))
     constants = arc.filter.members.parameters.bounded(constants, nothing, 0)
-    return Path(start, early, x, doubt, constants, path.spread), largest
+    return Path(start, early, x, doubt, constants), largest

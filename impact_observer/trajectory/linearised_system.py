@@ -8,13 +8,13 @@ and turn at instants that depend on the motion, and samples of a force are no st
 a difference of two motions.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.dynamics import KEPT, ImpactLaw, Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import Measured
@@ -103,6 +103,24 @@ class TangentState(NamedTuple):
         return TangentState(t, map_.x, X, closed)
 
 
+class Guard(NamedTuple):
+    """Functions that are zero where contacts switch: gaps, m, or loads, N.
+
+    Attributes:
+        measured: the functions.
+        value: of them, shape (k,).
+        rows: their derivatives by what is unknown, at a fixed instant, shape (k, any).
+        rate: their derivatives by time, shape (k,).
+        bend: their second derivatives by time, shape (k,).
+    """
+
+    measured: Measured
+    value: Vector
+    rows: Matrix
+    rate: Vector
+    bend: Vector
+
+
 class LinearisedSystem:
     """One system of a family, whose flights and jumps have exact derivatives.
 
@@ -114,19 +132,28 @@ class LinearisedSystem:
         gap_change: derivatives of the gaps by the parameters, shape (p, m).
     """
 
-    def __init__(self, family: ParametricFamily, theta: Vector) -> None:
-        """Prepare the system of ``family`` with the parameters ``theta``, shape (p,)."""
+    def __init__(
+        self, family: ParametricFamily, theta: Vector, moving: MovingSystem | None = None
+    ) -> None:
+        """Prepare the system of ``family`` with the parameters ``theta``, shape (p,).
+
+        ``moving`` is its motion between impacts, if that is prepared already.
+        """
         self.family, self.theta = family, np.array(theta)
         self.numbers = family.coefficients_at(theta)
-        self.moving = MovingSystem(family.near(theta) if family.size else family.system)
+        own = family.near(theta) if family.size else family.system
+        self.moving = moving or MovingSystem(own)
         self.gap_change = np.reshape(
             [each.effect.gap for each in family.parameters], (family.size, family.system.m)
         )
+        effects = [each.effect for each in family.parameters]
+        self._laws = [self.numbers.law(family.system, i) for i in range(family.system.m)]
         self._moves = [j for j, each in enumerate(family.parameters) if each.moves]
-        changes = [each.effect.contact_time for each in family.parameters]
-        self._lasts = bool(np.any([family.system.contact_time, *changes]))
+        lasting = [family.system.contact_time, *(each.contact_time for each in effects)]
+        self._lasts = bool(np.any(lasting))
         self._driven = cache(self._driven_by)
-        self._impact = cache(self._impact_of)
+        self._stops = cache(self._stops_of)
+        self._jump = lru_cache(KEPT)(self._jump_of)
         self.beside = cache(self._beside)
 
     def begin(self, t: float, x: Vector, others: int = 0) -> TangentState:
@@ -158,17 +185,26 @@ class LinearisedSystem:
         n = self.family.system.n
         return np.asarray(self.family.system.W[:, list(contacts)].T @ at.X[n:])
 
-    def loads(self, at: TangentState, contacts: Contacts) -> tuple[Vector, Matrix]:
-        """The loads of closed ``contacts``, N, and their derivatives, shapes (k,) and (k, any)."""
+    def guard(self, at: TangentState, contacts: Contacts, *, hit: bool) -> Guard:
+        """The gaps of ``contacts`` that ``hit``, or the loads of closed ones that open."""
         n, d, moving = self.family.system.n, at.x.size, self.moving
-        loads = Measured.loads(moving.phase(at.closed), contacts)
-        rows = loads.c @ at.X
-        forces = self.family.force_changes(self.theta, at.t)
-        acceleration = moving.rate_of(at.t, at.x, at.closed)[n:]
+        first, second = moving.rates_at(at.t, at.x, at.closed).along(at.x, moving.forces(at.t))
+        force, slope, bend = moving.forces(at.t)
+        if hit:
+            value, rows = self.gaps(at, contacts)
+            measured = Measured.gaps(moving.system, contacts)
+            return Guard(measured, value, rows, measured.c @ first, measured.c @ second)
+        measured = Measured.loads(moving.phase(at.closed), contacts)
+        assert measured.load is not None, "a load depends on the force"
+        rows, forces = measured.c @ at.X, self.family.force_changes(self.theta, at.t)
         for j, effect in enumerate(each.effect for each in self.family.parameters):
-            changed = effect.K @ at.x[:n] + effect.C @ at.x[n:] + effect.M @ acceleration
-            rows[:, d + j] -= loads.load @ (forces[j] - changed)
-        return loads.value(at.x, moving.forces(at.t)[0]), rows
+            changed = effect.K @ at.x[:n] + effect.C @ at.x[n:] + effect.M @ first[n:]
+            rows[:, d + j] -= measured.load @ (forces[j] - changed)
+        rate, bend = (
+            measured.c @ along - measured.load @ by
+            for along, by in ((first, slope), (second, bend))
+        )
+        return Guard(measured, measured.value(at.x, force), rows, rate, bend)
 
     def flow(self, t: float, x: Vector, s: float, closed: Contacts) -> TangentMap:
         """The state ``s`` seconds after, or before, the state ``x`` at ``t``."""
@@ -187,18 +223,38 @@ class LinearisedSystem:
                 Gamma[:, j] = (more - less) / self.distance(j)
         return TangentMap(moved, Phi, Gamma)
 
-    def impact(self, x: Vector, pressed: Contacts) -> TangentMap:
-        """Newton's law on exactly the contacts ``pressed``, from the state ``x``."""
-        n, p = self.family.system.n, self.family.size
-        W, stops, by_mass, by_law = self._impact(pressed)
+    def impact(self, x: Vector, pressed: Contacts, *, reflects: bool = False) -> TangentMap:
+        """Newton's law on exactly the contacts ``pressed``, from the state ``x``.
+
+        If the impact ``reflects``, gaps that are left are reversed like speeds: an impact that is
+        as early or late as its gap says leaves the positions as they are.
+        """
+        n, p, P = self.family.system.n, self.family.size, list(pressed)
+        W, x, Phi, Gamma = (
+            self.family.system.W[:, P],
+            x.copy(),
+            np.eye(2 * n),
+            np.zeros((2 * n, p)),
+        )
         gamma = W.T.dot(x[n:])
-        rebounds, slopes, by = self._rebounds(pressed, gamma)
-        lost, x, Phi, Gamma = gamma + rebounds, x.copy(), np.eye(2 * n), np.zeros((2 * n, p))
-        x[n:] -= stops.dot(lost)
-        Phi[n:, n:] -= (stops * (1.0 + slopes)).dot(W.T)
+        laws, (stops, by_mass, by_law) = [self._laws[i] for i in pressed], self._stops(pressed)
+        speeds = [*zip(laws, gamma.tolist(), strict=True)]
+        rebounds = np.array([float(law.rebound(np.array(v))) for law, v in speeds])
+        slopes = tuple(law.slope(v) for law, v in speeds)
+        Phi[n:, n:] = self._jump(pressed, slopes)
+        x[n:] = Phi[n:, n:].dot(x[n:]) - stops.dot(rebounds - gamma * slopes)
         if p:
+            by = np.zeros(by_law.shape[1:])
+            for row, (law, v) in zip(by, speeds, strict=True):
+                row[: len(law.parameters)] = law.sensitivity(v)
             changes = np.sum(by_law * by, axis=2)
-            Gamma[n:] = (by_mass.dot(lost) - changes.dot(stops.T)).T
+            Gamma[n:] = (by_mass.dot(gamma + rebounds) - changes.dot(stops.T)).T
+        if reflects:
+            eps = tuple(float(law.restitution_at(np.array(abs(v)))) for law, v in speeds)
+            Phi[:n, :n] = self._jump(pressed, eps)
+            left = (Phi[:n, :n] - np.eye(n)) @ linalg.pinv(W.T)
+            x[:n] = Phi[:n, :n] @ x[:n] + left @ self.numbers.gap[P]
+            Gamma[:n] = left @ self.gap_change[:, P].T
         return TangentMap(x, Phi, Gamma)
 
     def at_rest(self, x: Vector, closed: Contacts) -> TangentMap:
@@ -225,11 +281,15 @@ class LinearisedSystem:
         Gamma[:n] = -Z @ self.gap_change[:, own].T
         return TangentMap(moved, Phi, Gamma)
 
-    def jump(self, at: TangentState, end: FlightEnd) -> tuple[TangentMap, Vector]:
+    def jump(
+        self, at: TangentState, end: FlightEnd, *, is_measured: bool = False
+    ) -> tuple[TangentMap, Vector]:
         """The jump at ``end``; see ``switch``.
 
         Contacts that stay closed have no speed afterwards. An impact that lasts jumps half its
-        contact time later, and is followed back to its onset.
+        contact time later, and is followed back to its onset. Where a gap, and the gap and speed
+        of a contact that stays closed, ``is_measured`` by the user, such an impact leaves the
+        speed as it is, and ``reflects`` what is left of the gap.
         """
         t, x, _, before = at
         late, shares = 0.0, _NOTHING
@@ -239,8 +299,8 @@ class LinearisedSystem:
             shares = np.array([each.effect.contact_time[i] / 2 for each in self.family.parameters])
         onward = self.flow(t, x, late, before) if late else None
         start = x if onward is None else onward.x
-        map_ = self.impact(start, end.pressed)
-        if end.held:
+        map_ = self.impact(start, end.pressed, reflects=is_measured and not late)
+        if end.held and not is_measured:
             map_ = self.at_rest(map_.x, end.held).preceded_by(map_)
         ahead = self.moving.rate_of(t + late, map_.x, end.held)
         xi = ahead - map_.Phi.dot(self.moving.rate_of(t + late, start, before))
@@ -294,31 +354,24 @@ class LinearisedSystem:
         of_sin = factor.real * sine - factor.imag * cosine
         return np.hstack([of_cos, of_sin, np.zeros((len(cosine), 1))])
 
-    def _rebounds(self, pressed: Contacts, gamma: Vector) -> tuple[Vector, Vector, Matrix]:
-        """``r`` and ``dr/dgamma``, shape (c,) each, and ``dr`` by parameters, shape (c, most)."""
-        rebounds, slopes = np.zeros((2, len(pressed)))
-        by = np.zeros((len(pressed), self.numbers.rebound.shape[1]))
-        for k, (i, speed) in enumerate(zip(pressed, gamma, strict=True)):
-            law = self.numbers.law(self.family.system, i)
-            rebounds[k], slopes[k] = law.rebound(speed), law.slope(speed)
-            own = law.sensitivity(speed)
-            by[k, : len(own)] = own
-        return rebounds, slopes, by
+    def _jump_of(self, pressed: Contacts, slopes: tuple[float, ...]) -> Matrix:
+        """``J`` of ``du+ = J du-`` by ``slopes`` of the ``pressed`` contacts' laws, (n, n)."""
+        restitution = np.zeros(self.family.system.m)
+        restitution[list(pressed)] = slopes
+        return self.moving.newton.jump(pressed, restitution)
 
-    def _impact_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, np.ndarray]:
-        """``W`` and ``X`` of contacts, and what each parameter changes.
+    def _stops_of(self, pressed: Contacts) -> tuple[Matrix, np.ndarray, np.ndarray]:
+        """``X`` of contacts, and what each parameter changes.
 
         Returns:
-            ``W``, shape (n, c) for c contacts; ``X``, the same; ``-dX = R dM X``, (p, n, c); the
-            changes of the parameters of the rebound laws, (p, c, most).
+            ``X``, shape (n, c) for c contacts; ``-dX = R dM X``, (p, n, c); the changes of the
+            parameters of the rebound laws, (p, c, most).
         """
-        P, effects, p = list(pressed), [e.effect for e in self.family.parameters], self.family.size
-        W, stops = self.family.system.W[:, P], self.moving.newton.stops(pressed)
-        by_mass = np.zeros((p, *W.shape))
-        for j, each in enumerate(effects):
-            if np.any(each.M):
-                by_mass[j] = self.moving.phase(pressed).inverse @ each.M @ stops
-        by_law = np.zeros((p, *self.numbers.rebound[P].shape))
-        for j, each in enumerate(effects):
-            by_law[j] = each.rebound[P]
-        return W, stops, by_mass, by_law
+        stops, most = self.moving.newton.stops(pressed), self.numbers.rebound.shape[1]
+        by_mass = np.zeros((self.family.size, *stops.shape))
+        by_law = np.zeros((self.family.size, len(pressed), most))
+        for j, each in enumerate(self.family.parameters):
+            by_law[j] = each.effect.rebound[list(pressed)]
+            if np.any(each.effect.M):
+                by_mass[j] = self.moving.phase(pressed).inverse @ each.effect.M @ stops
+        return stops, by_mass, by_law

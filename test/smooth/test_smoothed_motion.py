@@ -211,22 +211,27 @@ def test_states_are_those_of_conditioning_on_exact_stamps(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "rate"),
+    ("name", "rate", "learned"),
     [
-        ("two_mass", 0),
-        ("rubbing_guide", 0),
-        ("hits of 4 ms", 0),
-        ("two_mass", 10),
-        ("rubbing_guide", 2),
-        ("hits of 4 ms", 10),
+        ("two_mass", 0, ()),
+        ("rubbing_guide", 0, ()),
+        ("hits of 4 ms", 0, ()),
+        ("two_mass", 10, ()),
+        ("rubbing_guide", 2, ()),
+        ("hits of 4 ms", 10, ()),
+        ("two_mass", 0, ("mass-scale", "restitution")),
+        ("two_mass", 10, ("gap", "stiffness-scale")),
+        ("hits of 4 ms", 0, ("contact-time",)),
     ],
 )
-def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) -> None:
-    """The likeliest start: instants of the event-driven plant, fitted by SciPy.
+def test_start_is_that_of_a_fit_of_simulated_instants(
+    name: str, rate: float, learned: tuple[str, ...]
+) -> None:
+    """The likeliest start and parameters: instants of the event-driven plant, fitted by SciPy.
 
     An encoder with some samples a second may be beside the impacts.
 
-    Its covariance follows from the derivatives of the instants, by differences.
+    Their covariance follows from the derivatives of the instants, by differences.
     """
     model = rig(name)
     system, x = model.system, np.concatenate(model.initial_state())
@@ -239,19 +244,24 @@ def test_start_is_that_of_a_fit_of_simulated_instants(name: str, rate: float) ->
     ]
     values = np.array([each.value for each in samples])
     last = [*(each.stamp for each in samples), int(reported[-1]) + NS_PER_S // 5]
+    options = about(x, DEVIATION, estimate_parameters=learned)
+    motion = smoothed(system, events, options, samples).smoothed
+    found, prior, family = motion.first, motion.arc.first, motion.arc.filter.members.family
 
-    def residuals(start: Vector) -> Vector:
-        run = simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), np.array(last))
-        found = [
+    def residuals(y: Vector) -> Vector:
+        plant = Plant(family.system_at(y[x.size :]), *np.split(y[: x.size], 2), epoch=EPOCH)
+        run = simulate(plant, np.array(last))
+        errors = [
             (e.stamp - s.instant.stamp) * 1e-9 - s.instant.remainder
             for e, s in zip(events, run.impacts, strict=True)
         ]
         seen = (run.states[: len(samples), 0] - values) / 5e-3
-        return np.concatenate([np.array(found) / JITTER, seen, (start - x) / DEVIATION])
+        declared = (y - prior.mean) / prior.deviations
+        return np.concatenate([np.array(errors) / JITTER, seen, declared])
 
-    fit = optimize.least_squares(residuals, x, x_scale=1e-2, diff_step=1e-5, xtol=1e-12)
+    scale = np.concatenate([np.full(x.size, 1e-2), prior.deviations[x.size :]])
+    fit = optimize.least_squares(residuals, prior.mean, x_scale=scale, diff_step=1e-5, xtol=1e-12)
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
-    found = smoothed(system, events, about(x, DEVIATION), samples).smoothed.first
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
     assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)

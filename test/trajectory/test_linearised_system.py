@@ -19,7 +19,6 @@ from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.trajectory.linearised_system import (
     FlightEnd,
     LinearisedSystem,
-    TangentState,
 )
 
 Array = NDArray[np.float64]
@@ -37,6 +36,9 @@ stops:
      restitution: {value: 0.7, speed: 1.0, exponent: -0.1}}
 initial_state: {position: [0.1, -0.2], velocity: [0.5, 0]}
 """
+DRIVEN = CURVED.replace("{value: 0.7, speed: 1.0, exponent: -0.1}", "0.7").replace(
+    "contact_time: 0.01", "velocity_offset: 0.1"
+)
 PUSHED = system(
     np.diag([1.0, 2.0]),
     [[0.6, -0.1], [-0.1, 0.3]],
@@ -68,27 +70,13 @@ def own_motion(linear: LinearisedSystem, x: Array, ends: list[FlightEnd], until:
     at, rows = linear.begin(0.0, x), list[Array]()
     for end in ends:
         at = linear.flight(at, end.t)
-        n = x.size // 2
-        if end.hit:
-            (i,) = end.hit
-            row = linear.gaps(at, end.hit)[1][0]
-            slope = float(linear.family.system.W[:, i] @ at.x[n:])
-        else:
-            opened = tuple(i for i in at.closed if i not in end.held)
-            load, (row,) = linear.loads(at, opened)
-            assert load[0] == pytest.approx(0.0, abs=1e-6)
-            ends_of_load = [_load(linear, at, opened, step) for step in (1e-4, -1e-4)]
-            slope = (ends_of_load[0] - ends_of_load[1]) / 2e-4
-        rows.append(-row / slope)
+        opened = tuple(i for i in at.closed if i not in end.held)
+        guard = linear.guard(at, end.hit or opened, hit=bool(end.hit))
+        np.testing.assert_allclose(guard.value, 0.0, atol=1e-6)
+        rows.append(-guard.rows[0] / guard.rate[0])
         at, sooner = linear.switch(at, end)
         at = at._replace(X=at.X - np.outer(sooner, rows[-1]))
     return np.vstack([*rows, linear.flight(at, until).X])
-
-
-def _load(linear: LinearisedSystem, at: TangentState, opened: tuple[int, ...], s: float) -> float:
-    """The load of the contact that is ``opened``, ``s`` seconds later if it stayed closed."""
-    x = linear.moving.moved(at.t, at.x, s, at.closed)[0]
-    return float(linear.loads(at._replace(t=at.t + s, x=x), opened)[0][0])
 
 
 def of_plant(model: System, x: Array, until: float) -> tuple[Array, list[tuple[int, ...]], Array]:
@@ -122,6 +110,13 @@ CASES: dict[str, tuple[Callable[[], ParametricFamily], Array, float]] = {
         lambda: parametric_family(
             parse_model(CURVED, "curved").system,
             ("restitution", "restitution-exponent", "contact-time", "gap"),
+        ),
+        np.array([0.1, -0.2, 0.5, 0.0]),
+        8.0,
+    ),
+    "a driven stop": (
+        lambda: parametric_family(
+            parse_model(DRIVEN, "driven").system, ("velocity-offset", "restitution", "mass-scale")
         ),
         np.array([0.1, -0.2, 0.5, 0.0]),
         8.0,
