@@ -75,7 +75,11 @@ class Coefficients:
     def law(self, system: System, contact: int) -> ReboundLaw:
         """How a contact of a ``system`` of the family rebounds."""
         given = system.rebounds[contact]
-        return given.with_values(self.rebound[contact, : len(given.parameters)].tolist())
+        return given.with_values(self.rebound[contact, : len(given.units)].tolist())
+
+    def laws(self, system: System) -> tuple[ReboundLaw, ...]:
+        """How all contacts of a ``system`` of the family rebound."""
+        return tuple(self.law(system, i) for i in range(system.m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,25 +187,24 @@ class ParametricFamily:
         Raises:
             ModelError: the values give no valid system.
         """
-        return replace(self.system, **self._changed(self.coefficients_at(values)))
+        coefficients = self.coefficients_at(values)
+        return replace(self.system, **self._changed(coefficients, coefficients.laws(self.system)))
 
     def near(self, values: Vector) -> System:
         """The unchecked system for parameter ``values`` within the bounds, shape (p,)."""
         coefficients = self.coefficients_at(values)
-        changed = self._changed(coefficients)
-        laws = tuple(coefficients.law(self.system, i) for i in range(self.system.m))
+        laws = coefficients.laws(self.system)
         return self.system.unchecked(
             q_r=coefficients.gap,
             contact_time=coefficients.contact_time,
             rebounds=laws,
             eps=frozen([each.nominal for each in laws]),
-            **changed,
+            **self._changed(coefficients, laws),
         )
 
-    def _changed(self, coefficients: Coefficients) -> dict[str, Any]:
-        """The fields of the system with these ``coefficients``."""
+    def _changed(self, coefficients: Coefficients, laws: tuple[ReboundLaw, ...]) -> dict[str, Any]:
+        """The fields of the system with these ``coefficients``, among them rebound ``laws``."""
         numbers = (coefficients.gap.tolist(), coefficients.contact_time.tolist())
-        laws = [coefficients.law(self.system, i) for i in range(self.system.m)]
         contacts = tuple(
             Contact(c.name, c.direction, gap, law.nominal, None if law.is_plain else law, lasts)
             for c, law, gap, lasts in zip(self.system.contacts, laws, *numbers, strict=True)
