@@ -62,10 +62,11 @@ def rig(name: str) -> Model:
     """A model of the samples, or one with another stop."""
     if name == "without rebound":
         return parse_model(PRESSED.replace("0.4}", "0}"), name)
-    if name == "hits of 4 ms":
+    others = {"hits of 4 ms": "contact_time: 0.004", "a stop that drives": "velocity_offset: 0.2"}
+    if name in others:
         text = sample("two_mass").text()
-        slower = "contact_time: 0.004\n  restitution: "
-        return parse_model(text.replace("restitution: ", slower), name)
+        key = f"{others[name]}\n  restitution: "
+        return parse_model(text.replace("restitution: ", key), name)
     return sample(name)
 
 
@@ -572,9 +573,13 @@ def test_ball_from_its_bounce_times_alone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "until", "seconds"),
-    [("ball_on_table", 1.0, [0.0, 0.21, 0.55, 0.93]), ("hits of 4 ms", 12.0, [0.0, 2.0, 7.1])],
+    [
+        ("ball_on_table", 1.0, [0.0, 0.21, 0.55, 0.93]),
+        ("hits of 4 ms", 12.0, [0.0, 2.0, 7.1]),
+        ("a stop that drives", 12.0, [0.0, 2.0, 7.1]),
+    ],
 )
-def test_states_are_exact_on_a_table_that_moves_and_while_hits_last(
+def test_states_are_exact_on_stops_that_move_or_drive_and_while_hits_last(
     name: str, until: float, seconds: list[float]
 ) -> None:
     """Estimates are coordinates of the model, whatever frame the computation has.
