@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 from systems import EPOCH, Harmonic, forcing, run, sample, system
 
 from benchmarks.identify import RUBBED_FREE, RUBBED_TRUE, rubbed
@@ -161,6 +162,36 @@ def test_derivatives_are_those_of_the_plant(name: str) -> None:
         slopes = (found[0] - found[1]) / (2 * step)
         scale = 1 + np.max(np.abs(exact[:, j]))
         np.testing.assert_allclose(exact[:, j], slopes, atol=1e-6 * scale, err_msg=str(j))
+
+
+@pytest.mark.parametrize("closed", [(), (0,)])
+def test_sensitivities_of_a_flight_obey_their_differential_equation(
+    closed: tuple[int, ...],
+) -> None:
+    """Integrated by DOP853, whether a contact is closed or none."""
+    kinds = ("stiffness-scale", "damping-scale", "mass-scale", *OF_FORCES)
+    family = parametric_family(sample("three_mass").system, kinds)
+    model, n, p = family.system, family.system.n, family.size
+    x, t, s = np.array([0.3, -0.1, 0.05, 0.5, 0.0, -0.5]), 1.3, 2.7
+    W = model.W[:, list(closed)]
+    whole = np.block([[model.M, -W], [W.T, np.zeros((len(closed), len(closed)))]])
+    inverse = np.linalg.inv(whole)[:n, :n]
+    if closed:
+        x[n:] -= W[:, 0] * (W[:, 0] @ x[n:]) / (W[:, 0] @ W[:, 0])
+
+    def rates(at: float, z: Array) -> Array:
+        q, u, S = z[:n], z[n : 2 * n], z[2 * n :].reshape(2 * n, p)
+        a = inverse @ (model.forcing(at) - model.C @ u - model.K @ q)
+        pulled = family.force_changes(family.nominal, at).T - model.K @ S[:n] - model.C @ S[n:]
+        for j, effect in enumerate(each.effect for each in family.parameters):
+            pulled[:, j] -= effect.K @ q + effect.C @ u + effect.M @ a
+        return np.concatenate([u, a, S[n:].ravel(), (inverse @ pulled).ravel()])
+
+    begin = np.concatenate([x, np.zeros(2 * n * p)])
+    solved = solve_ivp(rates, (t, t + s), begin, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    map_ = LinearisedSystem(family, family.nominal).flow(t, x, s, closed)
+    np.testing.assert_allclose(map_.x, solved[: 2 * n], atol=1e-11)
+    np.testing.assert_allclose(map_.Gamma, solved[2 * n :].reshape(2 * n, p), atol=1e-10)
 
 
 def test_a_state_at_rest_is_the_nearest_one_on_its_stop() -> None:
