@@ -18,30 +18,13 @@ from impact_observer.estimation.ledger import MissedSwitch
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.settling import rest_after
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Kind
 from impact_observer.states import Vector
 
-UNLIKELY = -16.0
-"""Logarithm of a probability, relative to the largest, below which no hypothesis is kept before an
-event. The next event may explain gaps that are negative by then.
-"""
-_IMPOSSIBLE = -1e3
+_LEAST_SURVIVAL = -1e3
 """Least logarithm of a survival: sums with smaller ones would lose the digits of a weight."""
-FORLORN = -40.0
-"""The same for hypotheses with an exact model: a misfit shows in how unlikely they are."""
-POSSIBLE = 0.5
-"""Depth of a dip, in standard deviations, from which on it may have been an impact."""
-CONFIDENT = 3.0
-"""The same for a dip that is not over yet."""
-LATE = 4.0
-"""Deviations of a stamp by which an impact may seem to be before an event, and be after it."""
-DEAD = 0.5
-"""Probability of the dead time from which on a switch counts as one in it."""
-_MOST_MISSED = 256
-"""Missed switches that a hypothesis may insert."""
-_MOST_FLIGHTS = 256
-"""Flights after which none inserts anything: a silence may last for hours."""
-_FLIGHTS = 8
+_KEPT_FLIGHTS = 8
 """Flights of which the guards are kept, for hypotheses to share."""
 
 
@@ -124,7 +107,7 @@ class BetweenEvents:
         self._dead_time = dead_time
         self._most = most
         self._judges = judges
-        self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
+        self._flight = Flight if filter_.system.live else lru_cache(_KEPT_FLIGHTS)(Flight)
 
     def predict(
         self, hypotheses: Sequence[Hypothesis], t: float, s: float
@@ -154,7 +137,7 @@ class BetweenEvents:
             missed: list[_Missed] = []
             for path, some, (chance, _) in zip(paths, dips, flown, strict=True):
                 most = max(most, chance)
-                if some and flights + len(missed) < _MOST_FLIGHTS:
+                if some and flights + len(missed) < TUNING.most_flights:
                     missed += self._missed_first(path, some, most + self._least(path.h))
             flights += len(missed)
             paths = self._inserted(missed) if missed else []
@@ -165,7 +148,7 @@ class BetweenEvents:
 
     def _least(self, h: Hypothesis) -> float:
         """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
-        return FORLORN if self._judges and h.is_exact else UNLIKELY
+        return TUNING.log_forlorn if self._judges and h.is_exact else TUNING.log_unlikely
 
     def _dips(self, paths: Sequence[_Path]) -> list[list[Dip]]:
         """Of each path its dips."""
@@ -192,7 +175,7 @@ class BetweenEvents:
             weight, chance, survival = h.weight, h.weight, dict[int, float]()
             for dip in some:
                 before = h.survival.get(dip.contact, 0.0) if dip.goes_on else 0.0
-                now = min(max(dip.unlikely, _IMPOSSIBLE), before)
+                now = min(max(dip.unlikely, _LEAST_SURVIVAL), before)
                 weight += now - before
                 if dip.over:
                     chance += now - before
@@ -214,11 +197,11 @@ class BetweenEvents:
         likely = (
             dip
             for dip in dips
-            if dip.depth > (POSSIBLE if dip.over else CONFIDENT)
+            if dip.depth > (TUNING.possible_depth if dip.over else TUNING.confident_depth)
             and not self._is_now(dip, path.left, h.clock)
         )
         dip = next(likely, None)
-        if dip is None or len(h.ledger.missed) >= _MOST_MISSED:
+        if dip is None or len(h.ledger.missed) >= TUNING.most_missed:
             return
         dead = self.dead(h, dip.contact, dip.kind, path.t + dip.began)
         weight = h.weight + self.log_missed(dead) + float(special.log_ndtr(dip.depth))
@@ -226,7 +209,7 @@ class BetweenEvents:
             weight -= h.survival.get(dip.contact, 0.0)  # the impact explains the negative gap
         if weight < enough:
             return
-        yield _Missed(path, dip, weight, dead > DEAD)
+        yield _Missed(path, dip, weight, dead > TUNING.dead)
 
     def _inserted(self, missed: Sequence[_Missed]) -> list[_Path]:
         """Paths after missed switches, but for those that the impact law does not allow."""
@@ -261,7 +244,7 @@ class BetweenEvents:
         """
         estimates = self.filter.members.family.size > 0
         began = dip.below if estimates else dip.began
-        return not dip.over and now - began <= LATE * clock
+        return not dip.over and now - began <= TUNING.late * clock
 
     def dead(self, h: Hypothesis, contact: int, kind: Kind, t: float) -> float:
         """Probability that the sensor could not report a switch of ``contact`` at ``t``, s.

@@ -12,7 +12,7 @@ import numpy as np
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.hypotheses import Hypothesis, Jump
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import STILL, Likelihood
+from impact_observer.estimation.likelihood import Likelihood
 from impact_observer.estimation.model_error import (
     NO_ERROR,
     ErrorKind,
@@ -20,21 +20,10 @@ from impact_observer.estimation.model_error import (
     largest,
     unit_kicks,
 )
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import TINY
 from impact_observer.states import Matrix, Vector
-
-NEW_ERROR = math.log(1e-2)
-"""Logarithm of the probability that the model begins to be in error."""
-OTHER_ERROR = math.log(1e-2)
-"""Logarithm of the probability that an error of the model ends, or becomes one of another kind."""
-UNEXPLAINED = 2.0
-"""Innovation, in standard deviations, from which on the model may have begun to be in error."""
-COARSE_CLOCK = 10.0
-"""Deviation of a stamp, relative to the least, from which on it may be an error of the model."""
-
-
-BRIEF = 0.1
-"""Flight up to which an impact says nothing new, relative to the model's time scale."""
 
 
 class ErrorAccounts:
@@ -45,44 +34,40 @@ class ErrorAccounts:
         self._system = filter_.system
         self._moving = filter_.members.given.moving
         self._timescale = filter_.phases.scales.timescale
-        self._brief = BRIEF * self._timescale
+        self._brief = TUNING.brief_flight * self._timescale
         self._clocks = sorted(clocks)
         kicks = unit_kicks(filter_.system)
         self._kicks = np.concatenate([np.zeros_like(kicks), kicks])
 
     def is_coarse(self, clock: float) -> bool:
         """Whether so large a deviation of stamps, s, may be an error of the model."""
-        return clock > COARSE_CLOCK * self._clocks[0]
+        return clock > TUNING.coarse_clock * self._clocks[0]
 
     def others(
         self, h: Hypothesis, here: ContactChange, likelihood: Likelihood
-    ) -> Iterator[tuple[Hypothesis, float]]:
-        """``h`` with other model errors before an impact that was ``here``.
-
-        With each the logarithm of its probability.
-        """
+    ) -> Iterator[Hypothesis]:
+        """``h`` with other model errors before an impact that was ``here``."""
         size, deviation = abs(likelihood.normalised), likelihood.deviation
         if not (here.hit and likelihood.innovations and h.jump.ago > self._brief):
             return
-        chance, clocks = OTHER_ERROR, [h.clock]
+        clocks = [h.clock]
         if h.error.level:
-            yield h._replace(error=NO_ERROR), chance
+            yield h._replace(error=NO_ERROR)
             if (clock := self._clock_instead(h, here)) != h.clock:
-                yield h._replace(error=NO_ERROR, clock=clock), chance
+                yield h._replace(error=NO_ERROR, clock=clock)
         else:
-            chance = NEW_ERROR
-            clocks = clocks if size > UNEXPLAINED else []
+            clocks = clocks if size > TUNING.unexplained else []
             clocks += self._clocks[:1] if self.is_coarse(h.clock) else []
             if not clocks:
                 return
         for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
             unit = self._seen(h, kind, here)
-            if kind is h.error.kind or unit <= STILL:
+            if kind is h.error.kind or unit <= TINY:
                 continue
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
             state = h.state.with_error(level * self._root(h, kind))
             for clock in clocks:
-                yield h._replace(state=state, clock=clock, error=LearnedError(kind, level)), chance
+                yield h._replace(state=state, clock=clock, error=LearnedError(kind, level))
 
     def after(
         self, h: Hypothesis, here: ContactChange, likelihood: Likelihood, posterior: Hypothesis
@@ -134,5 +119,5 @@ class ErrorAccounts:
         """The deviation of stamps that would explain as much as the model error of ``h``, s."""
         speed = float(self._system.W[:, here.hit[0]] @ h.state.x[self._system.n :])
         seen = h.error.level * self._seen(h, h.error.kind, here)
-        clock = math.hypot(seen / max(abs(speed), STILL), h.clock)
+        clock = math.hypot(seen / max(abs(speed), TINY), h.clock)
         return min(self._clocks, key=lambda each: abs(math.log(each / clock)))

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.between_events import FORLORN, BetweenEvents
+from impact_observer.estimation.between_events import BetweenEvents
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -23,42 +23,15 @@ from impact_observer.estimation.hypotheses import (
 )
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.ledger import Ledger, Note
-from impact_observer.estimation.likelihood import CERTAIN, STILL, Likelihood
+from impact_observer.estimation.likelihood import CERTAIN, Likelihood
 from impact_observer.estimation.settling import Rest, settled
 from impact_observer.estimation.square_root import lengths
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
+from impact_observer.kernel._kernel import TINY
 from impact_observer.states import Vector
 
-SPURIOUS_RATE = 0.1
-"""Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
-RESTART = math.log(2.5e-3)
-"""Logarithm of the prior probability that the covariance is wrong, or the whole estimate."""
-CLOCK_CHANGE = math.log(0.01)
-"""Logarithm of the probability that the clock's accuracy changes to another one."""
-_CHANGES = (-4, -1, 1, 4)
-"""Places in the list of accuracies to which it may change: a wrong one is left in few events."""
-SURPRISE = 3.0
-"""Innovation, in standard deviations, from which on a wider covariance is tried too."""
-WIDENING = (3.0, 100.0)
-"""Factors of the innovation by which a covariance is widened then."""
-LEADING = -3.0
-"""Logarithm of a probability, relative to the largest: alternatives are tried above it."""
-MOST_HYPOTHESES = 64
-"""Hypotheses that are kept, besides restarts; twice as many before an event."""
-LEAST_HYPOTHESES = 8
-"""The same of a large state."""
-_WORK = 1024
-"""Numbers in the states of all hypotheses that are kept, of a state that is not small or large."""
-NEGLIGIBLE = 1e-4
-"""Probability that the least likely hypotheses after an event may have together to be dropped."""
-SCAN = 3
-"""Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
-NEAR = 3.0
-"""Deviations up to which two states count as the same."""
-SLOW = 1e-4
-"""Speed of an impact below which it is less likely, relative to the fastest that the fallback's
-kinetic energy allows."""
 _SHORTLY = 50_000_000
 """Time since another event of the contact up to which a rejection names it, ns."""
 
@@ -137,7 +110,7 @@ class FilterBank:
         filter_: ImpactFilter,
         uncertainty: Uncertainty,
         clocks: Sequence[float] = (),
-        most: int = MOST_HYPOTHESES,
+        most: int = TUNING.most_hypotheses,
     ) -> None:
         """A bank for the ``uncertainty``.
 
@@ -145,7 +118,7 @@ class FilterBank:
         """
         self.filter = filter_
         self._next_clocks = {
-            clock: tuple(clocks[i + k] for k in _CHANGES if 0 <= i + k < len(clocks))
+            clock: tuple(clocks[i + k] for k in TUNING.clock_steps if 0 <= i + k < len(clocks))
             for i, clock in enumerate(clocks)
         }
         self.trusts_events = uncertainty.trusts_events
@@ -158,10 +131,11 @@ class FilterBank:
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
         self._rate = -math.log(filter_.phases.scales.timescale)
         spurious, true = _logs(uncertainty.spurious)
-        self._spurious = spurious - true + math.log(SPURIOUS_RATE) + self._rate
-        self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
+        self._spurious = spurious - true + math.log(TUNING.spurious_rate) + self._rate
+        affordable = TUNING.hypothesis_numbers // (2 * filter_.system.n)
+        self._most = min(most, max(TUNING.least_hypotheses, affordable))
         self._judges = self.errors is not None and uncertainty.unknowns is None
-        self._scan = SCAN * filter_.system.n
+        self._scan = TUNING.scan * filter_.system.n
         self._compares_states = filter_.system.m > 1
         self.between = BetweenEvents(
             filter_,
@@ -178,7 +152,7 @@ class FilterBank:
         count = min(_likely(ordered), self._most)
         found, rest = [*ordered[:count]], ordered[count:]
         if self._judges and any(not h.is_exact for h in found):
-            enough = ordered[0].weight + FORLORN
+            enough = ordered[0].weight + TUNING.log_forlorn
             exact = [h for h in rest if h.is_exact and h.weight > enough]
             found += exact[: _likely(exact) if exact else 0]
         return found
@@ -230,7 +204,7 @@ class FilterBank:
         """Of ``branches`` after the ``likely`` ones the likeliest with an exact model."""
         if not self._judges or all(each.before.is_exact for each in branches):
             return []
-        enough = branches[0].weight + FORLORN
+        enough = branches[0].weight + TUNING.log_forlorn
         exact = [b for b in branches if b.before.is_exact and b.weight > enough]
         exact = exact[: min(_likely(exact), self._most)]
         return exact[sum(b.before.is_exact for b in branches[:likely]) :]
@@ -264,9 +238,10 @@ class FilterBank:
     ) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_without(change.contacts) for each in hypotheses]
-        leading = max(weights) + LEADING
-        of_exact = [w for w, h in zip(weights, hypotheses, strict=True) if h.is_exact]
-        leading_exact = max(of_exact, default=0.0) + LEADING if self._judges else math.inf
+        leading, leading_exact = max(weights) + TUNING.log_leading, math.inf
+        if self._judges:
+            of_exact = [w for w, h in zip(weights, hypotheses, strict=True) if h.is_exact]
+            leading_exact = max(of_exact, default=0.0) + TUNING.log_leading
         found: list[_Branch] = []
         true: list[_Draft] = []
         clocks: list[_Draft] = []
@@ -284,7 +259,8 @@ class FilterBank:
             leads.append(weight >= leading or (h.is_exact and weight >= leading_exact))
             nexts = self._next_clocks.get(h.clock, ()) if leads[-1] else ()
             clocks += [
-                (prior + CLOCK_CHANGE, h._replace(clock=clock), here, "") for clock in nexts
+                (prior + TUNING.log_clock_change, h._replace(clock=clock), here, "")
+                for clock in nexts
             ]
         weighed = self._weighed([*true, *clocks], root_energy)
         others = [
@@ -325,14 +301,14 @@ class FilterBank:
             return 0.0
         i, phases = here.hit[0], self.filter.phases
         mean = self.filter.speed(i, h.state)
-        least = SLOW * float(phases.length[i]) * root_energy
+        least = TUNING.slow_impact * float(phases.length[i]) * root_energy
         if abs(mean) >= least:
             return 0.0
         applied = (n for n in reversed(h.ledger.notes) if n.ruling is not Ruling.REJECTED)
         if (last := next((n.stamp for n in applied if n.switched == i), None)) is not None:
             flight = (here.stamp - last) / 1e9  # it may bounce: slower, but sooner
             least *= min(flight / (2 * phases.scales.timescale), 1.0)
-        speed = math.hypot(mean, self.filter.speed_deviation(i, h.state), STILL)
+        speed = math.hypot(mean, self.filter.speed_deviation(i, h.state), TINY)
         return min(math.log(speed / least), 0.0) if least > 0 else 0.0
 
     def _others(
@@ -344,15 +320,16 @@ class FilterBank:
         prior = h.weight_without(here.contacts)
         depth = max(likelihood.innovations.values(), default=-1.0)
         if leads and self.errors is not None:
-            for other, chance in self.errors.others(h, here, likelihood):
-                yield prior + self._reported + chance, other, here, ""
-        if leads and depth > SURPRISE and not self.trusts_estimate:
+            changed = prior + self._reported + TUNING.log_error_change
+            for other in self.errors.others(h, here, likelihood):
+                yield changed, other, here, ""
+        if leads and depth > TUNING.surprise and not self.trusts_estimate:
             part = self.filter.part_of(here.contacts)
-            for factor in WIDENING:
+            for factor in (TUNING.widening, TUNING.large_widening):
                 state = self.filter.widened(h.state, factor * depth, largest, part)
                 wider = h._replace(state=state)
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
-                yield prior + RESTART, wider, here, reason
+                yield prior + TUNING.log_restart, wider, here, reason
         impact = len(change.hit) == 1 and here.before == here.closed
         if impact and self._mislabelled > -math.inf and not self._is_expected(true):
             closed = h.state.closed
@@ -370,7 +347,7 @@ class FilterBank:
             return False
         likelihood = branch.likelihood
         soon = likelihood.density > max(len(branch.here.contacts), 1) * self._rate
-        return soon and max(likelihood.innovations.values(), default=0.0) < SURPRISE
+        return soon and max(likelihood.innovations.values(), default=0.0) < TUNING.surprise
 
     def _made(self, change: ContactChange, branches: Sequence[_Branch]) -> list[Hypothesis]:
         """The hypotheses of ``branches`` after the event, if it is possible in them."""
@@ -495,13 +472,13 @@ def _are_near(one: GaussianState, other: GaussianState) -> bool:
         return False
     size = one.x.size
     deviations = np.minimum(lengths(one.root[:size]), lengths(other.root[:size]))
-    return bool(np.all(np.abs(one.x - other.x) <= NEAR * deviations))
+    return bool(np.all(np.abs(one.x - other.x) <= TUNING.near * deviations))
 
 
 def _likely(ordered: Sequence[Hypothesis | _Branch]) -> int:
     """How many of ``ordered``, the likeliest first, are kept."""
     shares = [math.exp(each.weight - ordered[0].weight) for each in ordered]
-    left = NEGLIGIBLE * sum(shares)
+    left = TUNING.negligible * sum(shares)
     while len(shares) > 1 and (left := left - shares[-1]) >= 0:
         shares.pop()
     return len(shares)
@@ -515,7 +492,7 @@ def _excuse(change: ContactChange, notes: Sequence[Note], likelihood: Likelihood
     before = next((each.stamp for each in others if each.ruling is Ruling.APPLIED), None)
     if before is not None and (after := change.stamp - before) <= _SHORTLY:
         numbers += f", {after / 1e6:.3g} ms after another"
-    if depth > SURPRISE:
+    if depth > TUNING.surprise:
         return f"spurious: {numbers}"
     return f"spurious: more likely than a true impact ({numbers})"
 
@@ -529,7 +506,7 @@ def _restarted(
     before = made[0].ledger.without_event(change) if made else Ledger()
     ledger = before._replace(settled={}).with_event(change, ruling, {})
     for h in restarts:
-        yield Hypothesis(h.state, h.clock, h.weight + total + RESTART, ledger)
+        yield Hypothesis(h.state, h.clock, h.weight + total + TUNING.log_restart, ledger)
 
 
 def _logs(probability: float) -> tuple[float, float]:

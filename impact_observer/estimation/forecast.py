@@ -22,18 +22,15 @@ from impact_observer.estimation.moving_system import MovingSystem
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
 from impact_observer.kernel import Guards, PhaseMotion
-from impact_observer.kernel._kernel import dips_along, falls_at
+from impact_observer.kernel._kernel import FINE, FINER, MOST_SAMPLES, dips_along, falls_at
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
-FINE = 6.0
-"""Samples in the inverse of the fastest rate: 38 a period."""
-_FINER = 8.0 ** np.arange(-8, 0)
-"""Additional samples in the first interval: a flight after an impact may be short."""
-_MOST = 4096
-"""Most samples of a flight; in a longer flight their distance is larger."""
+_FIRST_SAMPLES = 8.0 ** np.arange(-FINER, 0)
+"""Samples in the first interval, over its length: a flight after an impact may be short."""
 _EPS = float(np.finfo(np.float64).eps)
-_ROUNDED = 64 * _EPS
+"""Distance of 1 from the next larger number."""
+_GUARD_ROUNDING = 64 * _EPS
 """Rounding of a guard function, relative to the terms of its sum."""
 
 
@@ -110,9 +107,9 @@ class Flight:
 
     def instants(self, duration: float) -> Vector:
         """Samples of the next ``duration`` seconds, shape (samples,)."""
-        count = min(max(math.ceil(duration / self._step), 4), _MOST)
+        count = min(max(math.ceil(duration / self._step), 4), MOST_SAMPLES)
         s = np.linspace(0.0, duration, count + 1)
-        return np.concatenate([s[:1], s[1] * _FINER, s[1:]])
+        return np.concatenate([s[:1], s[1] * _FIRST_SAMPLES, s[1:]])
 
     def values(self, motion: Motion, s: Vector) -> Matrix:
         """The functions along a motion, at ``s`` seconds in rising order, (samples, functions)."""
@@ -127,7 +124,7 @@ class Flight:
         """
         sizes = self._scales.sizes(x) if j < self.gaps else np.abs(x)
         size = abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
-        return (_ROUNDED + _EPS * (self._t + s) / self._scales.timescale) * size
+        return (_GUARD_ROUNDING + _EPS * (self._t + s) / self._scales.timescale) * size
 
     def rest(self, j: int, s: float) -> float:
         """``offset`` of function ``j`` alone, ``s`` seconds after the start."""

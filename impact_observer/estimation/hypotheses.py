@@ -14,19 +14,10 @@ from impact_observer.estimation.ledger import Ledger
 from impact_observer.estimation.likelihood import Innovation
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.estimation.square_root import triangular
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
-_RARE = 1e-3
-"""Probability up to which the least likely hypotheses are not published."""
-_RARE_ERROR = 0.05
-"""Probability up to which hypotheses of another model error are not published."""
-_DISORDERED = -50.0
-"""Least logarithm of the probability of stamps in a wrong order."""
-FIRST = 12
-"""Events from the start in which the state is not known: an error of the model is no sign then."""
-_EXACT = 24
-"""Events in a row without an error of the model, after which it counts as exact again."""
 NOTHING: Mapping[int, float] = MappingProxyType({})
 """The survival where no gap and no load is negative."""
 
@@ -83,8 +74,9 @@ class Hypothesis(NamedTuple):
         The latest, and but for the first, once these are over.
         """
         last, events = self.ledger.last_error, self.ledger.events
-        by_first = last <= FIRST <= events
-        return not self.error.level and (not last or by_first or events - last >= _EXACT)
+        by_first = last <= TUNING.first_events <= events
+        is_over = not last or by_first or events - last >= TUNING.exact_events
+        return not self.error.level and is_over
 
     def weight_without(self, contacts: Contacts) -> float:
         """The logarithm of its probability without the survival of ``contacts``.
@@ -109,7 +101,7 @@ class Hypothesis(NamedTuple):
     def disordered(self, s: float) -> "Hypothesis":
         """It pays for two stamps whose order is wrong by ``s`` seconds."""
         unlikely = float(special.log_ndtr(-s / (math.sqrt(2.0) * self.clock)))
-        return self._replace(weight=self.weight + max(unlikely, _DISORDERED))
+        return self._replace(weight=self.weight + max(unlikely, TUNING.log_least_disorder))
 
 
 def log_sum(weights: Sequence[float]) -> float:
@@ -131,9 +123,9 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
 
     The variance of the whole mixture would be that of its rarest members. A model error is tried
     at many events and rarely there: hypotheses that differ in it from the likeliest are left out
-    while they hold less than ``_RARE_ERROR`` of the probability. In a ``misfit`` those without a
-    model error are wrong, however likely. Of the rest the least likely are left out that hold less
-    than ``_RARE`` together.
+    while they hold less than ``Tuning.unpublished_error``. In a ``misfit`` those without a model
+    error are wrong, however likely. Of the rest the least likely are left out that hold less than
+    ``Tuning.unpublished`` together.
     """
     if len(hypotheses) == 1:
         return hypotheses
@@ -144,9 +136,10 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
             ordered = in_error
         else:
             alike = [h for h in ordered if (h.error.level > 0) == (ordered[0].error.level > 0)]
-            if _share(alike, ordered)[-1] > 1 - _RARE_ERROR:
+            if _share(alike, ordered)[-1] > 1 - TUNING.unpublished_error:
                 ordered = alike
-    return ordered[: 1 + int(np.searchsorted(_share(ordered, ordered), 1 - _RARE))]
+    shares = _share(ordered, ordered)
+    return ordered[: 1 + int(np.searchsorted(shares, 1 - TUNING.unpublished))]
 
 
 def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:

@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.joint import Expected, Joint
-from impact_observer.estimation.likelihood import (
-    STILL,
-    Likelihood,
-    likelihood_of,
-)
+from impact_observer.estimation.likelihood import Likelihood, likelihood_of
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
 from impact_observer.estimation.process_noise import ProcessNoise
@@ -29,33 +25,30 @@ from impact_observer.estimation.square_root import (
     product,
     triangular,
 )
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import Gaps, Sensitivity, leading
+from impact_observer.kernel._kernel import (
+    BACK,
+    MOST_STEPS,
+    ROUNDS,
+    SLOWEST,
+    TIME_SHARE,
+    TINY,
+    Gaps,
+    Sensitivity,
+    leading,
+)
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _NO_TIME = 1e-15
 """Time in which nothing moves, s."""
-_SHORT = 1e-8
+_NEGLECTED_FLIGHT = 1e-8
 """Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
-_LONGEST = 1e4
-"""Longest flight that is followed step by step, in the inverse of the fastest rate."""
-_BACK = 8.0
-"""Longest flow back from a stamp, in time constants of the fastest fading motion."""
-_WIDEST = 10.0
-"""Standard deviation that a widened one stays below, relative to the motion so far."""
-_FAR_BELOW = 0.3
-"""Standard deviation that needs no limit, relative to that one."""
 _LEAST_EXTENT = 1e-9
 """Magnitude of a component of the motion that has been still, relative to the largest."""
-_LATE = 0.1
-"""Share of the rounding of the time since the epoch in the rounding of a state."""
-INSIDE = 4.0
-"""Depth of a contact inside its stop that no error of the estimate explains, in deviations."""
-ROUNDS = 6
-"""Most linearisations of a measurement about its own posterior."""
 
 
 class Asked(NamedTuple):
@@ -109,14 +102,14 @@ class ImpactFilter:
         self._unknowns = unknowns
         self.members = Members(unknowns.family)
         self.phases = self.members.given.moving.phases
-        self.short = _SHORT * self.phases.scales.timescale
+        self.short = _NEGLECTED_FLIGHT * self.phases.scales.timescale
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
         self._is_uncertain = self.noise is not None or self.members.family.size > 0
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
         self._drifts = bool(np.any(declared.drift))
-        self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
+        self._longest = MOST_STEPS / max(self.members.given.moving.rate, SLOWEST)
 
     def begin(self, state: GaussianState) -> GaussianState:
         """``state`` with its closed contacts at rest."""
@@ -208,7 +201,9 @@ class ImpactFilter:
         that harmonic forces are as wrong as they change in that rounding.
         """
         scales = self.phases.scales
-        late = _LATE * abs(t) / scales.timescale if self.system.forcing.frequency.size else 0.0
+        late = (
+            TIME_SHARE * abs(t) / scales.timescale if self.system.forcing.frequency.size else 0.0
+        )
         return STATE_ROUNDING * (1.0 + late) * scales.sizes(x, flown)
 
     def free_state(self, made: tuple[Vector, Vector, Matrix, Matrix]) -> GaussianState:
@@ -430,9 +425,9 @@ class ImpactFilter:
     ) -> GaussianState:
         """``state`` with standard deviations that are larger by ``factor``.
 
-        They stay below ten times the motion so far, ``largest``, shape (2n,): what no event shows
-        would grow at each widening. Those of the parameters stay below what was declared.
-        ``part`` are the coordinates whose state is widened, shape (n,); all of them by default.
+        They stay below ``Tuning.widest_deviation`` times the motion so far, ``largest``, shape
+        (2n,). Those of the parameters stay below what was declared. ``part``
+        are the coordinates whose state is widened, shape (n,); all of them by default.
         """
         factors = np.full(len(state.root), factor)
         size, p = state.x.size, state.parameters
@@ -440,11 +435,12 @@ class ImpactFilter:
             factors[:size] = np.where(np.tile(part, 2), factor, 1.0)
         if p:
             now = lengths(state.root[size : size + p])
-            most = self._unknowns.deviations / np.maximum(now, STILL)
+            most = self._unknowns.deviations / np.maximum(now, TINY)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
         wider = state.root * factors[:, None]
-        most = _WIDEST * np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=STILL)))
-        if np.all(np.linalg.norm(wider[:size], axis=1) <= _FAR_BELOW * most):
+        extent = np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=TINY)))
+        most = TUNING.widest_deviation * extent
+        if np.all(np.linalg.norm(wider[:size], axis=1) <= TUNING.unlimited_deviation * most):
             return state._replace(root=wider)
         bounds = np.zeros((size, len(state.root)))
         bounds.flat[:: len(state.root) + 1] = 1.0 / most
@@ -508,7 +504,7 @@ class ImpactFilter:
             return False
         gap = member.gaps(change.hit)
         (deviation,) = lengths(gap.c @ joint.root[1 : 1 + joint.size])
-        return float(gap.value(joint.x)[0]) < -INSIDE * deviation
+        return float(gap.value(joint.x)[0]) < -TUNING.inside * deviation
 
     def _at_estimated_instant(
         self, change: ContactChange, joint: Joint, member: Member | None = None
@@ -534,7 +530,7 @@ class ImpactFilter:
         """
         moving = self.members.given.moving
         fading = max(moving.rates(change.before).decay, moving.rates(change.closed).decay)
-        return min(_BACK / fading, self._longest) if fading else self._longest
+        return min(BACK / fading, self._longest) if fading else self._longest
 
     def _propagated(self, member: Member, closed: Contacts, joint: Joint, s: float) -> Joint:
         """``joint`` with its state ``s`` seconds later; of first order in ``s`` for parameters."""

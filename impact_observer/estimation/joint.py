@@ -15,10 +15,8 @@ from impact_observer.estimation.square_root import (
     lengths,
     product,
 )
+from impact_observer.kernel._kernel import SETTLED
 from impact_observer.states import Matrix, Vector
-
-SETTLED = 0.05
-"""Largest change by another linearisation, relative to the measurement's standard deviation."""
 
 
 class Joint(NamedTuple):

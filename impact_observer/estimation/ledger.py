@@ -8,10 +8,8 @@ from typing import NamedTuple
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.settling import Rest
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, Kind, Ruling
-
-_NOTES = 32
-"""Notes that a ledger keeps, at least: older decisions do not change."""
 
 
 class Note(NamedTuple):
@@ -136,7 +134,7 @@ class Ledger(NamedTuple):
             for i, j in zip(change.contacts, switched or change.contacts, strict=True)
         ]
         notes = (*self.notes, *inserted, *own)
-        first = max(len(notes) - _NOTES, 0)
+        first = max(len(notes) - TUNING.most_notes, 0)
         while first and notes[first - 1].event == notes[first].event:
             first -= 1  # the notes on one event stay together
         return self._replace(notes=notes[first:], missed=())

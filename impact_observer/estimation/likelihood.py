@@ -10,12 +10,10 @@ from scipy import special
 from impact_observer.estimation.joint import Expected, Joint
 from impact_observer.estimation.square_root import lengths
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import CLOSING, TINY
 
-STILL = 1e-150
-"""Least speed, m/s: instead of zero in a logarithm or a quotient."""
-_CLOSING = 1e-3
-"""Least standard deviation of a closing speed, relative to the speed."""
-_NORMAL = math.log(2 * math.pi) / 2
+LOG_ROOT_2PI = math.log(2 * math.pi) / 2
+"""By which the logarithm of a normal density is less than that of its exponential."""
 
 
 class Innovation(NamedTuple):
@@ -95,10 +93,10 @@ def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likel
 
 def _density(white: float, deviation: float, slope: float, spread: float) -> float:
     """Logarithm of the density of the instant at which one gap goes through zero, 1/s."""
-    speed = math.log(math.hypot(slope, spread) + STILL)
-    return speed - white * white / 2 - math.log(abs(deviation)) - _NORMAL
+    speed = math.log(math.hypot(slope, spread) + TINY)
+    return speed - white * white / 2 - math.log(abs(deviation)) - LOG_ROOT_2PI
 
 
 def _from_above(slope: float, spread: float) -> float:
     """Logarithm of the probability that a gap of this ``slope`` closes."""
-    return float(special.log_ndtr(slope / max(spread, _CLOSING * abs(slope), STILL)))
+    return float(special.log_ndtr(slope / max(spread, CLOSING * abs(slope), TINY)))

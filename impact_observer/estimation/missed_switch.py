@@ -12,13 +12,10 @@ from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.joint import Joint
-from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.square_root import lengths, triangular
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, Kind
-
-_BRIEF = 1e-2
-"""Flights that count as rest where the gap stays within its deviation, relative to the model's
-time scale."""
+from impact_observer.kernel._kernel import TINY
 
 
 class Inserted(NamedTuple):
@@ -92,7 +89,7 @@ def posterior_of_missed(
     falling = math.sqrt(abs(bend) * (deviation + abs(late)))
     # A gap that stands still tells no instant: the error of it stays one that can be followed.
     farthest = filter_.farthest(change)
-    slope = max(float(H[0, 0]), falling, (deviation + abs(late)) / farthest, STILL)
+    slope = max(float(H[0, 0]), falling, (deviation + abs(late)) / farthest, TINY)
     row, e, deviation = -seen / slope, late / slope, deviation / slope
     nonlinear = deviation * lengths(D.dot(root[: x.size]))[0] / slope
     nonlinear += bend / slope * deviation**2 / 2
@@ -117,5 +114,5 @@ def _comes_to_rest(
         return False
     seen = filter_.system.W[:, contact].dot(state.root[: filter_.system.n])
     deviation = math.sqrt(seen.dot(seen))
-    brief = _BRIEF * filter_.phases.scales.timescale
+    brief = TUNING.resting_flight * filter_.phases.scales.timescale
     return flight <= filter_.short or (speed * flight / 4 <= deviation and flight <= brief)

@@ -12,20 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
-
-LARGEST_RESTITUTION_ERROR = 0.1
-"""Most that a level of ``RESTITUTION`` may be."""
-LARGEST_ACCELERATION_ERROR = 0.1
-"""Most that a level of ``ACCELERATION`` may be, relative to the accelerations of the motion in the
-fastest rate."""
-_FORGETTING = 0.95
-"""Weight of what earlier events said about a level, at each event."""
-_LEAST_INFORMATION = 1.0
-"""Information about the logarithm of a variance that a new level counts as having."""
-_LARGEST_SQUARE = 9.0
-"""Square of an innovation, in standard deviations, beyond which it counts as this."""
 
 
 class ErrorKind(Enum):
@@ -64,9 +53,9 @@ class LearnedError(NamedTuple):
             most: that the level may be.
         """
         share = min((self.level * unit / deviation) ** 2, 1.0)
-        information = _FORGETTING * self.information + share * share / 2
-        slope = share * (min(innovation * innovation, _LARGEST_SQUARE) - 1.0) / 2
-        step = slope / max(information, _LEAST_INFORMATION)
+        information = TUNING.forgetting * self.information + share * share / 2
+        slope = share * (min(innovation * innovation, TUNING.clipping**2) - 1.0) / 2
+        step = slope / max(information, TUNING.least_information)
         level = min(self.level * math.exp(step / 2), most)
         return LearnedError(self.kind, level, information, self.events + 1)
 
@@ -83,6 +72,6 @@ def unit_kicks(system: System) -> Matrix:
 def largest(kind: ErrorKind, accelerations: Vector, timescale: float) -> float:
     """The most that a level may be; ``accelerations`` of the motion have shape (n,), m/s2."""
     if kind is ErrorKind.RESTITUTION:
-        return LARGEST_RESTITUTION_ERROR
+        return TUNING.largest_restitution_error
     size = float(np.linalg.norm(accelerations))
-    return LARGEST_ACCELERATION_ERROR * size * math.sqrt(timescale)
+    return TUNING.largest_acceleration_error * size * math.sqrt(timescale)

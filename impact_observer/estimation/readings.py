@@ -9,25 +9,17 @@ import numpy as np
 
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.saltation import LEAST, ROUNDING
+from impact_observer.estimation.saltation import ROUNDING
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import TINY
 from impact_observer.model import System
 from impact_observer.model.measurement import Coefficients, Measurement
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
-_STEP = 1000
+_HALF_STEP = 1000
 """Half the distance of the instants by which speeds of grounds are differentiated, ns."""
 _NOTHING = np.zeros(0)
-_FADING = 4.0
-"""Power by which samples from which a deviation is learned fade with their number."""
-_MEMORY = 1000.0
-"""How many of them count in the end."""
-_SLOWLY = 0.005
-"""Weight of a sample in the errors of a sensor whose deviation is declared."""
-_OUTLYING = 9.0
-"""Square of an error, relative to the variance so far, above which it counts as no larger."""
-AS_DECLARED = 2.25
-"""Variance of these errors, relative to the declared one, up to which that is used."""
 
 
 class Row(NamedTuple):
@@ -59,7 +51,7 @@ class Row(NamedTuple):
 
     def rounding(self, sizes: Vector) -> float:
         """Standard deviation of its rounding, positive; states have these ``sizes``, (2n,)."""
-        return ROUNDING * (float(np.abs(self.h).dot(sizes)) + abs(self.rest)) + LEAST
+        return ROUNDING * (float(np.abs(self.h).dot(sizes)) + abs(self.rest)) + TINY
 
 
 class Place(NamedTuple):
@@ -169,10 +161,10 @@ class DeclaredSensor:
         frame = self._system.frame
         if frame is None or self._contact is not None:
             return np.zeros(instants.size)
-        around = np.concatenate([instants - _STEP, instants, instants + _STEP])
+        around = np.concatenate([instants - _HALF_STEP, instants, instants + _HALF_STEP])
         parts = (np.split(each, 3) for each in frame.displacements(around))
         (_, s, _), (before, speed, after) = parts
-        acceleration = (after - before) / (2e-9 * _STEP)
+        acceleration = (after - before) / (2e-9 * _HALF_STEP)
         rows = ((self._p, s), (self._v, speed), (self._a, acceleration))
         return np.asarray(sum(motion @ (row @ frame.shift) for row, motion in rows))
 
@@ -212,16 +204,16 @@ class SensorState(NamedTuple):
 
     def exceeds(self, deviation: float) -> bool:
         """Whether its errors are much larger than the declared ``deviation``."""
-        return self.shown > AS_DECLARED * deviation * deviation
+        return self.shown > TUNING.as_declared * deviation * deviation
 
     def _compared(self, residual: float, deviation: float) -> "SensorState":
         """The declared ``deviation`` is used unless errors are much larger."""
         if not (declared := deviation * deviation):
             return self
         before = max(self.shown, declared)
-        change = min(residual, _OUTLYING * before) - before
-        shown = max(before + _SLOWLY * change, declared)
-        variance = shown if shown > AS_DECLARED * declared else declared
+        change = min(residual, TUNING.clipping**2 * before) - before
+        shown = max(before + TUNING.shown_weight * change, declared)
+        variance = shown if shown > TUNING.as_declared * declared else declared
         return self._replace(variance=variance, shown=shown)
 
     def learned(self, residual: float) -> "SensorState":
@@ -231,7 +223,7 @@ class SensorState(NamedTuple):
         is soon forgotten, and in the end a thousand samples count.
         """
         samples = self.samples + 1
-        weight = max(_FADING / (samples + _FADING), 1.0 / _MEMORY)
+        weight = max(TUNING.fading / (samples + TUNING.fading), 1.0 / TUNING.memory)
         return SensorState(self.variance + weight * (residual - self.variance), samples)
 
 

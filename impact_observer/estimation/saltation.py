@@ -20,6 +20,7 @@ from scipy import linalg
 from impact_observer.dynamics.flow.equations import Equations
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import TINY
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients
 from impact_observer.states import Matrix, Vector
@@ -28,8 +29,6 @@ ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Rounding of a measurement, relative to the terms of its sum."""
 STATE_ROUNDING = float(np.finfo(np.float64).eps)
 """Rounding of a state, relative to ``Scales.sizes``."""
-LEAST = 1e-150
-"""Least standard deviation of a measurement."""
 _ONE = np.ones(1)
 
 
@@ -155,7 +154,7 @@ class Measured(NamedTuple):
         terms = np.abs(self.c).dot(np.abs(x)).tolist()
         rests = self._rest(force).tolist()
         return [
-            ROUNDING * (size + abs(rest)) + LEAST for size, rest in zip(terms, rests, strict=True)
+            ROUNDING * (size + abs(rest)) + TINY for size, rest in zip(terms, rests, strict=True)
         ]
 
     def _rest(self, force: Vector | None) -> Vector:

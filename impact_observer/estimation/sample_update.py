@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from impact_observer.estimation.between_events import CONFIDENT, DEAD, LATE, POSSIBLE
-from impact_observer.estimation.filter_bank import RESTART, FilterBank
+from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.forecast import Dip
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
@@ -24,14 +23,11 @@ from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import NO_ERROR
 from impact_observer.estimation.readings import Place, Reading, Row, SampleOutcome, SensorState
 from impact_observer.estimation.settling import rest_after
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Kind
 from impact_observer.kernel._kernel import measured
 from impact_observer.states import Matrix, Vector
 
-DOUBTFUL = 3
-"""Samples of one sensor that are rejected in a row, before the covariance is doubted."""
-WIDENING = 3.0
-"""Factor of the normalised innovation by which it is widened then."""
 _LEAST_RESTITUTION = 1e-3
 """By which a speed after an impact is divided to find the one before."""
 
@@ -196,7 +192,7 @@ class SampleUpdate:
             known = self.one.first(reading, hypotheses[0].state, reading.known)
         if not math.isfinite(known.variance):
             return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
-        doubt, before = known.rejected >= DOUBTFUL, len(hypotheses)
+        doubt, before = known.rejected >= TUNING.rejected_samples, len(hypotheses)
         if doubt or any(h.survival for h in hypotheses):
             hypotheses = [
                 branch
@@ -207,7 +203,7 @@ class SampleUpdate:
                 best = max(hypotheses, key=attrgetter("weight"))
                 begun = best._replace(
                     state=restart(),
-                    weight=best.weight + RESTART,
+                    weight=best.weight + TUNING.log_restart,
                     ledger=best.ledger._replace(missed=()),
                     survival={},
                     error=NO_ERROR,
@@ -268,7 +264,7 @@ class SampleUpdate:
         known, declared = reading.known, reading.sensor.measurement.deviation
         if known.variance < 0 and declared is not None:
             known = known._replace(variance=declared * declared)
-        if known.variance <= 0 or known.rejected >= DOUBTFUL or reading.closed:
+        if known.variance <= 0 or known.rejected >= TUNING.rejected_samples or reading.closed:
             return None
         filter_ = self.bank.filter
         if filter_.members.family.size:
@@ -308,8 +304,8 @@ class SampleUpdate:
             variance = row.variance(h.state.root) + noise
             depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
             if depth > reading.sensor.measurement.gate:
-                wider = self.bank.filter.widened(h.state, WIDENING * depth, largest)
-                yield h._replace(state=wider, weight=h.weight + RESTART)
+                wider = self.bank.filter.widened(h.state, TUNING.widening * depth, largest)
+                yield h._replace(state=wider, weight=h.weight + TUNING.log_restart)
 
     def _settled(self, reading: Reading, h: Hypothesis) -> Iterator[Hypothesis]:
         """``h``, and what it is if the impacts have happened that it penetrates.
@@ -322,14 +318,15 @@ class SampleUpdate:
             between = self.bank.between
             dead = between.dead(h, contact, Kind.IMPACT, reading.t)
             missed = between.log_missed(dead)
-            if not (POSSIBLE < depth <= CONFIDENT) or missed == -math.inf:
+            is_possible = TUNING.possible_depth < depth <= TUNING.confident_depth
+            if not is_possible or missed == -math.inf:
                 continue
             dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, False, 0.0)
             if (after := insert_switch(self.bank.filter, reading.t, h.state, dip)) is None:
                 continue
             state, kind, flight = after
             weight = h.weight_without((contact,)) + missed + float(special.log_ndtr(depth))
-            switch, rest = MissedSwitch(contact, kind, 0.0, depth, dead > DEAD), None
+            switch, rest = MissedSwitch(contact, kind, 0.0, depth, dead > TUNING.dead), None
             if kind is Kind.CLOSE:
                 rest = rest_after(self.bank.filter, contact, reading.t, flight, h.clock)
             yield h._replace(
@@ -365,7 +362,7 @@ class SampleUpdate:
         squares, row = 0.0, None
         speeds = self._directions.dot(state.x[n:])
         for i in np.flatnonzero(gaps < 0).tolist():
-            if i not in state.closed and -gaps[i] <= LATE * h.clock * abs(speeds[i]):
+            if i not in state.closed and -gaps[i] <= TUNING.late * h.clock * abs(speeds[i]):
                 row = row or self.one.row(reading, state)
                 squares += self._jump(row, state.x, i, float(speeds[i])) ** 2
         return math.sqrt(squares)

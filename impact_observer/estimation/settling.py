@@ -15,21 +15,11 @@ import numpy as np
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.estimation.likelihood import LOG_ROOT_2PI
 from impact_observer.estimation.resting import rest_projection
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
 from impact_observer.states import Matrix
-
-_UNRESOLVED = 4.0
-"""Longest flight that the clock does not resolve, in standard deviations of a stamp."""
-_UNKNOWN = 40.0
-"""Standard deviation of a flight, in those of a stamp, above which its mean says nothing."""
-_LONGEST = 100.0
-"""Longest flight before such a one, in standard deviations of a stamp: of others none is tried."""
-_LEAST_LOSS = 0.05
-"""Least that a bounce loses of its speed, where the duration of all bounces is predicted."""
-_FAR = 6.0
-"""Standard deviations from the predicted rest up to which a hit may be one of the bounces."""
-_NORMAL = math.log(2 * math.pi) / 2
 
 
 class Rest(NamedTuple):
@@ -46,7 +36,8 @@ class Rest(NamedTuple):
     def log_density(self, t: float) -> float | None:
         """Logarithm of the density of the stamp ``t`` of a bounce, 1/s; None for no bounce."""
         far = (t - self.t) / self.deviation
-        return -far * far / 2 - math.log(self.deviation) - _NORMAL if abs(far) < _FAR else None
+        density = -far * far / 2 - math.log(self.deviation) - LOG_ROOT_2PI
+        return density if abs(far) < TUNING.far_bounce else None
 
 
 class Settled(NamedTuple):
@@ -78,16 +69,17 @@ def settled(
         since: duration of the flight before it, s.
     """
     change, clock = asked.change, asked.clock
-    if len(change.hit) != 1 or change.hit[0] in change.closed or since > _LONGEST * clock:
+    is_long = since > TUNING.longest_flight * clock
+    if is_long or len(change.hit) != 1 or change.hit[0] in change.closed:
         return None
     contact = change.hit[0]
     if filter_.system.contact_time[contact] or filter_.system.rebounds[contact].drives:
         return None
     speed = filter_.speed(contact, after)
     fall = filter_.fall(change.t, contact, after)
-    if not (fall > 0 and 2 * speed < _UNRESOLVED * clock * fall):
+    if not (fall > 0 and 2 * speed < TUNING.unresolved_flight * clock * fall):
         return None
-    if 2 * filter_.speed_deviation(contact, after) > _UNKNOWN * clock * fall:
+    if 2 * filter_.speed_deviation(contact, after) > TUNING.unknown_flight * clock * fall:
         return None
     flight = max(2 * speed / fall, 0.0)
     closed: Contacts = tuple(sorted({*change.closed, contact}))
@@ -110,7 +102,7 @@ def _neglected(
     system, n = filter_.system, filter_.system.n
     w, inverse = system.W[:, contact], filter_.members.given.moving.phase(()).inverse
     kick = inverse @ w
-    raised = fall * flight**3 / 12 / max(1.0 - float(system.eps[contact]) ** 3, _LEAST_LOSS)
+    raised = fall * flight**3 / 12 / max(1.0 - float(system.eps[contact]) ** 3, TUNING.least_loss)
     added = np.zeros((2 * n, 1))
     added[n:, 0] = inverse @ (system.K @ kick) * (raised / w.dot(kick))
     return np.asarray(rest_projection(filter_.members, state).map_ @ added)
@@ -121,5 +113,5 @@ def rest_after(filter_: ImpactFilter, contact: int, t: float, flight: float, clo
 
     ``clock`` is the standard deviation of a stamp, s.
     """
-    left = flight / max(1.0 - float(filter_.system.eps[contact]), _LEAST_LOSS)
+    left = flight / max(1.0 - float(filter_.system.eps[contact]), TUNING.least_loss)
     return Rest(t + left, math.hypot(clock, left / 2))

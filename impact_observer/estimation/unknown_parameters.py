@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_observer.errors import UsageError
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, parametric_family
@@ -14,14 +15,10 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.options import highest
 from impact_observer.states import Vector, frozen
 
-DEVIATIONS = (1e-12, 1.0)
+_DEVIATION_RANGE = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
-GAPS = 100.0
+_GAP_FACTOR = 100.0
 """Largest standard deviation of a gap over the gap, which may be small beside the motion."""
-RESTITUTION = 0.1
-"""Standard deviation of a restitution where none is declared."""
-SHARE = 0.05
-"""The same of any other parameter, relative to its size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +51,8 @@ class UnknownParameters:
             found, size = self.deviations.size, self.family.size
             raise UsageError(f"deviations: {found} found; expected {size}, one a parameter")
         for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
-            least, most = (each.size * share for share in DEVIATIONS)
-            most *= GAPS if np.any(each.effect.gap) else 1.0
+            least, most = (each.size * share for share in _DEVIATION_RANGE)
+            most *= _GAP_FACTOR if np.any(each.effect.gap) else 1.0
             if not least <= deviation <= most:
                 raise UsageError(
                     f"deviation of {each.name}: {deviation:g} found; expected {least:g} to"
@@ -106,7 +103,8 @@ class UnknownParameters:
         deviations = []
         for each in parameters:
             kind = each.name.partition(".")[0]
-            usual = RESTITUTION if kind == "restitution" else SHARE * each.size
+            usual = TUNING.parameter_deviation * each.size
+            usual = TUNING.restitution_deviation if kind == "restitution" else usual
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
         return cls(ParametricFamily(family.system, parameters), np.array(deviations), drift)
 

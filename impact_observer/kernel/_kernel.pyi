@@ -8,6 +8,19 @@ from impact_observer.states import Matrix, Vector
 
 SOURCES: str
 
+# Numbers of the arithmetic that kernel and Python share; the headers say what they are.
+TINY: float
+SETTLED: float
+CLOSING: float
+BACK: float
+MOST_STEPS: float
+SLOWEST: float
+TIME_SHARE: float
+ROUNDS: int
+FINE: float
+FINER: int
+MOST_SAMPLES: int
+
 StateArrays: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
 NegativeInterval: TypeAlias = tuple[int, float, float, float, float, float, bool, float]
 CorrectedState: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]

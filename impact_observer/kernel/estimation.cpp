@@ -59,7 +59,7 @@ FreeMotion motion_of(const Array& lower, const Array& constant, const Array& fre
                       checked(cosine, "cosine", omega.size(), n),
                       checked(sine, "sine", omega.size(), n),
                       omega,
-                      std::max(positive(rate, "rate"), LEAST),
+                      std::max(positive(rate, "rate"), TINY),
                       positive(decay, "decay")};
     motion.prepare();
     return motion;
@@ -389,6 +389,17 @@ Matrix diffusion(const FreeMotion& motion, double s) {
 }  // namespace
 
 void bind_estimation(py::module_& module) {
+    module.attr("TINY") = TINY;
+    module.attr("SETTLED") = SETTLED;
+    module.attr("CLOSING") = CLOSING;
+    module.attr("BACK") = BACK;
+    module.attr("MOST_STEPS") = MOST_STEPS;
+    module.attr("SLOWEST") = SLOWEST;
+    module.attr("TIME_SHARE") = TIME_SHARE;
+    module.attr("ROUNDS") = ROUNDS;
+    module.attr("FINE") = FINE;
+    module.attr("FINER") = FINER;
+    module.attr("MOST_SAMPLES") = int(MOST_SAMPLES);
     const auto family = "family"_a.none(false);
     module.def("leading", &leading_of, "root"_a, "first"_a, "count"_a);
     module.def("dips_along", &dips_along, "s"_a, "values"_a, "value"_a, "rounding"_a,

@@ -11,7 +11,7 @@
 namespace kernel::kalman {
 
 constexpr double EPS = std::numeric_limits<double>::epsilon();
-constexpr double LEAST = 1e-150;  // standard deviation, or speed, instead of zero
+constexpr double TINY = 1e-150;  // standard deviation, or speed, instead of zero
 
 struct Ignored {
     void operator()(const ConstSpan&) const {}

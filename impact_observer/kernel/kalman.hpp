@@ -29,7 +29,7 @@ constexpr double CLOSING = 1e-3;    // least deviation of a closing speed, relat
 constexpr double BACK = 8.0;        // longest flow back, in time constants of fading motion
 constexpr double MOST_STEPS = 1e4;  // longest flow, in the inverse of the fastest rate
 constexpr double SLOWEST = 1e-6;    // least of that rate, 1/s
-constexpr double LATE = 0.1;        // share of the rounding of t in the rounding of a state
+constexpr double TIME_SHARE = 0.1;  // share of the rounding of t in the rounding of a state
 constexpr int ROUNDS = 6;           // most linearisations of a measurement about its posterior
 constexpr std::size_t LARGE = 32;   // least size of a state whose roots may have more columns
 
@@ -95,7 +95,7 @@ class Impact {
         const double falling = std::sqrt(std::abs(at.a) * (deviation + std::abs(late)));
         // A gap that stands still tells no instant: its error stays one that can be followed.
         const double least = (deviation + std::abs(late)) / farthest();
-        const double slope = std::max({-at.gamma, falling, least, LEAST});
+        const double slope = std::max({-at.gamma, falling, least, TINY});
         deviation /= slope;
         joint.z[0] = late / slope;
         const Span<double> own = joint.root.row(0);
@@ -231,7 +231,7 @@ class Impact {
         Law law = law_of(given.constants);
         double rounded = std::abs(law.rest);
         for (std::size_t i = 0; i < w.size(); ++i) rounded += std::abs(w[i]) * scale[i];
-        rounded = 4 * EPS * rounded + LEAST;
+        rounded = 4 * EPS * rounded + TINY;
 
         Vector about = y;
         double e = within(prior.z[0]);
@@ -385,7 +385,7 @@ class Impact {
 
         Vector rounding = family->sizes.rounding_scale(x, flown);
         if (!motion.frequency.empty())
-            for (double& each : rounding) each *= 1.0 + LATE * std::abs(t) / family->sizes.timescale;
+            for (double& each : rounding) each *= 1.0 + TIME_SHARE * std::abs(t) / family->sizes.timescale;
         const std::size_t more = c + 4 + curved.columns;
         const bool is_final = p || size < LARGE || 2 * more > 3 * size;
         Matrix root(d, std::max(d, more + (is_final ? size : 0)));
@@ -419,8 +419,8 @@ class Impact {
 
     // Logarithm of the density of the instant at which a gap goes through zero from above, 1/s.
     static double density(double white, double deviation, double slope, double spread) {
-        const double closing = std::max({spread, CLOSING * std::abs(slope), LEAST});
-        return std::log(std::hypot(slope, spread) + LEAST) - white * white / 2 -
+        const double closing = std::max({spread, CLOSING * std::abs(slope), TINY});
+        return std::log(std::hypot(slope, spread) + TINY) - white * white / 2 -
                std::log(deviation) - 0.9189385332046727 + log_normal(slope / closing);
     }
 };

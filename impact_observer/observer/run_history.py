@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.estimation.impact_filter import INSIDE
 from impact_observer.estimation.readings import SampleOutcome
 from impact_observer.estimation.saltation import STATE_ROUNDING
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
@@ -320,7 +320,7 @@ class RunHistory:
             gap, speed = float(w @ x[:n]) + float(self._system.q_r[i]), float(w @ x[n:])
             leaves = self._system.contact_time[i] / max(self._system.eps[i], 1e-3)
             is_leaving = speed >= 0 and s < leaves  # twice what it takes without forces
-            if i in closed or is_leaving or gap >= -INSIDE * np.linalg.norm(w @ root[:n]):
+            if i in closed or is_leaving or gap >= -TUNING.inside * np.linalg.norm(w @ root[:n]):
                 continue
             shift = -gap * moving.phases.projection.jump((i,))[:, 0]
             kick = -speed * moving.newton.stops((i,))[:, 0]

@@ -16,11 +16,11 @@ import numpy as np
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.missed_switch import posterior_of_missed
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.readings import Place, Reading, Row
 from impact_observer.estimation.sample_update import SampleFilter
+from impact_observer.kernel._kernel import TINY
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
 from impact_observer.smooth.linearised import Linearised, Path, followed, level_of
@@ -245,7 +245,7 @@ class Arc(Linearised):
             margins.append(self._margin(moment))
             if moment.is_inserted and moment.change.hit:
                 n, w = self._size // 2, self.filter.system.W[:, moment.change.hit[0]]
-                margins[k] += _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), STILL)
+                margins[k] += _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), TINY)
         return np.array(instants), np.array(margins)
 
     def _flights(

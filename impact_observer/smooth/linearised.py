@@ -19,12 +19,12 @@ from impact_observer.errors import DynamicsError
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rest_measurement
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import TINY
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
@@ -134,7 +134,7 @@ class Linearised:
         slopes = guard.H[:, 0]
         if self.moments[k].change.hit and np.any(slopes <= 0):
             return IMPOSSIBLE
-        return float(np.sum(np.log(np.abs(slopes) + STILL)))
+        return float(np.sum(np.log(np.abs(slopes) + TINY)))
 
     def moved_before(self, path: Path, k: int, x: Vector, s: float) -> Vector:
         """The state ``x`` before the ``k``-th moment, ``s`` seconds after the path's instant."""
@@ -151,7 +151,7 @@ class Linearised:
 
     def rounding(self, x: Vector) -> Vector:
         """How far state and constants may differ by rounding, shape (2n + c,)."""
-        return np.append(_ROUNDED * self._sizes(x), np.full(self._count, STILL))
+        return np.append(_ROUNDED * self._sizes(x), np.full(self._count, TINY))
 
     def left(self, path: Path, k: int) -> Step:
         """From the chain's vector at the ``k``-th moment to (x, constants) just after it."""

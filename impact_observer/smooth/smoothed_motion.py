@@ -12,11 +12,11 @@ from scipy import linalg, special
 
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.misfit import MISFIT
 from impact_observer.estimation.uncertainty import LARGEST_DEVIATION
 from impact_observer.events import Ruling, SmoothedImpact
+from impact_observer.kernel._kernel import TINY
 from impact_observer.observer.belief import Belief, Parameters, Prediction
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
 from impact_observer.smooth.chain import Normal
@@ -304,7 +304,7 @@ class SmoothedMotion:
         """Errors of the stamps of reported moments, in their deviations, by their index."""
         late = self._constants.offset
         return {
-            k: (self.smoothed.instant(k)[0] - late) / max(moment.clock, STILL)
+            k: (self.smoothed.instant(k)[0] - late) / max(moment.clock, TINY)
             for k, moment in enumerate(self.account.moments)
             if not moment.is_inserted
         }

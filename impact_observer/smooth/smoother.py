@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.likelihood import STILL
+from impact_observer.kernel._kernel import TINY
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.chain import Chain, Normal, Step
@@ -123,7 +123,7 @@ class Smoothed(NamedTuple):
         size = 2 * self.arc.filter.system.n
         moved = np.abs(other.first.mean - self.first.mean)[:size]
         both = np.hypot(other.first.deviations, self.first.deviations)[:size]
-        return float(np.max(moved / np.maximum(both, STILL)))
+        return float(np.max(moved / np.maximum(both, TINY)))
 
     def instant(self, k: int) -> tuple[float, float]:
         """The lead of the ``k``-th moment over its stamp, and the standard deviation, s."""
@@ -211,7 +211,7 @@ def _elsewhere(
     if first is None:
         return best, []
     shifts, tried = _AWAY * arc.first.deviations[:size], [first]
-    ratio = arc.first.deviations[:size] / np.maximum(first.first.deviations[:size], STILL)
+    ratio = arc.first.deviations[:size] / np.maximum(first.first.deviations[:size], TINY)
     shifts[ratio < _MORE] = 0.0
     if first.chance > _PLAUSIBLE and first.is_settled and np.min(ratio) > _ENOUGH:
         return best, tried
@@ -353,7 +353,7 @@ def _improved(
         x[k] = arc.moved_before(path, k, now, -e)
         deviations = np.hypot(z.deviations[1:], arc.rounding(now))
         # The instant of an inserted moment in a chattering sequence is rounding.
-        far = np.abs(moved) / np.maximum(deviations, STILL)
+        far = np.abs(moved) / np.maximum(deviations, TINY)
         largest = max(largest, float(np.max(far)) * is_measured)
     if not np.max(np.abs(x), initial=0.0) <= LARGEST_STATE:
         return None, largest

@@ -27,17 +27,17 @@ from systems import (
 )
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, Extent, FilterBank
+from impact_observer.estimation.filter_bank import Extent, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.ledger import Ledger
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.observer import Belief, Observer
-from impact_observer.observer.laws.minimum_variance import CLOCK_ERRORS
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
@@ -86,7 +86,7 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
         weights = [each.weight for each in belief.hypotheses]
         assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
         assert weights == sorted(weights, reverse=True)
-        assert len(weights) <= MOST_HYPOTHESES + len(CLOCK_ERRORS)
+        assert len(weights) <= TUNING.most_hypotheses + len(TUNING.clock_errors)
         assert belief.root is not None
         np.testing.assert_array_equal(belief.x, belief.hypotheses[0].state.x)
         P = mixture(belief)
@@ -290,7 +290,7 @@ def checked(watcher: Observer, stamp: int) -> None:
     assert watcher.timeline is not None
     for entry in watcher.timeline.entries:
         hypotheses = entry.belief.hypotheses
-        assert 1 <= len(hypotheses) <= 2 * (MOST_HYPOTHESES + len(CLOCK_ERRORS))
+        assert 1 <= len(hypotheses) <= 2 * (TUNING.most_hypotheses + len(TUNING.clock_errors))
         if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
             total = sum(math.exp(each.weight) for each in hypotheses)
             assert total == pytest.approx(1.0, abs=1e-9)

@@ -8,13 +8,8 @@ import pytest
 from systems import chain
 
 from impact_observer.dynamics import ImpactLaw
-from impact_observer.estimation.model_error import (
-    LARGEST_RESTITUTION_ERROR,
-    ErrorKind,
-    LearnedError,
-    largest,
-    unit_kicks,
-)
+from impact_observer.estimation.model_error import ErrorKind, LearnedError, largest, unit_kicks
+from impact_observer.estimation.tuning import TUNING
 
 
 @pytest.mark.parametrize("first", [0.02, 1.0, 50.0])
@@ -45,7 +40,7 @@ def test_level_is_limited() -> None:
     for _ in range(50):
         error = error.matched(30.0, 1.0, 10.0, most=0.1)
     assert error.level == 0.1
-    assert largest(ErrorKind.RESTITUTION, np.ones(2), 0.1) == LARGEST_RESTITUTION_ERROR
+    assert largest(ErrorKind.RESTITUTION, np.ones(2), 0.1) == TUNING.largest_restitution_error
     assert largest(ErrorKind.ACCELERATION, np.array([3.0, 4.0]), 0.25) == pytest.approx(0.25)
 
 

@@ -22,6 +22,7 @@ from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import Innovation
 from impact_observer.estimation.misfit import Fit
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.model import System, parse_model
 from impact_observer.observer import Observer, make_observer
@@ -143,7 +144,8 @@ def test_a_large_model_is_warned_of_without_other_parameters(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An event of hypotheses that are systems of their own would take too long."""
-    monkeypatch.setattr(parameter_accounts, "MOST_COORDINATES", 1)
+    few = replace(TUNING, account_coordinates=1)
+    monkeypatch.setattr(parameter_accounts, "TUNING", few)
     last = fed(watching(), wrong().events[:38]).estimate(wrong().events[37].stamp)
     assert last.misfit
     assert "would explain" not in last.misfit

@@ -26,6 +26,7 @@ from systems import (
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
 from impact_observer.estimation import between_events
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
@@ -361,7 +362,7 @@ def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronize
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """From then on deviations are as large as the motion, however long it lasts."""
-    monkeypatch.setattr(kalman_predictions, "_MOST_MISSED", 5)
+    monkeypatch.setattr(kalman_predictions, "TUNING", replace(TUNING, most_predicted=5))
     model, start, whole = truth("two_mass", 30.0)
     watcher, size = (
         watching(model, start, EXACT, ensemble=10),
@@ -424,7 +425,7 @@ def test_estimate_converges_again_after_the_plant_was_disturbed(
 
     In a long one so many impacts may have been missed that not all hypotheses can be followed.
     """
-    monkeypatch.setattr(between_events, "_MOST_FLIGHTS", 32)
+    monkeypatch.setattr(between_events, "TUNING", replace(TUNING, most_flights=32))
     model, start, whole = truth("two_mass", 30.0)
     state = np.random.default_rng(seed).normal(size=(2, 2)) * [[0.3], [2.0]]
     kicked = run(model, *state, seconds=16.0, rate=20.0)

@@ -17,6 +17,7 @@ from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.model_error import unit_kicks
 from impact_observer.estimation.moving_system import transition_of
 from impact_observer.estimation.square_root import triangular
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Fallback, Prediction
 from impact_observer.observer.laws.geometric import Geometric
@@ -24,10 +25,7 @@ from impact_observer.states import Matrix, Vector
 
 Part: TypeAlias = tuple[Vector, Matrix]
 """An estimate, shape (2n,), and a root of its covariance, shape (2n, any)."""
-CONTACT_TIME = 0.01
-"""Standard deviation of the duration of a contact that is not known, relative to the model's time
-scale."""
-_SMALL = 1e-6
+_DIFFERENCE = 1e-6
 """Scale of the differences by which a jump is linearised."""
 
 
@@ -40,7 +38,7 @@ class FallbackReplica:
         self._system = filter_.system
         self._geometric = Geometric(filter_.system, moving=self._moving)
         self._kicks = unit_kicks(filter_.system)
-        self._contact_time = CONTACT_TIME * filter_.phases.scales.timescale
+        self._contact_time = TUNING.replica_contact_time * filter_.phases.scales.timescale
         self._lag = lru_cache(KEPT)(self._lag_of)
 
     def begin(self, x: Vector, root: Matrix, closed: Contacts) -> Fallback:
@@ -56,9 +54,9 @@ class FallbackReplica:
         after = (
             self._geometric.soft_impact(change, before.x)[0] if change.delay(self._system) else x
         )
-        near = Ensemble(before.x, _SMALL * before.errors)
+        near = Ensemble(before.x, _DIFFERENCE * before.errors)
         near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
-        errors = near.differences / _SMALL
+        errors = near.differences / _DIFFERENCE
         errors[:n, -1] -= self._lag(change.hit).dot(x[n:])
         return Fallback(after, np.maximum(before.largest, np.abs(x)), errors)
 

@@ -4,13 +4,13 @@
 from collections.abc import Sequence
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.error_accounts import BRIEF
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.hypotheses import Hypothesis, error_share, exact_share
-from impact_observer.estimation.misfit import ESTABLISHED, Fit
+from impact_observer.estimation.misfit import Fit
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.states import Vector
 
-ROUNDED = 2e-9
+_INSTANT_ROUNDING = 2e-9
 """Error of a predicted instant by the rounding of this and earlier stamps to 1 ns, s."""
 
 
@@ -34,17 +34,17 @@ def fitted(
         corrected: the hypotheses after the event.
         bank: the bank of the hypotheses.
     """
-    if 0 < change.flown < BRIEF * bank.filter.phases.scales.timescale:
+    if 0 < change.flown < TUNING.brief_flight * bank.filter.phases.scales.timescale:
         return before
     likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
     normalised = None if innovation is None else innovation.normalised
     if innovation is not None and change.hit:
         system = bank.filter.system
         speed = abs(float(system.W[:, change.hit[0]].dot(prior[system.n :])))
-        normalised = 0.0 if abs(innovation.residual) <= ROUNDED * speed else normalised
+        normalised = 0.0 if abs(innovation.residual) <= _INSTANT_ROUNDING * speed else normalised
     return before.after(
         normalised,
-        in_error=error_share(corrected) > ESTABLISHED,
+        in_error=error_share(corrected) > TUNING.established_error,
         as_reported=likeliest.ledger.is_as_reported((change.stamp, change.sequence)),
         exact=exact_share(corrected),
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.between_events import CONFIDENT, BetweenEvents
-from impact_observer.estimation.forecast import FINE, Forecast
+from impact_observer.estimation.between_events import BetweenEvents
+from impact_observer.estimation.forecast import Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -19,13 +19,13 @@ from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import triangular
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, Kind
+from impact_observer.kernel._kernel import FINE
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.states import Matrix, Vector
 
-_MOST_MISSED = 1024
-"""Missed switches that are inserted one after the other."""
-_WINDOW = 16 / FINE
+_FIRST_WINDOW = 16 / FINE
 """First window in which penetrations are searched, in the inverse of the fastest rate."""
 
 
@@ -86,8 +86,8 @@ class _Stretch(NamedTuple):
 class MissedSwitchPrediction(MixturePrediction):
     """The prediction of several hypotheses, with missed switches inserted.
 
-    The estimate is a function of time alone: a missed switch counts once its dip is ``CONFIDENT``,
-    whatever the order of the calls.
+    The estimate is a function of time alone: a missed switch counts once its dip is as deep as
+    ``Tuning.confident_depth``, whatever the order of the calls.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class MissedSwitchPrediction(MixturePrediction):
     ) -> None:
         super().__init__(between.filter, t, hypotheses, prior)
         self._between = between
-        self._first = _WINDOW * between.filter.phases.scales.timescale
+        self._first = _FIRST_WINDOW * between.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first
 
     def state(self, s: float) -> Vector:
@@ -134,11 +134,12 @@ class MissedSwitchPrediction(MixturePrediction):
 
     def _search(self) -> None:
         """Search to a missed switch or the end of the window, which then doubles."""
-        if len(self._stretches) > _MOST_MISSED:
+        if len(self._stretches) > TUNING.most_predicted:
             self._give_up()
             return
         _, start, forecast, _, spread, _ = self._stretches[-1]
-        confident = (dip for dip in forecast.dips(self._window) if dip.depth >= CONFIDENT)
+        dips = forecast.dips(self._window)
+        confident = (dip for dip in dips if dip.depth >= TUNING.confident_depth)
         for dip in confident:
             at, t = dip.began, self._t + start + dip.began
             before = forecast.prediction.prior(at)
@@ -148,7 +149,7 @@ class MissedSwitchPrediction(MixturePrediction):
             self._searched, self._window = start + self._window, 2 * self._window
             return
         state, kind, _ = inserted
-        since = start + forecast.confident_from(dip, CONFIDENT)
+        since = start + forecast.confident_from(dip, TUNING.confident_depth)
         # The other hypotheses jump too, so their differences are reversed in the same way.
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:

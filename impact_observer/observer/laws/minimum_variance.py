@@ -26,6 +26,7 @@ from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.estimation.sample_update import SampleUpdate
 from impact_observer.estimation.square_root import lengths
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
@@ -54,12 +55,7 @@ from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
 from impact_observer.observer.laws.starts import Starts
 from impact_observer.states import Matrix, Vector
 
-CLOCK_ERRORS = (0.0, 1e-7, *(10 ** (k / 4 - 6) for k in range(17)))
-"""Standard deviations of a stamp, s: one hypothesis each where none is declared. From 1 us to
-10 ms there are four in a decade: with a coarser grid an error of the model explains the
-innovations better than the nearest standard deviation does.
-"""
-_STAMP = 1e-9 / math.sqrt(12)
+_STAMP_ROUNDING = 1e-9 / math.sqrt(12)
 """Standard deviation of rounding a stamp to 1 ns, s."""
 
 
@@ -90,8 +86,8 @@ class MinimumVariance(Law):
         """
         super().__init__(system, uncertainty)
         declared = self.uncertainty.clock_error
-        errors = CLOCK_ERRORS if declared is None else (declared,)
-        self.clocks = tuple(math.hypot(error, _STAMP) for error in errors)
+        errors = TUNING.clock_errors if declared is None else (declared,)
+        self.clocks = tuple(math.hypot(error, _STAMP_ROUNDING) for error in errors)
         if self.uncertainty.clock_offset_error and not system.depends_on_time:
             raise UsageError(
                 f"clock_offset_error: the offset cannot be estimated with {system.name}, as no"

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accounts of a doubted model: its parameters are estimated beside the law's own bank."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -20,10 +19,10 @@ from impact_observer.estimation.hypotheses import (
     normalised,
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import ESTABLISHED
 from impact_observer.estimation.readings import Reading
 from impact_observer.estimation.sample_update import SampleUpdate
 from impact_observer.estimation.square_root import lengths, triangular
+from impact_observer.estimation.tuning import TUNING
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
@@ -37,27 +36,16 @@ from impact_observer.observer.laws.kalman_predictions import (
 from impact_observer.observer.laws.starts import Starts
 from impact_observer.states import Vector
 
-OF_MOTION = {"stiffness-scale": 0.05, "damping-scale": 0.3}
-OF_IMPACTS = {"restitution": 0.1, "contact-time": 0.02}
+OF_MOTION = {
+    "stiffness-scale": TUNING.parameter_deviation,
+    "damping-scale": TUNING.damping_deviation,
+}
+OF_IMPACTS = {
+    "restitution": TUNING.restitution_deviation,
+    "contact-time": TUNING.contact_time_deviation,
+}
 """Parameters that an account estimates, where a model has them, and their deviations; that of a
 contact time relative to the model's time scale."""
-MOST = 16
-"""Hypotheses that an account keeps."""
-MOST_COORDINATES = 32
-"""Coordinates up to which a system has accounts: each hypothesis is a system of its own. An event
-of a chain of 40 masses takes half a second, one of 100 masses over a minute.
-"""
-FURTHER = math.log(0.1)
-"""Logarithm of the probability that another kind of parameters is wrong too."""
-AGAIN = 0.07
-"""Deviation of all parameters that an event adds which needs an error of the model, relative
-to the largest change."""
-NOTABLE = 2.0
-"""Change of a parameter, in standard deviations, from which on the warning names it."""
-DOUBT = 0.05
-"""Deviations of the state that are added then, relative to the size of the motion."""
-WIDER = 3.0
-"""Deviations of the state with which an account begins, relative to those that are published."""
 
 
 def doubted(system: System) -> UnknownParameters:
@@ -104,14 +92,14 @@ class ParameterAccounts:
         self._subsets = subsets(self.names)
         self._trusts_events = uncertainty.trusts_events
         filter_ = ImpactFilter(system, 0.0, self._unknowns)
-        self._bank = FilterBank(filter_, uncertainty, clocks, MOST)
+        self._bank = FilterBank(filter_, uncertainty, clocks, TUNING.account_hypotheses)
         self._starts = Starts(filter_, uncertainty, clocks)
         self._system = system
 
     @staticmethod
     def are_affordable(system: System) -> bool:
         """Whether ``system`` is small enough for accounts."""
-        return system.n <= MOST_COORDINATES
+        return system.n <= TUNING.account_coordinates
 
     def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
         """The account at an estimate without parameters, which is in doubt.
@@ -123,15 +111,15 @@ class ParameterAccounts:
         rows = np.r_[:d, d + late : d + late + p, d : d + late]
         constants = np.concatenate([self._nominal, state.constants])
         nothing, begun = np.zeros((rows.size, 0)), []
-        doubt = np.pad(np.diag(DOUBT * largest), ((0, late), (0, 0)))
-        root = triangular(np.hstack([WIDER * state.root, doubt]))
+        doubt = np.pad(np.diag(TUNING.doubted_start * largest), ((0, late), (0, 0)))
+        root = triangular(np.hstack([TUNING.widened_start * state.root, doubt]))
         for k, free in enumerate(self._subsets):
             deviations = np.where(free, self._unknowns.deviations, 0.0)
             whole = linalg.block_diag(root, np.diag(deviations))[rows]
             prior = GaussianState(state.x, constants, whole, nothing, state.closed, p)
             prior = self._bank.filter.begin(prior)
             kinds = {kind_of(name) for name, each in zip(self.names, free, strict=True) if each}
-            weight = len(kinds) * FURTHER
+            weight = len(kinds) * TUNING.log_further
             begun += [Hypothesis(prior, clock, weight, subset=k) for clock in clocks]
         return Account(normalised(begun))
 
@@ -142,7 +130,7 @@ class ParameterAccounts:
         corrected = self._bank.correct(change, before.hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
         fit = fitted(before.fit, change, prior.x, corrected, self._bank)
-        if error_share(corrected) > ESTABLISHED:
+        if error_share(corrected) > TUNING.established_error:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
         residual = before.residual
         if change.hit:
@@ -169,7 +157,7 @@ class ParameterAccounts:
         change = min(float(np.max(np.abs(state.theta - self._nominal) / first)), 1.0)
         known = np.array(lengths(state.root[d : d + p])) < change * first
         added = np.zeros((len(state.root), p))
-        added[d : d + p] = np.diag(AGAIN * change * first * known)
+        added[d : d + p] = np.diag(TUNING.doubted_again * change * first * known)
         return state._replace(root=triangular(np.hstack([state.root, added])))
 
     def estimate(self, account: Account) -> GaussianState:
@@ -196,7 +184,7 @@ class ParameterAccounts:
     def text(self, account: Account) -> str:
         """What explains the impacts, or some of them, for the warning."""
         found = self.changes(account)
-        names = [name for name, (_, change) in found.items() if change > NOTABLE]
+        names = [name for name, (_, change) in found.items() if change > TUNING.named_change]
         names = names or [max(found, key=lambda name: found[name][1])] if found else []
         values = ", ".join(
             f"{name} {found[name][0]:.4g} {UNITS[kind_of(name)]}".rstrip() for name in names
