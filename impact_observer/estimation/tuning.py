@@ -110,7 +110,7 @@ class Tuning:
     confident_depth: float = 3.0
     """The same of a dip that is not over; from there on the published estimate jumps."""
     late: float = 4.0
-    """Deviations of a stamp by which a predicted impact may come before an event that it is."""
+    """Deviations of a stamp up to which a predicted impact before an event may be the event."""
     dead: float = 0.5
     """Probability of the dead time from which on a missed switch counts as one in it."""
     most_missed: int = 256
