@@ -114,12 +114,6 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     motion.moved(0.1, np.ones(2 * w.size), 0.2)
     impact, t, _, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(np.full(len(states), t), states)
-    impact.clear(t, 0.1, states[0], np.full(2, 1e-6), np.array([-5.0, -5.0, -1e3, 1e3, 1e9]))
-    n = int(w.size)
-    arena = next(each.given[0] for each in calls["Arena.learn"] if each.given[2].size == n)
-    x, s = np.linspace(0.1, 0.4, 2 * n), 0.2
-    arena.flown(t, s, s, x, np.eye(2 * n), np.ones((2 * n, 3)))
-    arena.fallback(motion, 0, t, s, x, np.ones((2 * n, 2 * n + 1)), np.ones(n))
     samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")
     sampled = replace(PRESSED, forcing=Forcing.of_samples(samples))
     for model in (PRESSED, sampled):

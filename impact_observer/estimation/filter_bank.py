@@ -2,7 +2,7 @@
 """A bank of impact filters: each holds another hypothesis of what the events were.
 
 Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern Tracking Systems,
-1999, chapter 16), as ``docs/robustness.md`` describes.
+1999, chapter 16), as ``docs/theory/filter.md`` describes.
 """
 
 import math

@@ -320,7 +320,8 @@ class ImpactFilter:
         """The likelihood of an event, if it is what it is reported to be."""
         contacts = self.measured_contacts(change)
         if not contacts:
-            return Likelihood(0.0, {})
+            # the instant is as likely as any in the model's time scale
+            return Likelihood(-math.log(self.phases.scales.timescale), {})
         member = self.member(prior)
         expected = self._expected(member, change, contacts, prior, prior)
         return likelihood_of(contacts, expected, prior)

@@ -143,6 +143,11 @@ class Expected(NamedTuple):
         found[:, :size], found[:, size : size + p] = H, self.sensitivity
         return found
 
+    @property
+    def noise(self) -> Matrix:
+        """A square root of the covariance of what is not linear, and of rounding, (k, any)."""
+        return np.hstack([self.nonlinear, np.diag(self.rounded)])
+
     def correction(self, view: Joint) -> Correction:
         """The Kalman correction of ``view`` by this measurement."""
         return correction(view.root, self.rows(view), self.nonlinear, self.rounded)

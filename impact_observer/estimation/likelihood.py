@@ -5,12 +5,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import linalg
 
 from impact_observer.estimation.joint import Expected, Joint
 from impact_observer.estimation.square_root import lengths
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import CLOSING, TINY
+from impact_observer.kernel._kernel import log_mean_positive
 
 LOG_ROOT_2PI = math.log(2 * math.pi) / 2
 """By which the logarithm of a normal density is less than that of its exponential."""
@@ -72,31 +72,26 @@ CERTAIN = Likelihood(0.0, {})
 def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likelihood:
     """The likelihood of an event at ``contacts``, given its predicted measurement.
 
-    The density of the instant is that of the gap at the stamp, times the speed at which the gap
-    goes through zero, times the probability that it does so from above.
+    The density of the instant is that of the gap at the stamp, times the mean of the speed at
+    which the gap closes, where that is positive (Rice, Mathematical analysis of random noise,
+    1945). The speed is that at a gap of zero.
     """
-    root, innovation = expected.innovation_root(prior), expected.innovation.tolist()
-    white = np.linalg.solve(root, expected.innovation).tolist()
-    slopes = expected.expansion.H[:, 0].tolist()
-    spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
-    density = 0.0
-    for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-        density += _density(each, root[i, i], slope, spread)
-    if len(contacts) == 1:
-        density += _from_above(slopes[0], spreads[0])
+    root, innovation = expected.innovation_root(prior), expected.innovation
+    white = linalg.solve_triangular(root, innovation, lower=True)
+    _, H, D, E = expected.expansion
+    speeds = D.dot(prior.own[1:])
+    speeds[:, 0] += E * prior.root[0, 0]
+    seen = expected.rows(prior).dot(prior.root)
+    gain = linalg.solve_triangular(root, seen.dot(speeds.T), lower=True)
+    means = H[:, 0] + gain.T.dot(white)
+    left = speeds - gain.T.dot(linalg.solve_triangular(root, seen, lower=True))
+    noise = gain.T.dot(linalg.solve_triangular(root, expected.noise, lower=True))
+    density = -float(white.dot(white)) / 2 - white.size * LOG_ROOT_2PI
+    for mean, row, rest, scale in zip(means, left, noise, np.diag(root), strict=True):
+        spread = math.hypot(*row.tolist(), *rest.tolist())
+        density += log_mean_positive(float(mean), spread) - math.log(abs(scale))
     deviations = lengths(root)
-    sizes = [abs(each) / s for each, s in zip(innovation, deviations, strict=True)]
+    sizes = [abs(each) / s for each, s in zip(innovation.tolist(), deviations, strict=True)]
     innovations = dict(zip(contacts, sizes, strict=True))
     normalised = float(innovation[0]) / deviations[0]
     return Likelihood(density, innovations, normalised, deviations[0], expected)
-
-
-def _density(white: float, deviation: float, slope: float, spread: float) -> float:
-    """Logarithm of the density of the instant at which one gap goes through zero, 1/s."""
-    speed = math.log(math.hypot(slope, spread) + TINY)
-    return speed - white * white / 2 - math.log(abs(deviation)) - LOG_ROOT_2PI
-
-
-def _from_above(slope: float, spread: float) -> float:
-    """Logarithm of the probability that a gap of this ``slope`` closes."""
-    return float(special.log_ndtr(slope / max(spread, CLOSING * abs(slope), TINY)))

@@ -401,6 +401,7 @@ void bind_estimation(py::module_& module) {
     module.attr("FINER") = FINER;
     module.attr("MOST_SAMPLES") = int(MOST_SAMPLES);
     const auto family = "family"_a.none(false);
+    module.def("log_mean_positive", &log_mean_positive, "mean"_a, "deviation"_a);
     module.def("leading", &leading_of, "root"_a, "first"_a, "count"_a);
     module.def("dips_along", &dips_along, "s"_a, "values"_a, "value"_a, "rounding"_a,
                "deviation"_a);

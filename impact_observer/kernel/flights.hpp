@@ -42,8 +42,7 @@ struct ContactJump {
         Vector speeds = product(W, columns.part(n, n));
         for (double& each : speeds) {  // what is lost of each
             const double other = gamma + each;
-            if (gamma > 0 || other > 0)
-                each = std::min(other, 0.0) - std::min(gamma, 0.0);
+            if (gamma > 0 || other > 0) each = std::min(other, 0.0) - std::min(gamma, 0.0);
         }
         add_scaled(-g, Z, x.data());
         add_scaled(-std::min(gamma, 0.0), kick, &x[n]);

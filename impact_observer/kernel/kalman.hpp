@@ -62,6 +62,18 @@ inline double log_normal(double x) {
            std::log1p(r * (-1.0 + r * (3.0 + r * (-15.0 + r * 105.0))));
 }
 
+// Logarithm of the mean of max(v, 0) for a normal variable v.
+inline double log_mean_positive(double mean, double deviation) {
+    const double sigma = std::max({deviation, CLOSING * std::abs(mean), TINY}), z = mean / sigma;
+    const double log_density = -z * z / 2 - 0.9189385332046727;
+    if (z > -20.0)
+        return std::log(sigma) +
+               std::log(std::exp(log_density) + z * std::erfc(-z / std::sqrt(2.0)) / 2);
+    const double r = 1.0 / (z * z);  // an asymptotic series
+    return std::log(sigma) + log_density + std::log(r) +
+           std::log1p(r * (-3.0 + r * (15.0 + r * (-105.0 + r * 945.0))));
+}
+
 // An impact of one contact.
 class Impact {
   public:
@@ -252,8 +264,14 @@ class Impact {
             reflect(joint, 0);
             const double white = -value / joint(0, 0);
             if (turn == 0) {
-                const double spread = length(seen_by(at.rho[1], prior.root));
-                fit = {density(white, std::abs(joint(0, 0)), slope, spread),
+                // the closing speed -gamma + a e, given that the gap is zero
+                Vector closing = joint.row(1);
+                for (double& each : closing) each *= at.a;
+                for (std::size_t i = 0; i < size; ++i)
+                    add_scaled(-at.rho[1][i], joint.row(2 + i), closing);
+                const double mean_given = slope + closing[0] * white;
+                closing[0] = 0.0;
+                fit = {density(white, std::abs(joint(0, 0)), mean_given, length(closing)),
                        std::copysign(white, -value), std::abs(joint(0, 0))};
                 if (rounds == 1) return found;
             }
@@ -385,7 +403,8 @@ class Impact {
 
         Vector rounding = family->sizes.rounding_scale(x, flown);
         if (!motion.frequency.empty())
-            for (double& each : rounding) each *= 1.0 + TIME_SHARE * std::abs(t) / family->sizes.timescale;
+            for (double& each : rounding)
+                each *= 1.0 + TIME_SHARE * std::abs(t) / family->sizes.timescale;
         const std::size_t more = c + 4 + curved.columns;
         const bool is_final = p || size < LARGE || 2 * more > 3 * size;
         Matrix root(d, std::max(d, more + (is_final ? size : 0)));
@@ -417,11 +436,12 @@ class Impact {
         return {std::move(x), y.part(size, d - size), std::move(root), std::move(differences)};
     }
 
-    // Logarithm of the density of the instant at which a gap goes through zero from above, 1/s.
-    static double density(double white, double deviation, double slope, double spread) {
-        const double closing = std::max({spread, CLOSING * std::abs(slope), TINY});
-        return std::log(std::hypot(slope, spread) + TINY) - white * white / 2 -
-               std::log(deviation) - 0.9189385332046727 + log_normal(slope / closing);
+    // Logarithm of the density of the instant at which a gap goes through zero from above, 1/s
+    // (Rice, Mathematical analysis of random noise, 1945): that of the gap, times the mean of the
+    // closing speed where that is positive. Speed and spread are those at a gap of zero.
+    static double density(double white, double deviation, double speed, double spread) {
+        return log_mean_positive(speed, spread) - white * white / 2 - std::log(deviation) -
+               0.9189385332046727;
     }
 };
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import integrate, special, stats
 from systems import (
     forcing,
     system,
@@ -14,8 +14,9 @@ from systems import (
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.model import System
+from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.model import Forcing, System
+from impact_observer.model.force_samples import Samples
 
 Array = NDArray[np.float64]
 
@@ -58,17 +59,20 @@ def test_likelihood_is_the_density_of_the_first_passage(
 
 
 @pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.2])
-def test_likelihood_is_that_of_a_gap_that_closes(speed: float) -> None:
-    """Rice's formula for uniform motion: speeds of large deviation, or hardly closing."""
-    S = np.diag([0.1, 0.3])
+@pytest.mark.parametrize("correlation", [-0.9, 0.0, 0.9])
+@pytest.mark.parametrize("gap", [0.0, 0.15])
+def test_likelihood_is_that_of_a_gap_that_closes(
+    speed: float, correlation: float, gap: float
+) -> None:
+    """The integral of Rice over gap and speed: speeds of large deviation, or hardly closing."""
+    cross = math.sqrt(1.0 - correlation**2)
+    S = np.array([[0.1, 0.0], [0.3 * correlation, 0.3 * cross]])
     filter_, change = ImpactFilter(ball(0.0)), ContactChange(0.0, (), (0,), ())
-    prior = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed]]), S), 1e-9)
+    prior = filter_.joint_prior(change, GaussianState.of(np.array([[gap, speed]]), S), 1e-9)
     found = filter_.likelihood(change, prior).density
-    closing = -speed * special.ndtr(-speed / 0.3) + 0.3 * stats.norm.pdf(speed / 0.3)
-    exact = math.log(stats.norm.pdf(0.0, scale=0.1) * closing)
-    assert found == pytest.approx(exact, abs=0.7 if speed > 0 else 0.3)
-    faster = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
-    assert filter_.likelihood(change, faster).density > found
+    both = stats.multivariate_normal([gap, speed], S @ S.T)
+    closing, _ = integrate.quad(lambda u: -u * both.pdf([0.0, u]), -4.0, 0.0, limit=200)
+    assert found == pytest.approx(math.log(closing), abs=1e-5)
 
 
 def test_likelihood_of_an_outlier_falls_with_its_distance() -> None:
@@ -81,3 +85,17 @@ def test_likelihood_of_an_outlier_falls_with_its_distance() -> None:
         found.append(filter_.likelihood(change, filter_.joint_prior(change, state, 1e-9)).density)
     assert np.all(np.isfinite(found))
     assert found == sorted(found, reverse=True)
+
+
+@pytest.mark.parametrize("faster", [1.0, 40.0])
+def test_a_release_that_measures_nothing_is_as_likely_in_any_unit_of_time(faster: float) -> None:
+    """A force that jumps releases a body; the density of the instant scales with the model."""
+    time, force = np.array([0.0, 1.0, 9.0]) / faster, faster**2 * np.array([[-3.0], [3.0], [3.0]])
+    steps = Forcing.of_samples(Samples(time, force, "previous"))
+    stop = [([1], 0.0, 0.5)]
+    filter_ = ImpactFilter(system(1, 0.1 * faster, faster**2, contacts=stop, force=steps))
+    state = GaussianState.of(np.zeros((1, 2)), np.diag([0.0, 0.0]), (0,))
+    release = Asked(ContactChange(1.0 / faster, (0,), (), ()), state, 1e-9)
+    (found,) = filter_.likelihoods([release])
+    assert not found.innovations
+    assert found.density == pytest.approx(math.log(faster), abs=1e-9)
