@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from saltation_oracle import check_saltation
 from systems import (
     EPOCH,
     chain,
@@ -28,7 +29,6 @@ from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import ImpactLaw, lyapunov
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.events import Kind
 from impact_observer.identify.identification import identify
 from impact_observer.identify.model_edit import changes
@@ -167,31 +167,9 @@ def test_time_stepping_rebounds_by_the_same_law() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_saltation_has_the_derivative_of_the_rebound(seed: int) -> None:
-    """The map of an impact at the own root, by finite differences of exact motions."""
-    rng = np.random.default_rng(seed)
+    """The oracle is the map of an impact at the own root, with its finite differences."""
     model = with_curve(chain(2, damping=0.3, contacts=[([0, -1], 0.3, 0.7)]), POWER)
-    filter_, law, n, h = ImpactFilter(model), ImpactLaw(model), 2, 1e-6
-    member = filter_.members.given
-    phase = filter_.phases.phase()
-    x = np.array([rng.normal(), 0.3, rng.normal(), rng.uniform(0.5, 3.0)])
-    w = model.W[:, 0]
-
-    def own_root(y: Array) -> Array:
-        s, at = 0.0, y
-        for _ in range(6):
-            at = phase.moved(0.0, y, s)[0]
-            s -= float((w @ at[:n] + model.q_r[0]) / (w @ at[n:]))
-        at = np.concatenate([at[:n], law.velocity_after(at[n:], (0,))])
-        return phase.moved(s, at, -s)[0]
-
-    jet = member.jump_about(0.0, x, (0,), (), ())
-    found = jet.expanded(x, member.moving.forces(0.0))
-    np.testing.assert_allclose(found.value, own_root(x), atol=1e-13)
-    grad = np.concatenate([w, np.zeros(n)])
-    Xi = found.H[:, 1:] + np.outer(found.H[:, 0], grad) / float(w @ x[n:])
-    for dx in np.eye(2 * n):
-        difference = (own_root(x + h * dx) - own_root(x - h * dx)) / (2 * h)
-        np.testing.assert_allclose(Xi @ dx, difference, atol=1e-7)
+    check_saltation(model, np.random.default_rng(seed))
 
 
 def test_minimum_variance_finds_the_state_to_rounding() -> None:
