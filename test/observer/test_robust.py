@@ -276,7 +276,7 @@ def test_a_door_is_not_lost_beside_a_hammer_that_hits_ten_times_a_second(seed: i
     events = [replace(each, sequence=k) for k, each in enumerate(events)]
     watcher = make_observer(model, Options("minimum-variance", "zero", epoch=EPOCH, history=1e4))
     found = far_off(watcher, whole, events)
-    assert np.mean([off for off, _ in found]) < 0.1
+    assert np.mean([off for off, _ in found]) < 0.15
     assert not any(off and synchronized for off, synchronized in found)
 
 

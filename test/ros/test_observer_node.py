@@ -166,7 +166,11 @@ def test_estimated_parameters_of_the_model_are_published(
 ) -> None:
     """Names, values and deviations stand in every state, and in the diagnostics with units."""
     assert ros_environment
-    wanted = {"law": "minimum-variance", "estimate_parameters": "[gap=0.01, restitution]"}
+    wanted = {
+        "law": "minimum-variance",
+        "estimate_parameters": "[gap=0.01, restitution]",
+        "spurious": 0.0,
+    }
     with rig_with(**wanted) as rig:
         rig.tick(EPOCH + 30_000_000)
         rig.send(event(EPOCH + 25_000_000, 1))
@@ -177,7 +181,10 @@ def test_estimated_parameters_of_the_model_are_published(
     np.testing.assert_allclose(first.parameter[:2], [0.5, 0.7])
     np.testing.assert_allclose(first.parameter_deviation[:2], [0.01, 0.1])
     options = Options(
-        "minimum-variance", "random:1", estimate_parameters=("gap=0.01", "restitution")
+        "minimum-variance",
+        "random:1",
+        estimate_parameters=("gap=0.01", "restitution"),
+        spurious=0.0,
     )
     same = make_observer(SYSTEM, options)
     same.receive(event(EPOCH + 25_000_000, 1))
