@@ -72,7 +72,7 @@ def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) ->
     printed = capsys.readouterr().out.splitlines()
     said = {" ".join(line.split()) for line in printed}
     quoted = re.findall(r"^ {4}(?!\./dev|\.venv|detector|--| )(.*)$", TUTORIAL, re.MULTILINE)
-    assert len(quoted) == 4
+    assert len(quoted) == 6
     for line in quoted:
         numbers = re.compile(r"(\d\.\d{1,6})\d*")  # the last digits are the processor's
         short = numbers.sub(r"\1", " ".join(line.split()))
