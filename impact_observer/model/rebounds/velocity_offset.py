@@ -41,9 +41,19 @@ class VelocityOffset(ReboundLaw):
 
     @classmethod
     def read(cls, contact: Section) -> "VelocityOffset | None":
-        """The law of a ``contact`` with the key ``velocity_offset``."""
+        """The law of a ``contact`` with the key ``velocity_offset``.
+
+        Raises:
+            ModelError: the restitution depends on the speed, or a value is not a number.
+        """
         if "velocity_offset" not in contact:
             return None
+        if isinstance(contact.value("restitution"), dict):
+            raise ModelError(
+                contact.key("restitution"),
+                "depends on the speed; expected a number beside velocity_offset: both together"
+                " are not proved",
+            )
         return cls(contact.number("restitution"), contact.number("velocity_offset"))
 
     def checked(self, key: str) -> "VelocityOffset":

@@ -111,6 +111,13 @@ def test_mistake_in_a_stop_that_drives_is_one_line(found: str, line: str) -> Non
     assert "\n" not in text
 
 
+def test_a_restitution_by_speed_beside_the_offset_is_refused_by_name() -> None:
+    """The line names the restitution and the offset."""
+    by_speed = "{value: 0.7, speed: 1, exponent: -0.1}"
+    with pytest.raises(ModelError, match=r"restitution: depends .* beside velocity_offset"):
+        parse_model(BALL.replace(f"restitution: {EPS}", f"restitution: {by_speed}"), "my.yaml")
+
+
 def test_single_contact_rebounds_about_the_speed_of_its_stop() -> None:
     """``gamma+ - v = -eps (gamma- - v)`` in closed form, one by one and many at once."""
     model = system([[2, 0.5], [0.5, 1]], np.eye(2), np.eye(2), contacts=[([1, -3], 0.0, EPS)])
