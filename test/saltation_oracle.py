@@ -11,8 +11,8 @@ from impact_observer.model import System
 Array = NDArray[np.float64]
 
 
-def check_saltation(model: System, rng: np.random.Generator) -> None:
-    """Compare the filter's jump with the map of an impact at the own root of its gap.
+def saltation_error(model: System, rng: np.random.Generator) -> float:
+    """Largest error of the filter's saltation matrix against the map at the own root of the gap.
 
     The system has two coordinates; its contact is hit by the second one. The state is random.
     """
@@ -34,6 +34,5 @@ def check_saltation(model: System, rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found.value, own_root(x), atol=1e-13)
     grad = np.concatenate([w, np.zeros(n)])
     Xi = found.H[:, 1:] + np.outer(found.H[:, 0], grad) / float(w @ x[n:])
-    for dx in np.eye(2 * n):
-        difference = (own_root(x + h * dx) - own_root(x - h * dx)) / (2 * h)
-        np.testing.assert_allclose(Xi @ dx, difference, atol=1e-7)
+    differences = [(own_root(x + h * dx) - own_root(x - h * dx)) / (2 * h) for dx in np.eye(2 * n)]
+    return float(np.abs(Xi.T - np.array(differences)).max())
