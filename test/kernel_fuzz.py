@@ -140,7 +140,7 @@ def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:
 
 def estimate_parameters() -> None:
     """Correct and predict a state with parameters, by kernel and general methods."""
-    from systems import PRESSED
+    from systems import PRESSED, corrected
 
     from impact_observer.estimation.contact_change import ContactChange
     from impact_observer.estimation.gaussian_state import GaussianState
@@ -151,7 +151,7 @@ def estimate_parameters() -> None:
     filter_, theta = ImpactFilter(PRESSED, 0.0, unknowns), unknowns.family.nominal
     d, p = 4 + theta.size, theta.size
     state = GaussianState(np.full(4, 0.1), theta, 1e-3 * np.eye(d), np.ones((d, 1)), (), p)
-    filter_.correct(ContactChange(0.1, (), (0,), ()), state, 1e-6)
+    corrected(filter_, ContactChange(0.1, (), (0,), ()), state, 1e-6)
     filter_.priors(0.1, 0.2, [state], [0.1])
     filter_.predict(0.1, state, 0.1).prior(0.2)
     filter_.members.parameters.bounded(np.append(state.x, theta), state.root, 4)

@@ -24,6 +24,9 @@ from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.errors import ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.estimation.likelihood import Likelihood
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
@@ -34,6 +37,8 @@ from impact_observer.observer import Observer, ReplicaLaw, law_named
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.plant import Plant, Run, simulate
+from impact_observer.plant.switching import Switching
+from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.stamps import NS_PER_S, grid
 
 Array = NDArray[np.float64]
@@ -292,6 +297,26 @@ def switchings(m: int, most: int = 8, seconds: float = 5.0) -> st.SearchStrategy
     some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))
     step = st.builds(Step, numbers(0.0, seconds / most), some, some)
     return st.lists(step, max_size=most)
+
+
+def crossed(plant: Plant | TimeSteppingPlant, seconds: float, most: int = 1000) -> list[Switching]:
+    """The switchings of a plant until ``seconds`` after its epoch, at most ``most``."""
+    found: list[Switching] = []
+    last = plant.epoch + round(seconds * NS_PER_S)
+    while len(found) < most and (switching := plant.next_switching(last)) is not None:
+        plant.cross(switching)
+        found.append(switching)
+    return found
+
+
+def corrected(
+    filter_: ImpactFilter, change: ContactChange, state: GaussianState, clock: float
+) -> tuple[Likelihood, GaussianState]:
+    """The likelihood of an event, and the state after it; ``clock`` is that of its stamp, s."""
+    asked = Asked(change, state, clock)
+    (likelihood,) = filter_.likelihoods([asked])
+    (posterior,) = filter_.posteriors([asked._replace(likelihood=likelihood)])
+    return likelihood, posterior
 
 
 def distance(model: System, one: Array, two: Array) -> float:

@@ -154,15 +154,6 @@ class ImpactFilter:
         """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
         return -float(self.system.W[:, contact].dot(self.rate_of(t, state)[self.system.n :]))
 
-    def correct(
-        self, change: ContactChange, state: GaussianState, clock: float
-    ) -> tuple[Likelihood, GaussianState]:
-        """The likelihood of an event, and the posterior state."""
-        asked = Asked(change, state, clock)
-        (likelihood,) = self.likelihoods([asked])
-        (posterior,) = self.posteriors([asked._replace(likelihood=likelihood)])
-        return likelihood, posterior
-
     def likelihoods(self, asked: Sequence[Asked]) -> list[Likelihood]:
         """The likelihoods of events, each if it is what it is reported to be."""
         found: dict[int, Likelihood] = {}

@@ -187,8 +187,7 @@ class Members:
         assert all(each.moves for each in family.parameters[: self.moving]), (
             "parameters of the motion come first"
         )
-        self._gap = np.array([each.effect.gap for each in family.parameters])
-        self._gap = self._gap.reshape(family.size, family.system.m)
+        self._gap = family.gap_changes
         effects = [each.effect for each in family.parameters]
         self._still = [bool(np.any(each.rebound)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]

@@ -72,9 +72,6 @@ class Coordinates {
           Q(Q),
           offset(offset.data, offset.data + offset.rows) {}
 
-    // Whether states are T y.
-    bool all_move() const { return held.rows == 0 && Q.rows == 0; }
-
     // y = T^-1 (x - rest).
     void split(const double* x, const Vector& rest, double* y) const {
         Vector moves(x, x + 2 * n), parts(size, 0.0);

@@ -160,6 +160,12 @@ class ParametricFamily:
             frozen([each.high for each in self.parameters]),
         )
 
+    @property
+    def gap_changes(self) -> Matrix:
+        """What a unit of each parameter adds to the gaps, shape (p, m), m."""
+        changes = [each.effect.gap for each in self.parameters]
+        return np.reshape(changes, (self.size, self.system.m))
+
     def coefficients_at(self, values: Vector) -> Coefficients:
         """The coefficients for parameter ``values``, shape (p,)."""
         changed = {name: getattr(self.coefficients, name) for name in Coefficients.__slots__}

@@ -143,11 +143,9 @@ class LinearisedSystem:
         self.numbers = family.coefficients_at(theta)
         own = family.near(theta) if family.size else family.system
         self.moving = moving or MovingSystem(own)
-        self.gap_change = np.reshape(
-            [each.effect.gap for each in family.parameters], (family.size, family.system.m)
-        )
+        self.gap_change = family.gap_changes
         effects = [each.effect for each in family.parameters]
-        self._laws = [self.numbers.law(family.system, i) for i in range(family.system.m)]
+        self._laws = self.numbers.laws(family.system)
         self._moves = [j for j, each in enumerate(family.parameters) if each.moves]
         lasting = [family.system.contact_time, *(each.contact_time for each in effects)]
         self._lasts = bool(np.any(lasting))

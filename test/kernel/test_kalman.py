@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate
-from systems import Harmonic, chain, examples, forcing, system, systems
+from systems import Harmonic, chain, corrected, examples, forcing, system, systems
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -43,7 +43,7 @@ class Case(NamedTuple):
 
     def in_kernel(self) -> tuple[Likelihood, GaussianState]:
         """The same by the kernel."""
-        return self.filter.correct(self.change, self.state, self.clock)
+        return corrected(self.filter, self.change, self.state, self.clock)
 
 
 @st.composite
@@ -258,7 +258,7 @@ def test_the_covariance_is_that_of_many_draws() -> None:
     root = np.diag([0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
     filter_ = ImpactFilter(SWAYING)
     state = GaussianState(Y, np.zeros(0), root, np.zeros((6, 0)))
-    likelihood, found = filter_.correct(ContactChange(t, (), (0,), ()), state, clock)
+    likelihood, found = corrected(filter_, ContactChange(t, (), (0,), ()), state, clock)
     motion = filter_.members.given.moving.free
     w, n = SWAYING.W[:, 0], SWAYING.n
     draws, weights = [], []
@@ -290,7 +290,7 @@ def test_an_impact_from_below_is_unlikely(slope: float) -> None:
     state = GaussianState(
         np.array([0.0, -slope]), np.zeros(0), np.diag([1e-3, 1.0]), np.zeros((2, 0))
     )
-    likelihood = ImpactFilter(model).correct(ContactChange(0.0, (), (0,), ()), state, 1e-9)[0]
+    likelihood = corrected(ImpactFilter(model), ContactChange(0.0, (), (0,), ()), state, 1e-9)[0]
     mean, _ = integrate.quad(lambda c: c * math.exp(slope * c - c * c / 2), 0.0, 60.0, points=[1])
     wanted = math.log(mean) - slope * slope / 2 - math.log(2 * math.pi * likelihood.deviation)
     assert likelihood.density == pytest.approx(wanted, rel=1e-7, abs=1e-7)

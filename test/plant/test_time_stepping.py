@@ -10,7 +10,18 @@ from contact_cases import resting_beads
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
-from systems import EPOCH, Harmonic, chain, examples, forcing, sample, system, systems, vectors
+from systems import (
+    EPOCH,
+    Harmonic,
+    chain,
+    crossed,
+    examples,
+    forcing,
+    sample,
+    system,
+    systems,
+    vectors,
+)
 
 from impact_observer.dynamics.contact.moreau import MoreauScheme
 from impact_observer.errors import UsageError
@@ -32,16 +43,6 @@ def started(
     """A plant at ``EPOCH``."""
     q, u = np.asarray(position, float), np.asarray(velocity, float)
     return TimeSteppingPlant(model, q, u, epoch=epoch, step=step)
-
-
-def crossed(plant: TimeSteppingPlant | Plant, seconds: float, most: int = 1000) -> list[Switching]:
-    """The switchings in ``seconds``, at most ``most``."""
-    found: list[Switching] = []
-    last = plant.epoch + round(seconds * NS_PER_S)
-    while len(found) < most and (switching := plant.next_switching(last)) is not None:
-        plant.cross(switching)
-        found.append(switching)
-    return found
 
 
 def times(switchings: Sequence[Switching]) -> Array:

@@ -167,6 +167,12 @@ class ReboundLaw(ABC):
         return None
 
 
+def never_raises(contact: str) -> ReboundRemark:
+    """The remark on a ``contact`` whose restitution depends on the speed, and raises no V."""
+    text = f"No impact of {contact} alone raises V: eps(v) v never rises faster than v."
+    return ReboundRemark("ok", text)
+
+
 def checked_restitution(key: str, value: float) -> float:
     """A coefficient of restitution, which must lie in [0, 1].
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from impact_observer.errors import ModelError
 from impact_observer.model.document import Section, Value, finite
-from impact_observer.model.rebounds.rebound_law import ReboundLaw, ReboundRemark
+from impact_observer.model.rebounds.rebound_law import ReboundLaw, ReboundRemark, never_raises
 from impact_observer.states import Vector
 
 _SLOPE = 1e-12
@@ -97,8 +97,7 @@ class RestitutionTable(ReboundLaw):
     def remark(self, contact: str) -> ReboundRemark:
         """Whether an impact of the contact alone can raise V."""
         if self.is_nonexpansive:
-            text = f"No impact of {contact} alone raises V: eps(v) v never rises faster than v."
-            return ReboundRemark("ok", text)
+            return never_raises(contact)
         return ReboundRemark(
             "warning",
             f"Restitution of {contact}: eps(v) v has a slope outside [-1, 1], so an impact of"

@@ -48,7 +48,7 @@ class VelocityOffset(ReboundLaw):
         """
         if "velocity_offset" not in contact:
             return None
-        if isinstance(contact.value("restitution"), dict):
+        if isinstance(contact.value("restitution"), Mapping):
             raise ModelError(
                 contact.key("restitution"),
                 "depends on the speed; expected a number beside velocity_offset: both together"

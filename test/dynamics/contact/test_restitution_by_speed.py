@@ -12,6 +12,7 @@ from saltation_oracle import saltation_error
 from systems import (
     EPOCH,
     chain,
+    crossed,
     delassus,
     estimates,
     examples,
@@ -151,16 +152,12 @@ def test_time_stepping_rebounds_by_the_same_law() -> None:
     """Its first impacts are those of the event-driven plant, up to a few steps."""
     model = sample("yielding_stop")
     q, u = model.initial_state()
-    last, plants = EPOCH + 6 * NS_PER_S, []
-    plants.append(Plant(model.system, q, u, epoch=EPOCH))
-    plants.append(TimeSteppingPlant(model.system, q, u, epoch=EPOCH, step=2e-4))  # type: ignore[arg-type]
-    times = []
-    for plant in plants:
-        found = []
-        while (switching := plant.next_switching(last)) is not None:
-            found.append(switching.instant.stamp)
-            plant.cross(switching)
-        times.append(found)
+    plants = (
+        Plant(model.system, q, u, epoch=EPOCH),
+        TimeSteppingPlant(model.system, q, u, epoch=EPOCH, step=2e-4),
+    )
+    runs = [crossed(plant, 6.0) for plant in plants]
+    times = [[each.instant.stamp for each in found] for found in runs]
     assert len(times[0]) == len(times[1]) >= 4
     np.testing.assert_allclose(times[0], times[1], rtol=0, atol=3e-3 * NS_PER_S)
 
