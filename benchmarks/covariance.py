@@ -31,10 +31,10 @@ from scipy import linalg
 from benchmarks.impacts import energy
 from impact_observer import Options, make_observer
 from impact_observer.dynamics import ImpactLaw, Phases
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.saltation import Measured, Mirror, StateRates
-from impact_observer.estimation.square_root import correction, triangular
-from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.saltation import Measured, Mirror, StateRates
+from impact_observer.filter.square_root import correction, triangular
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Contact, Forcing, System, read_model
 from impact_observer.observer import Belief, Law
 from impact_observer.observer.laws.geometric import Geometric

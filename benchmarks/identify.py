@@ -41,9 +41,9 @@ from benchmarks.harness import new_file
 from benchmarks.impacts import energy
 from benchmarks.misfit_plants import WrongPlant, plants
 from impact_observer.errors import IdentificationError
-from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.filter.uncertainty import Uncertainty
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.shooting import shoot
 from impact_observer.model import Model, System, parse_model, read_model

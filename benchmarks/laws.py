@@ -27,8 +27,8 @@ from rich.table import Table
 from benchmarks.harness import new_file
 from benchmarks.impacts import energy
 from impact_observer.errors import ImpactObserverError
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.io.pairing import Samples, samples_of
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, law_named, law_names, replay

@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Phases
-from impact_observer.estimation.saltation import Measured, Mirror, StateRates
-from impact_observer.estimation.square_root import correction, triangular
 from impact_observer.events import ImpactEvent
+from impact_observer.filter.saltation import Measured, Mirror, StateRates
+from impact_observer.filter.square_root import correction, triangular
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import make_observer

@@ -47,10 +47,10 @@ from benchmarks.harness import new_file
 from benchmarks.impacts import energy
 from benchmarks.laws import FAR_END
 from impact_observer.errors import ImpactObserverError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System, parse_model, read_model
 from impact_observer.observer import Law, Observer
 from impact_observer.observer.laws.geometric import Geometric

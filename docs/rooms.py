@@ -27,7 +27,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("dynamics", "flow of a phase, contact laws, guards and event location"),),
     (
         Room("plant", "event-driven and time-stepping plant, sensor and its faults"),
-        Room("estimation", "Kalman filter of impact times, saltation, hypotheses", ""),
+        Room("filter", "Kalman filter of impact times, saltation, hypotheses", ""),
     ),
     (
         Room("observer", "observer, timeline with roll-back, verdicts, the laws"),

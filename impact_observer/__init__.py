@@ -2,7 +2,7 @@
 """Estimate the whole state of an impacting mechanical system from its impact times alone.
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``plant`` and
-``estimation``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
+``filter``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
 ``smooth``, ``identify``, ``observability``, ``new``, ``check`` and ``sweep``, then ``ros`` and
 ``cli``. The modules beside this file are the vocabulary that all rooms share: errors, stamps,
 events, states, options. The first five rooms need numpy and scipy only.

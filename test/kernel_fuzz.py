@@ -142,9 +142,9 @@ def estimate_parameters() -> None:
     """Correct and predict a state with parameters, by kernel and general methods."""
     from systems import PRESSED, corrected
 
-    from impact_observer.estimation.contact_change import ContactChange
-    from impact_observer.estimation.gaussian_state import GaussianState
-    from impact_observer.estimation.impact_filter import ImpactFilter
+    from impact_observer.filter.contact_change import ContactChange
+    from impact_observer.filter.gaussian_state import GaussianState
+    from impact_observer.filter.impact_filter import ImpactFilter
     from impact_observer.observer.laws.parameter_accounts import doubted
 
     unknowns = doubted(PRESSED)

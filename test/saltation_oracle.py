@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.dynamics import ImpactLaw
-from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

@@ -22,13 +22,13 @@ from scipy import linalg
 from impact_observer.dynamics import lyapunov
 from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import Asked, ImpactFilter
-from impact_observer.estimation.likelihood import Likelihood
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import EventQuery, ImpactFilter
+from impact_observer.filter.likelihood import Likelihood
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Contact, Forcing, Model, System, read_model
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, motion_of
@@ -313,7 +313,7 @@ def corrected(
     filter_: ImpactFilter, change: ContactChange, state: GaussianState, clock: float
 ) -> tuple[Likelihood, GaussianState]:
     """The likelihood of an event, and the state after it; ``clock`` is that of its stamp, s."""
-    asked = Asked(change, state, clock)
+    asked = EventQuery(change, state, clock)
     (likelihood,) = filter_.likelihoods([asked])
     (posterior,) = filter_.posteriors([asked._replace(likelihood=likelihood)])
     return likelihood, posterior

@@ -9,7 +9,7 @@ import numpy as np
 from impact_observer.check.forced_motion import forced_motion
 from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.draw.reports import ReportLine, counted, figure, listed
-from impact_observer.estimation.uncertainty import suggested_deviation
+from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
 from impact_observer.states import Vector
 

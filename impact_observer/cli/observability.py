@@ -74,8 +74,8 @@ def observe(
     """
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
-    from impact_observer.estimation.readings import sensors_of
-    from impact_observer.estimation.uncertainty import deviation_of
+    from impact_observer.filter.readings import sensors_of
+    from impact_observer.filter.uncertainty import deviation_of
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in, system_of

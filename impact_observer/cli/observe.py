@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
-    from impact_observer.estimation.misfit import MISFIT
     from impact_observer.events import Remark
+    from impact_observer.filter.misfit import MISFIT
     from impact_observer.io.measured_samples import MeasuredTopics
     from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
     from impact_observer.io.reader import BagReader
@@ -116,7 +116,7 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
 
 def far_start(system: "System", options: "Options") -> "Iterator[str]":
     """A line if the initial state is drawn far outside the rig."""
-    from impact_observer.estimation.uncertainty import suggested_deviation
+    from impact_observer.filter.uncertainty import suggested_deviation
 
     suggested = suggested_deviation(system)
     random = options.initial_state.strip().startswith("random:")

@@ -10,9 +10,9 @@ through a stop, an impact is inserted, or a rejected one accepted again.
 import numpy as np
 from scipy import linalg
 
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.identify.least_squares import usual_size
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Hit, Recording

@@ -8,8 +8,8 @@ from typing import TypeAlias
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw, Phases
-from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Kind
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.identify.problem import AT_STAMPS, Instants, Problem, no_report
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import IdentificationError
-from impact_observer.estimation.square_root import sparse_basis
+from impact_observer.filter.square_root import sparse_basis
 from impact_observer.identify.first_guess import (
     by_gaps,
     by_gaps_near,

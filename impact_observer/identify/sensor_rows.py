@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.readings import DeclaredSensor, sensors_of
+from impact_observer.filter.readings import DeclaredSensor, sensors_of
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.samples import SensorSample

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.errors import BagError, DynamicsError
-from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.recorded_impacts import Hit, Recording
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.measurement import Measurement

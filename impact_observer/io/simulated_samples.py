@@ -9,9 +9,9 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import Place, sensors_of
 from impact_observer.events import Contacts
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.readings import Place, sensors_of
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.typestores import typestore

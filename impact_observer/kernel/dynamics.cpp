@@ -300,11 +300,11 @@ Matrix checked_difference(const Parts& Y, const Parts& Z, const Array& factors) 
 
 }  // namespace
 
-void bind_estimation(py::module_& module);
+void bind_filter(py::module_& module);
 
 PYBIND11_MODULE(_kernel, module) {
     module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
-    bind_estimation(module);
+    bind_filter(module);
     py::register_exception_translator([](std::exception_ptr thrown) {
         try {
             if (thrown) std::rethrow_exception(thrown);

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
-from impact_observer.estimation.uncertainty import suggested_deviation
+from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import Model, System, parse_model
 from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
 from impact_observer.states import Vector

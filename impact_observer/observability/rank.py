@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import ImpactLawError, UsageError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.readings import DeclaredSensor
-from impact_observer.estimation.square_root import sparse_basis
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.readings import DeclaredSensor
+from impact_observer.filter.square_root import sparse_basis
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observability.rank_rows import RankRows
 from impact_observer.observer.episode import Episode, last_episode

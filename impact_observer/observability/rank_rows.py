@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.readings import DeclaredSensor
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.readings import DeclaredSensor
 from impact_observer.model import Forcing, System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution

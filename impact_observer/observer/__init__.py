@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer: a replica of the plant, switched by nothing but impact events."""
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.make_observer import (

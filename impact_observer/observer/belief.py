@@ -11,11 +11,11 @@ from typing import ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import Extent
-from impact_observer.estimation.hypotheses import Hypothesis, published
-from impact_observer.estimation.misfit import Fit
 from impact_observer.events import Contacts
+from impact_observer.filter.branching import Extent
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.hypotheses import Hypothesis, published
+from impact_observer.filter.misfit import Fit
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 

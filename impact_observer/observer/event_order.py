@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Kind
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 NEAR_NUMBERS = 1000

@@ -7,8 +7,8 @@ from dataclasses import replace
 from math import isfinite
 
 from impact_observer.errors import DynamicsError, ImpactLawError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.laws.law import Law

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
-from impact_observer.estimation.unknown_parameters import UnknownParameters
+from impact_observer.filter.uncertainty import Uncertainty, deviation_of
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.live_signals import connected

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
-from impact_observer.estimation.readings import sensors_of
-from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import (
     REVISED,
     Contacts,
@@ -23,6 +21,8 @@ from impact_observer.events import (
     Ruling,
     Verdict,
 )
+from impact_observer.filter.readings import sensors_of
+from impact_observer.filter.uncertainty import covariance_root, spread
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement

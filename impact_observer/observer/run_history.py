@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.estimation.readings import SampleOutcome
-from impact_observer.estimation.saltation import STATE_ROUNDING
-from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.filter.readings import SampleOutcome
+from impact_observer.filter.saltation import STATE_ROUNDING
+from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate

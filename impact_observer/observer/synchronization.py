@@ -16,9 +16,9 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import PositionProjection
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Ruling
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.options import Options

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
-from impact_observer.estimation.readings import SampleOutcome, SensorState
 from impact_observer.events import Contacts, Kind
+from impact_observer.filter.readings import SampleOutcome, SensorState
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
     EventKey,

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ledger import Note
-from impact_observer.estimation.model_error import NO_ERROR, LearnedError
-from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ledger import Note
+from impact_observer.filter.model_error import NO_ERROR, LearnedError
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief

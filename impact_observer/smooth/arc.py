@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.missed_switch import posterior_of_missed
-from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.readings import Place, Reading, Row
-from impact_observer.estimation.sample_update import SampleFilter
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.missed_switch import posterior_of_missed
+from impact_observer.filter.model_error import ErrorKind
+from impact_observer.filter.readings import Place, Reading, Row
+from impact_observer.filter.sample_update import SampleFilter
 from impact_observer.kernel._kernel import TINY
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step

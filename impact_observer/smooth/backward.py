@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.model_error import unit_kicks
 from impact_observer.events import Ruling, Verdict
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.model_error import unit_kicks
 from impact_observer.kernel._kernel import falls_at
 from impact_observer.smooth.account import EventAccount, Moment
 from impact_observer.smooth.arc import Arc

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.square_root import triangular
+from impact_observer.filter.square_root import triangular
 from impact_observer.states import Matrix, Vector
 
 _NOTHING = np.zeros(0)

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.error_accounts import ErrorAccounts
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.process_noise import ProcessNoise
-from impact_observer.estimation.resting import rest_measurement
-from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.events import Contacts
+from impact_observer.filter.error_accounts import ErrorAccounts
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.model_error import ErrorKind
+from impact_observer.filter.process_noise import ProcessNoise
+from impact_observer.filter.resting import rest_measurement
+from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment

@@ -10,9 +10,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from impact_observer.errors import BagError, DynamicsError
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.measurement import Measurement

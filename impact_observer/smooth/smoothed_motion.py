@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, special
 
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.linear import LinearPrediction
-from impact_observer.estimation.misfit import MISFIT
-from impact_observer.estimation.uncertainty import LARGEST_DEVIATION
 from impact_observer.events import Ruling, SmoothedImpact
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.linear import LinearPrediction
+from impact_observer.filter.misfit import MISFIT
+from impact_observer.filter.uncertainty import LARGEST_DEVIATION
 from impact_observer.kernel._kernel import TINY
 from impact_observer.observer.belief import Belief, Parameters, Prediction
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw

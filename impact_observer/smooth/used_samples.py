@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.readings import Reading
-from impact_observer.estimation.square_root import triangular
+from impact_observer.filter.readings import Reading
+from impact_observer.filter.square_root import triangular
 from impact_observer.smooth.chain import Step
 from impact_observer.states import Matrix, Vector
 

@@ -15,10 +15,10 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import KEPT, ImpactLaw, Phases
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.saltation import Measured
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 

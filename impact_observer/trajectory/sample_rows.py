@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_observer.estimation.readings import sensors_of
+from impact_observer.filter.readings import sensors_of
 from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.measurement import Measurement
 from impact_observer.states import Matrix, Vector

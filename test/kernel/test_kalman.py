@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy import integrate
 from systems import Harmonic, chain, corrected, examples, forcing, system, systems
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import Likelihood
-from impact_observer.estimation.unknown_parameters import UnknownParameters
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.likelihood import Likelihood
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.observer.laws.parameter_accounts import doubted
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import integrate, linalg
 from systems import examples, system, systems
 
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.members import Members
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.members import Members
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parametric_family
 

@@ -28,8 +28,8 @@ from systems import (
 
 from impact_observer.dynamics import Phases
 from impact_observer.errors import BagError, ImpactLawError, UsageError
-from impact_observer.estimation.readings import sensors_of
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.filter.readings import sensors_of
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.measurement import Measurement

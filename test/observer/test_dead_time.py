@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from systems import EPOCH, run, sample
 
-from impact_observer.estimation.between_events import BetweenEvents
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.ledger import Ledger, MissedSwitch
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict, final_rulings
+from impact_observer.filter.between_events import BetweenEvents
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.ledger import Ledger, MissedSwitch
 from impact_observer.observer import Options, make_observer, replay
 from impact_observer.plant import Run, SensorModel, simulate_sensor
 from impact_observer.smooth import smoothed_runs

@@ -25,8 +25,8 @@ from systems import (
 )
 
 from impact_observer.errors import ImpactLawError, UsageError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module

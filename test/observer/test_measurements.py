@@ -30,8 +30,8 @@ from systems import (
 
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import UsageError
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, MeasurementVerdict
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, law_named, make_observer

@@ -23,8 +23,8 @@ from systems import (
 )
 
 from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
-from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.system import Guide

@@ -15,15 +15,15 @@ from benchmarks.filter_cost import DRILL
 from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.misfit_plants import plants
 from benchmarks.misfit_runs import events
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import Innovation
-from impact_observer.estimation.misfit import Fit
-from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import ImpactEvent, Kind, Remark
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.likelihood import Innovation
+from impact_observer.filter.misfit import Fit
+from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System, parse_model
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws import parameter_accounts

@@ -25,10 +25,10 @@ from systems import (
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
-from impact_observer.estimation import between_events
-from impact_observer.estimation.tuning import TUNING
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
+from impact_observer.filter import between_events
+from impact_observer.filter.tuning import TUNING
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws import kalman_predictions

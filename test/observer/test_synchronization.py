@@ -26,13 +26,13 @@ from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.ledger import Ledger, Note
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.ledger import Ledger, Note
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer import (
     LARGEST_INNOVATION,

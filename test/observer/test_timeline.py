@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.observer import Belief
 from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
 from impact_observer.observer.synchronization import Synchronization

@@ -16,8 +16,8 @@ from hypothesis.stateful import (
 from systems import examples
 
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.observer import Belief
 from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
 from impact_observer.observer.synchronization import Synchronization

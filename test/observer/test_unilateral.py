@@ -25,8 +25,8 @@ from systems import (
 from impact_observer.dynamics import Phases, lyapunov
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric

@@ -10,15 +10,15 @@ from typing import TypeAlias
 import numpy as np
 
 from impact_observer.dynamics import KEPT
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import Fit
-from impact_observer.estimation.model_error import unit_kicks
-from impact_observer.estimation.moving_system import transition_of
-from impact_observer.estimation.square_root import triangular
-from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.misfit import Fit
+from impact_observer.filter.model_error import unit_kicks
+from impact_observer.filter.moving_system import transition_of
+from impact_observer.filter.square_root import triangular
+from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.belief import Belief, Fallback, Prediction
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.states import Matrix, Vector

@@ -3,11 +3,11 @@
 
 from collections.abc import Sequence
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.hypotheses import Hypothesis, error_share, exact_share
-from impact_observer.estimation.misfit import Fit
-from impact_observer.estimation.tuning import TUNING
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.hypotheses import Hypothesis, error_share, exact_share
+from impact_observer.filter.misfit import Fit
+from impact_observer.filter.tuning import TUNING
 from impact_observer.states import Vector
 
 _INSTANT_ROUNDING = 2e-9

@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.kernel import one_impact
 from impact_observer.model import System
 from impact_observer.observer.laws.replica_law import ReplicaLaw

@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.estimation.between_events import BetweenEvents
-from impact_observer.estimation.forecast import Forecast
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.linear import LinearPrediction
-from impact_observer.estimation.missed_switch import insert_switch
-from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.square_root import triangular
-from impact_observer.estimation.tuning import TUNING
 from impact_observer.events import Contacts, Kind
+from impact_observer.filter.between_events import BetweenEvents
+from impact_observer.filter.forecast import Forecast
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis, mean_level, mixture
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.linear import LinearPrediction
+from impact_observer.filter.missed_switch import insert_switch
+from impact_observer.filter.model_error import ErrorKind
+from impact_observer.filter.square_root import triangular
+from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import FINE
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.states import Matrix, Vector

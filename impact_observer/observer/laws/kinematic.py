@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw, Phase
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector

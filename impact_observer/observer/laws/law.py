@@ -4,11 +4,11 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.states import Matrix

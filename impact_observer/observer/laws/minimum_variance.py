@@ -10,25 +10,26 @@ from typing import ClassVar
 import numpy as np
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import FilterBank, LogPriors
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import (
+from impact_observer.events import Contacts, Ruling
+from impact_observer.filter.branching import LogPriors
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import (
     Hypothesis,
     mixture,
     probabilities,
     published,
 )
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import Fit, Residual
-from impact_observer.estimation.model_error import ErrorKind
-from impact_observer.estimation.readings import Reading, SampleOutcome, SensorState
-from impact_observer.estimation.sample_update import SampleUpdate
-from impact_observer.estimation.square_root import lengths
-from impact_observer.estimation.tuning import TUNING
-from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, Ruling
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.misfit import Fit, Residual
+from impact_observer.filter.model_error import ErrorKind
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.sample_update import SampleUpdate
+from impact_observer.filter.square_root import lengths
+from impact_observer.filter.tuning import TUNING
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import (
     Account,
@@ -153,7 +154,7 @@ class MinimumVariance(Law):
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        corrected = self._bank.correct(change, hypotheses, restarts, fallback.extent)
+        corrected = self._bank.update(change, hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
         return self._judged(change, belief, corrected, fallback, gap)
 
@@ -297,7 +298,7 @@ class MinimumVariance(Law):
     @property
     def log_priors(self) -> LogPriors:
         """What is assumed of any event."""
-        return self._bank.log_priors
+        return self._bank.branching.priors
 
     def prior(self, x: Vector, root: Matrix) -> GaussianState:
         """What is declared of a start at ``x`` = (q, u) with a root of its covariance."""

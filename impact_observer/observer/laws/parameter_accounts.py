@@ -9,22 +9,22 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import Scales
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import (
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import (
     Hypothesis,
     error_share,
     mixture,
     normalised,
 )
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.readings import Reading
-from impact_observer.estimation.sample_update import SampleUpdate
-from impact_observer.estimation.square_root import lengths, triangular
-from impact_observer.estimation.tuning import TUNING
-from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.estimation.unknown_parameters import UnknownParameters
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.readings import Reading
+from impact_observer.filter.sample_update import SampleUpdate
+from impact_observer.filter.square_root import lengths, triangular
+from impact_observer.filter.tuning import TUNING
+from impact_observer.filter.uncertainty import Uncertainty
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import UNITS
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
@@ -127,7 +127,7 @@ class ParameterAccounts:
         """The account after an event."""
         prior = before.published[0].state
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
-        corrected = self._bank.correct(change, before.hypotheses, restarts, fallback.extent)
+        corrected = self._bank.update(change, before.hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
         fit = fitted(before.fit, change, prior.x, corrected, self._bank)
         if error_share(corrected) > TUNING.established_error:

@@ -13,12 +13,12 @@ from scipy import special
 from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.moving_system import MovingSystem
-from impact_observer.estimation.readings import Place, Reading, SampleOutcome, SensorState
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Onset, Prediction
 from impact_observer.observer.laws.law import Law

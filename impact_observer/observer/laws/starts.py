@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.uncertainty import Uncertainty, spread
 from impact_observer.events import Contacts
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.uncertainty import Uncertainty, spread
 from impact_observer.observer.belief import Fallback
 from impact_observer.states import Matrix
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from impact_observer.dynamics import Motion
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.sweeping import SweepingProcess
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.kernel._kernel import falls_at
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief

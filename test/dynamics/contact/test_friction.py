@@ -39,8 +39,8 @@ from impact_observer.check.model_check import check_model, largest_kept
 from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import Clutches, Phases, Piecewise
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System, parse_model
 from impact_observer.model.system import Guide
 from impact_observer.observability.rank import observability

@@ -28,9 +28,9 @@ from systems import (
 from impact_observer.check.model_check import check_model
 from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import ImpactLaw, lyapunov
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
 from impact_observer.identify.identification import identify
 from impact_observer.identify.model_edit import changes
 from impact_observer.model import System, parse_model

@@ -35,8 +35,8 @@ from impact_observer.check.model_check import check_model
 from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.errors import ModelError
-from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
+from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.identification import identify
 from impact_observer.identify.model_edit import changes
 from impact_observer.model import Model, System, parse_model

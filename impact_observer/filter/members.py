@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The system with other values of the parameters that are estimated, prepared for the filter.
+
+Members that differ only by gaps and restitutions share the motion between impacts.
+"""
+
+import math
+from dataclasses import replace
+from functools import cached_property, lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.dynamics import (
+    KEPT,
+    ImpactLaw,
+    PositionProjection,
+)
+from impact_observer.dynamics.flow.equations import balanced
+from impact_observer.events import Contacts
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.saltation import Jet, Measured, Mirror
+from impact_observer.kernel._kernel import Family, Gaps, Impact, Parameters
+from impact_observer.model import System
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
+from impact_observer.states import Matrix, Vector
+
+_LARGEST = 1e300
+"""Instead of bounds that are infinite."""
+_LINEAR = {"C", "K", "gap", "rebound", "contact_time"}
+"""Coefficients by which parameters change accelerations, gaps and jumps linearly."""
+
+
+class Member:
+    """One system of a family.
+
+    Attributes:
+        system: the system.
+        values: its parameters, shape (p,).
+        moving: its motion between impacts.
+        masses: the impact law of a system with the same masses.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        values: Vector,
+        moving: MovingSystem,
+        masses: ImpactLaw,
+        numbers: Coefficients,
+    ) -> None:
+        """A system whose motion between impacts is ``moving``; ``numbers`` are of ``values``.
+
+        ``masses`` is the impact law of one that has the same masses.
+        """
+        self.system = system
+        self._numbers = numbers
+        self.values = values
+        self.moving = moving
+        self.masses = masses
+        self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
+        self.guard = lru_cache(KEPT)(self._guard_of)
+        self.mirror = lru_cache(KEPT)(self._mirror_of)
+        self.jump = lru_cache(KEPT)(self._jump_of)
+
+    @cached_property
+    def newton(self) -> ImpactLaw:
+        """Its impact law."""
+        own = self.moving.system is self.system
+        return self.moving.newton if own else ImpactLaw(self.system)
+
+    @cached_property
+    def projection(self) -> PositionProjection:
+        """Its position projection."""
+        own = self.moving.system is self.system
+        return self.moving.phases.projection if own else PositionProjection(self.system)
+
+    def mirror_about(self, x: Vector, pressed: Contacts) -> Mirror:
+        """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part."""
+        if self.system.is_plain(pressed):
+            return self.mirror(pressed)
+        return _mirror_about(self.masses, self._numbers, x, pressed)
+
+    def jump_about(
+        self,
+        t: float,
+        x: Vector,
+        pressed: Contacts,
+        before: Contacts,
+        closed: Contacts,
+        *,
+        soft: bool = False,
+    ) -> Jet:
+        """The jump of states near ``x`` at ``t``, between phases; see ``jump``.
+
+        It may be a ``soft`` one, which lasts.
+        """
+        moving = self.moving
+        if self.system.is_plain(pressed) and not (moving.guided or soft):
+            return self.jump(pressed, before, closed)
+        mirror = self.mirror_about(x, pressed)
+        mirror = mirror.soft if soft else mirror
+        after = mirror.J @ x + mirror.offset
+        return mirror.between(moving.rates_at(t, x, before), moving.rates_at(t, after, closed))
+
+    def guard_at(
+        self, t: float, x: Vector, before: Contacts, contacts: Contacts, *, hit: bool
+    ) -> tuple[Measured, Jet]:
+        """``guard`` of states near ``x``, shape (2n,), at ``t``, s since the epoch."""
+        rows, jet = self.guard(before, contacts, hit)
+        if not self.moving.guided:
+            return rows, jet
+        return rows, rows.along(self.moving.rates_at(t, x, before))
+
+    def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
+        """What the curvature of rebound laws adds to the error of a jump, (2n, k).
+
+        Its root mean square where speeds have the deviations of ``root``, shape (2n, any), about
+        those of ``x``.
+        """
+        n, bent = self.system.n, [i for i in pressed if not self.system.rebounds[i].is_affine]
+        found = np.zeros((2 * n, len(bent)))
+        stops = self.masses.stops(pressed) if bent else found
+        for k, i in enumerate(bent):
+            row = self.system.W[:, i]
+            speed, seen = float(row.dot(x[n:])), row.dot(root[n:])
+            bend = self._numbers.law(self.system, i).bend(speed, math.sqrt(seen.dot(seen)))
+            found[n:, k] = bend * stops[:, pressed.index(i)]
+        return found
+
+    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
+        """The guards of an event, and their expansions in the phase before it.
+
+        They are gaps of contacts that hit, or the load of one that opens.
+        """
+        moving = self.moving
+        rows = self.gaps(contacts) if hit else Measured.loads(moving.phase(before), contacts)
+        return rows, rows.along(moving.rates(before))
+
+    def _mirror_of(self, pressed: Contacts) -> Mirror:
+        J = self.masses.jump(pressed, self._numbers.eps)
+        return Mirror.of(self.system, J, pressed, self._numbers)
+
+    def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
+        """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
+        return self.mirror(pressed).between(self.moving.rates(before), self.moving.rates(closed))
+
+
+def _mirror_about(
+    newton: ImpactLaw, numbers: Coefficients, x: Vector, pressed: Contacts
+) -> Mirror:
+    """The jump of states near ``x`` where some restitution is not a constant.
+
+    The speeds jump by ``r(gamma)`` and its slope, the gap that is left by ``eps``. Where ``r`` is
+    ``eps gamma``, a jump a little early or late then leaves the positions as they are.
+    """
+    system, P = newton.system, list(pressed)
+    eps, slopes, rebounds = np.zeros((3, system.m))
+    gamma = system.W[:, P].T @ x[system.n :]
+    for i, speed in zip(P, gamma, strict=True):
+        law = numbers.law(system, i)
+        eps[i] = law.restitution_at(np.abs(speed))
+        slopes[i], rebounds[i] = law.slope(speed), law.rebound(speed)
+    mirror = Mirror.of(system, newton.jump(pressed, eps), pressed, numbers)
+    J, offset = mirror.J.copy(), mirror.offset.copy()
+    n = system.n
+    J[n:, n:] += newton.jump(pressed, slopes) - newton.jump(pressed, eps)
+    offset[n:] -= newton.stops(pressed) @ (rebounds[P] - slopes[P] * gamma)
+    return Mirror(J, offset)
+
+
+class Members:
+    """The members of a family; each is prepared when it is first needed.
+
+    Attributes:
+        family: the system and the parameters that are estimated; first those that change the
+            motion between impacts.
+        given: the member with the parameters of the model.
+        moving: how many of the parameters change the motion between impacts.
+        parameters: their bounds, and steps of finite differences by them, for the kernel.
+    """
+
+    def __init__(self, family: ParametricFamily) -> None:
+        """Prepare the given member."""
+        self.family = family
+        self.moving = sum(each.moves for each in family.parameters)
+        assert all(each.moves for each in family.parameters[: self.moving]), (
+            "parameters of the motion come first"
+        )
+        self._gap = family.gap_changes
+        effects = [each.effect for each in family.parameters]
+        self._still = [bool(np.any(each.rebound)) for each in effects]
+        self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
+        low, high = (np.clip(each, -_LARGEST, _LARGEST) for each in family.bounds)
+        self.parameters = Parameters(low, high, family.sizes, self.moving)
+        self.free_impact = lru_cache(KEPT)(self._free_impact)
+        self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
+        self._at = lru_cache(KEPT)(self._member)
+        self._moving = lru_cache(KEPT)(self._motion)
+        self._mirror = lru_cache(KEPT)(self._mirror_at)
+        self._nominal = family.nominal
+        self.given = self.at(self._nominal)
+
+    def at(self, values: Vector) -> Member:
+        """The member whose parameters are ``values``, shape (p,), all within their bounds."""
+        return self._at(tuple(values.tolist()))
+
+    def with_given_restitution(self, member: Member) -> Member:
+        """``member`` with the restitutions of the model."""
+        values = np.where(self._still, self._nominal, member.values)
+        return self.at(values) if self.family.size else member
+
+    def motion(self, values: Vector) -> MovingSystem:
+        """The motion between impacts of the member with ``values``; only these need bounds."""
+        return self._moving(tuple(values[: self.moving].tolist()))
+
+    def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
+        effects = [each.effect for each in self.family.parameters]
+        changes = [np.any(each.rebound, axis=1) for each in effects]
+        estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
+        return np.asarray(estimated[list(contacts)], dtype=np.bool_)
+
+    @cached_property
+    def is_linear(self) -> bool:
+        """Whether the accelerations are linear in the parameters: then the kernel knows them."""
+        parts = [each.effect.parts.keys() for each in self.family.parameters]
+        rests = self.family.system.frame is None or not self.moving
+        return rests and all(each <= _LINEAR for each in parts)
+
+    @cached_property
+    def free(self) -> Family:
+        """The motions of all members while no contact is closed."""
+        moving, n = self.given.moving, self.family.system.n
+        inverse, unit = moving.rates(()).B[n:], balanced(moving.rates(()).A)[1][:n]
+        effects = [each.effect for each in self.family.parameters[: self.moving]]
+        lower = [-inverse @ np.hstack([each.K, each.C]) for each in effects]
+        scale = np.concatenate([unit, np.ones(n)])
+        rates = np.array([np.linalg.norm(each / scale, 1) for each in lower])
+        return Family(moving.free, moving.sizes, self.parameters, self._nominal, lower, rates)
+
+    def _free_impact(self, contact: int) -> Impact:
+        """An impact of one contact while none is closed."""
+        effects = [each.effect for each in self.family.parameters]
+        eps = np.array([each.eps[contact] for each in effects])
+        lags = np.array([each.contact_time[contact] / 2 for each in effects])
+        newton, system = self.given.newton, self.family.system
+        return Impact(
+            self.free,
+            system.W[:, contact],
+            -newton.kick(contact),
+            float(system.q_r[contact]),
+            -np.outer(eps, newton.stops((contact,))),
+            self._gap[:, contact],
+            lags,
+        )
+
+    @cached_property
+    def free_gaps(self) -> Gaps:
+        """All gaps while no contact is closed."""
+        system = self.family.system
+        return Gaps(self.free, system.W.T, system.q_r, self._gap)
+
+    def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
+        return np.asarray(self._gap[:, list(contacts)].T)
+
+    def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
+        """Of ``dx/dt`` to the parameters, shape (2n, p)."""
+        forces = self._force_sensitivity(member, closed, x, t)
+        return np.asarray(member.moving.rates_at(t, x, closed).B @ forces)
+
+    def load_sensitivity(
+        self, member: Member, closed: Contacts, contacts: Contacts, x: Vector, t: float
+    ) -> Matrix:
+        """Of the loads of held ``contacts`` to the parameters, shape (k, p)."""
+        phase = member.moving.phase(closed)
+        loads = phase.loads[[phase.held.index(i) for i in contacts]]
+        return np.asarray(-loads @ self._force_sensitivity(member, closed, x, t))
+
+    def impact(
+        self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
+    ) -> tuple[Vector, Matrix]:
+        """The state after an impact of ``pressed``, and its derivative: a ``Mirror``."""
+        key = tuple(values.tolist())
+        if self.family.system.is_plain(pressed):
+            mirror = self._mirror(key, pressed)
+        else:
+            moving, numbers = self._heavy(key)
+            mirror = _mirror_about(moving.newton, numbers, x, pressed)
+        mirror = mirror.soft if soft else mirror
+        return mirror.J @ x + mirror.offset, mirror.J
+
+    def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
+        """The model's motion with the masses of a member, and its coefficients."""
+        theta, weighed = np.array(values), self._nominal
+        if any(self._weighs):
+            weighed = np.where(self._weighs, theta, weighed)
+        return self.motion(weighed), self._beyond(self.family.coefficients_at(theta))
+
+    def _beyond(self, numbers: Coefficients) -> Coefficients:
+        """``numbers`` with the contact times less those of the model.
+
+        After these an impact is computed at its own instant; the rest is an offset of positions.
+        """
+        given = self.family.system.contact_time
+        return replace(numbers, contact_time=numbers.contact_time - given)
+
+    def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
+        heavy, numbers = self._heavy(values)
+        J = heavy.newton.jump(pressed, numbers.eps)
+        return Mirror.of(heavy.system, J, pressed, numbers)
+
+    def _force_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
+        """Of the forces that accelerate the masses to the parameters, shape (n, p)."""
+        n, moving = self.family.system.n, member.moving
+        rates = moving.rates_at(t, x, closed)
+        acceleration = rates.along(x, member.moving.forces(t))[0][n:]
+        forces = self.family.force_changes(member.values, t).T
+        for j, each in enumerate(self.family.parameters[: self.moving]):
+            effect = each.effect
+            forces[:, j] -= effect.K @ x[:n] + effect.C @ x[n:] + effect.M @ acceleration
+            if moving.guided:
+                forces[:, j] += moving.rubbed_by(t, x, closed, effect.friction)
+        return np.asarray(forces)
+
+    def _member(self, values: tuple[float, ...]) -> Member:
+        theta, moving = np.array(values), self._moving(values[: self.moving])
+        same = np.array_equal(theta[self.moving :], self._nominal[self.moving :])
+        system = moving.system if same else self.family.near(theta)
+        heavy, numbers = self._heavy(values)
+        return Member(system, theta, moving, heavy.newton, numbers)
+
+    def _motion(self, values: tuple[float, ...]) -> MovingSystem:
+        """The motion with the first parameters at ``values``, the others as given."""
+        theta = np.array(self._nominal)
+        theta[: self.moving] = values
+        if np.array_equal(theta, self._nominal):
+            return MovingSystem(self.family.system)
+        given = None if any(self._weighs) else self.motion(self._nominal).phase(()).inverse
+        return MovingSystem(self.family.near(theta), given)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the model explains the impacts, from the innovations of the published account.
+
+Innovations of a model that fits are independent. Those of one that does not have one sign, or
+alternate: the portmanteau test (Ljung and Box, On a measure of lack of fit in time series models,
+1978), without subtracting the mean.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.filter.tuning import TUNING
+from impact_observer.kernel._kernel import TINY
+from impact_observer.states import Vector
+
+MISFIT = (
+    "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
+    " not the plant's, or the stamps are late or drift; see docs/misfit.md"
+)
+_BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
+
+
+class Residual(NamedTuple):
+    """The estimated gaps at an impact, where the plant's is zero.
+
+    Attributes:
+        filter: of the account that the filter publishes, m.
+        replica: of the geometric replica beside it, m.
+        unit: standard deviation of that, if accelerations were white noise of 1 m/s^1.5, s^1.5.
+        account: of the account that estimates parameters, m; NaN while there is none.
+    """
+
+    filter: float
+    replica: float
+    unit: float
+    account: float = math.nan
+
+
+class Fit(NamedTuple):
+    """How the model has explained the latest impacts.
+
+    Attributes:
+        innovations: the latest, in standard deviations, with their signs, clipped.
+        as_reported: of the latest events, whether they are explained as they were reported,
+            without a spurious or missed impact or a restart.
+        explained: the same, and without an error of the model.
+        errors: events in a row with an error of the model (``Tuning.established_error``).
+        by_clock: whether that account explains the innovations by errors of the clock.
+        statistic: of the test; 0 while there are too few innovations.
+        evidence: logarithm of the odds of an error of the model to none, which one event
+            raises by ``Tuning.evidence_step`` at most.
+        residuals: at the latest impacts.
+        is_refuted: whether other parameters explain the latest impacts better.
+        was_misfit: whether the model did not explain the impacts up to the event before.
+        is_misfit: whether the model does not explain the impacts.
+    """
+
+    innovations: tuple[float, ...] = ()
+    as_reported: tuple[bool, ...] = ()
+    explained: tuple[bool, ...] = ()
+    errors: int = 0
+    by_clock: bool = False
+    statistic: float = 0.0
+    evidence: float = 0.0
+    residuals: tuple[Residual, ...] = ()
+    is_refuted: bool = False
+    was_misfit: bool = False
+    is_misfit: bool = False
+
+    def after(
+        self,
+        innovation: float | None,
+        *,
+        in_error: bool = False,
+        by_clock: bool = False,
+        as_reported: bool = True,
+        exact: float = 1.0,
+    ) -> "Fit":
+        """The fit after an event; ``innovation`` is None where it measured nothing.
+
+        ``exact`` is the probability that the model has been exact.
+        """
+        evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
+        innovations, errors, statistic = self.innovations, self.errors, self.statistic
+        if innovation is None:
+            by_clock = self.by_clock
+        else:
+            clipped = min(max(innovation, -TUNING.clipping), TUNING.clipping)
+            innovations = (*innovations[-(TUNING.window - 1) :], clipped)
+            errors, statistic = errors + 1 if in_error else 0, _statistic(innovations)
+        after = Fit(
+            innovations,
+            (*self.as_reported[-(TUNING.window - 1) :], as_reported),
+            (*self.explained[-(TUNING.window - 1) :], as_reported and not in_error),
+            errors,
+            by_clock,
+            statistic,
+            evidence if len(self.as_reported) >= TUNING.first_events else 0.0,
+            self.residuals,
+            self.is_refuted,
+            was_misfit=self.is_misfit,
+        )
+        return _judged(after)
+
+    def compared(self, latest: Residual) -> "Fit":
+        """The same with the ``latest`` residual."""
+        return self._replace(residuals=(*self.residuals[-(TUNING.compared - 1) :], latest))
+
+    def beside(self, change: float) -> "Fit":
+        """The same beside an account with other parameters.
+
+        ``change`` of the parameters is the largest, in standard deviations.
+        """
+        is_refuted = False
+        if change >= TUNING.notable_change and len(self.residuals) >= TUNING.recent:
+            by_filter, by_replica, _, by_account = self._sizes(TUNING.recent)
+            is_significant = change > TUNING.significant_change
+            is_clear = is_significant and by_account < TUNING.clearly_nearer * by_filter
+            is_nearer = by_account < TUNING.nearer * min(by_filter, by_replica)
+            is_refuted = is_clear or (self.is_in_error and is_nearer)
+        if is_refuted is self.is_refuted:
+            return self
+        return _judged(self._replace(is_refuted=is_refuted))
+
+    @property
+    def is_in_error(self) -> bool:
+        """Whether an error of the model is established, at the latest events in a row."""
+        return self.errors >= TUNING.established_events
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether the model may not explain the impacts: parameters are worth an estimate."""
+        fewest, latest = TUNING.fewest, self.explained[-TUNING.fewest :]
+        is_excused = len(latest) == fewest and sum(latest) < TUNING.doubted_explained * fewest
+        is_correlated = self.statistic > TUNING.doubted_statistic
+        is_improbable = self.evidence > TUNING.doubted_evidence
+        is_in_doubt = is_excused or is_correlated or is_improbable
+        return self.is_misfit or is_in_doubt or self.errors >= TUNING.doubted_events
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the model explains nearly all of the latest events, without any doubt."""
+        n, explained = len(self.explained), sum(self.explained)
+        if self.errors or self.statistic > TUNING.doubtful_statistic or n < TUNING.fewest:
+            return False
+        return explained >= TUNING.mostly_explained * n
+
+    @property
+    def is_established(self) -> bool:
+        """Whether the model fits, and errors of the clock would be the errors of a clock."""
+        return not (self.doubt or self.untested)
+
+    @property
+    def doubt(self) -> str:
+        """That the model is doubted, in words; empty while it is not."""
+        most = TUNING.doubtful_statistic if self.by_clock else TUNING.doubted_statistic
+        is_doubted = self.is_misfit or self.is_in_error or self.statistic > most
+        return "the model is doubted" if is_doubted else ""
+
+    @property
+    def untested(self) -> str:
+        """That there are too few innovations to test a model, in words; else empty."""
+        n, fewest = len(self.innovations), TUNING.fewest
+        return f"{n} of {fewest} innovations" if self.by_clock and n < fewest else ""
+
+    def message(self, account: str = "") -> str:
+        """The warning of a misfit; empty while the model fits.
+
+        ``account`` is what explains the impacts instead, if that is published.
+        """
+        if not self.is_misfit:
+            return ""
+        return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether the model does not fit, and filter and replica have been compared."""
+        return self.is_misfit and bool(self.residuals)
+
+    def shares(self, *, with_account: bool) -> Vector:
+        """The weights of filter, replica and perhaps account in what is published.
+
+        Their posterior probabilities, if the k residuals compared are independent and normal with
+        a deviation that is unknown: ``(sum r^2)^(-k/2)`` (Jeffreys' prior).
+        """
+        compared = min(TUNING.recent if with_account else TUNING.compared, len(self.residuals))
+        by = np.array(self._sizes(compared))[[0, 1, 3][: 2 + with_account]]
+        shares = (by / by.min()) ** -float(compared)
+        return np.asarray(shares / shares.sum())
+
+    @property
+    def prefers_replica(self) -> bool:
+        """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
+        if not self.is_compared:
+            return False
+        by_filter, by_replica, *_ = self._sizes()
+        return by_replica < TUNING.nearer * by_filter
+
+    @property
+    def replica_level(self) -> float:
+        """White accelerations that explain the residuals of the replica, m/s^1.5."""
+        _, by_replica, unit, _ = self._sizes()
+        return by_replica / unit
+
+    @property
+    def prefers_account(self) -> bool:
+        """Whether the model does not fit, and an account with other parameters is the nearest."""
+        if not (self.is_misfit and len(self.residuals) >= TUNING.recent):
+            return False
+        by_filter, by_replica, _, by_account = self._sizes(TUNING.recent)
+        return by_account < TUNING.nearer * min(by_filter, by_replica)
+
+    def _sizes(self, latest: int = TUNING.compared) -> tuple[float, ...]:
+        """The ``latest`` residuals as root sums of squares, each positive."""
+        each = zip(*self.residuals[-latest:], strict=True)
+        return tuple(math.hypot(TINY, *some) for some in each)
+
+
+def _judged(fit: Fit) -> Fit:
+    """``fit`` with ``is_misfit`` as its other fields say.
+
+    An error of the model that is established is no proof while an exact model may have explained
+    all events: it may be that of a clock. But while it is, a warning does not end.
+    """
+    n = len(fit.as_reported)
+    is_excused = n >= TUNING.fewest_excused and sum(fit.as_reported) < TUNING.least_explained * n
+    is_correlated = fit.statistic > TUNING.largest_statistic
+    lasts = fit.was_misfit and fit.is_in_error
+    is_improbable = fit.is_in_error and fit.evidence > TUNING.largest_evidence
+    is_misfit = is_excused or is_correlated or is_improbable or fit.is_refuted or lasts
+    return fit if is_misfit is fit.is_misfit else fit._replace(is_misfit=is_misfit)
+
+
+def _statistic(innovations: tuple[float, ...]) -> float:
+    """Of the test on ``innovations``: large where neighbours have one sign, or alternate.
+
+    Zeros are rounding, which says nothing: they do not count.
+    """
+    n = len(innovations) - innovations.count(0.0)
+    if n < TUNING.fewest:
+        return 0.0
+    nu, lags = np.array(innovations), range(1, TUNING.lags + 1)
+    rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
+    return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))

@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hypotheses of a bank, corrected and weighed by samples that are measured beside impacts."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from impact_observer.events import Kind
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.forecast import Dip
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import (
+    Hypothesis,
+    Jump,
+    normalised,
+)
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.ledger import MissedSwitch
+from impact_observer.filter.missed_switch import insert_switch
+from impact_observer.filter.model_error import NO_ERROR
+from impact_observer.filter.readings import Place, Reading, Row, SampleOutcome, SensorState
+from impact_observer.filter.settling import rest_after
+from impact_observer.filter.tuning import TUNING
+from impact_observer.kernel._kernel import measured
+from impact_observer.states import Matrix, Vector
+
+_LEAST_RESTITUTION = 1e-3
+"""By which a speed after an impact is divided to find the one before."""
+
+
+class SampleResult(NamedTuple):
+    """A state after a sample.
+
+    Attributes:
+        state: the state.
+        outcome: what became of the sample.
+        density: logarithm of the density of the sample, but for a constant.
+        residual: the expected square of its noise; negative where it says nothing about that.
+    """
+
+    state: GaussianState
+    outcome: SampleOutcome
+    density: float
+    residual: float = -1.0
+
+
+class _Weighed(NamedTuple):
+    """A sample under one hypothesis.
+
+    Attributes:
+        hypothesis: after it, with its weight.
+        outcome: what became of the sample.
+        residual: see ``SampleResult``.
+    """
+
+    hypothesis: Hypothesis
+    outcome: SampleOutcome
+    residual: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether no number of it has overflowed."""
+        return math.isfinite(self.hypothesis.weight)  # with the logarithm of a variance in it
+
+
+_TOO_UNCERTAIN = SampleOutcome(0.0, -1.0, False, "the estimate is too uncertain")
+
+
+def _is_finite(state: GaussianState) -> bool:
+    """Whether no number of a state has overflowed."""
+    return math.isfinite(sum(float(each.sum()) for each in state[:4]))
+
+
+def _judged(innovation: float, normalized: float, gate: float) -> SampleOutcome:
+    """Accepted, unless a ``gate`` rejects it."""
+    if normalized > gate:
+        return _gated(innovation, normalized, gate)
+    return SampleOutcome(innovation, normalized)
+
+
+def _gated(innovation: float, normalized: float, gate: float) -> SampleOutcome:
+    reason = f"gate: {normalized:.3g} standard deviations; {gate:g} are allowed"
+    return SampleOutcome(innovation, normalized, False, reason)
+
+
+class SampleFilter:
+    """The update of one state by a sample.
+
+    Attributes:
+        filter: of the states.
+    """
+
+    def __init__(self, filter_: ImpactFilter) -> None:
+        """Samples of the system of ``filter_``."""
+        self.filter = filter_
+        self._sizes = filter_.phases.scales.sizes
+
+    def row(self, reading: Reading, state: GaussianState) -> Row:
+        """The measured function near a state."""
+        sensor, members = reading.sensor, self.filter.members
+        at = Place(reading.t, reading.instant, state.x, state.closed)
+        if state.parameters:
+            return sensor.row_of(members, state.theta, at)
+        return sensor.row(members.given.moving, at)
+
+    def noise(self, row: Row, state: GaussianState, variance: float) -> float:
+        """The variance of a sample, with its rounding."""
+        if variance > 0:
+            return variance
+        rounded = row.rounding(self._sizes(state.x))
+        return max(variance, 0.0) + rounded * rounded
+
+    def first(self, reading: Reading, state: GaussianState, known: SensorState) -> SensorState:
+        """``known`` with a variance: of a sensor that is to be learned, that of the prediction."""
+        if known.variance >= 0:
+            return known
+        declared = reading.sensor.measurement.deviation
+        if declared is not None:
+            return known._replace(variance=declared * declared)
+        row = self.row(reading, state)
+        innovation = reading.value - row.value(state.x)
+        variance = max(row.variance(state.root), innovation * innovation)
+        return known._replace(variance=variance)
+
+    def after(
+        self, reading: Reading, state: GaussianState, known: SensorState, jump: float = 0.0
+    ) -> "SampleResult":
+        """A state after a sample, unless its gate rejects that.
+
+        An impact that may have happened already, or not yet, would change the measured function by
+        ``jump``.
+        """
+        row, gate = self.row(reading, state), reading.sensor.measurement.gate
+        noise = self.noise(row, state, known.variance)
+        if not jump:
+            found = measured(*state[:4], row.whole, row.rest, reading.value, noise, gate)
+            outcome = _judged(found[4], found[5], gate)
+            if outcome.accepted:
+                state = self._corrected(state, *found[:4])
+            return SampleResult(state, outcome, *found[6:])
+        innovation, variance = reading.value - row.value(state.x), row.variance(state.root) + noise
+        size = min(abs(innovation), abs(innovation - jump))
+        square = min(size * size / variance, gate * gate)
+        density = -(square + math.log(variance)) / 2 - math.log(2.0)
+        normalized = abs(innovation) / math.sqrt(variance)
+        if size > gate * math.sqrt(variance):
+            return SampleResult(state, _gated(innovation, normalized, gate), density)
+        noise += jump * jump
+        found = measured(*state[:4], row.whole, row.rest, reading.value, noise, math.inf)
+        reason = "in part: an impact is about to happen, or has just happened"
+        outcome = SampleOutcome(innovation, normalized, True, reason)
+        return SampleResult(self._corrected(state, *found[:4]), outcome, density)
+
+    def _corrected(
+        self, state: GaussianState, x: Vector, constants: Vector, root: Matrix, others: Matrix
+    ) -> GaussianState:
+        """``state`` with other numbers, and parameters within their bounds."""
+        if p := state.parameters:
+            z = np.concatenate([x, constants])
+            z = self.filter.members.parameters.bounded(z, root, x.size)
+            x, constants = z[: x.size], z[x.size :]
+        return GaussianState(x, constants, root, others, state.closed, p)
+
+
+class SampleUpdate:
+    """Corrects and weighs the hypotheses of a bank by samples."""
+
+    def __init__(self, bank: FilterBank) -> None:
+        """Samples for the hypotheses of ``bank``."""
+        self.bank = bank
+        self.one = SampleFilter(bank.filter)
+        self._system = bank.filter.system
+        self._directions = np.ascontiguousarray(self._system.W.T)
+
+    def after(
+        self,
+        reading: Reading,
+        hypotheses: Sequence[Hypothesis],
+        largest: Vector | None = None,
+        restart: Callable[[], GaussianState] | None = None,
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+        """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one.
+
+        Where a sensor contradicts the estimate for long, a covariance is tried that is wider, as
+        far as the motion has been ``largest``, and the state of a ``restart``.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            known = self.one.first(reading, hypotheses[0].state, reading.known)
+        if not math.isfinite(known.variance):
+            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
+        doubt, before = known.rejected >= TUNING.rejected_samples, len(hypotheses)
+        if doubt or any(h.survival for h in hypotheses):
+            hypotheses = [
+                branch
+                for h in hypotheses
+                for branch in self._branches(reading, h, known, largest if doubt else None)
+            ]
+            if doubt and restart is not None and not self.bank.trusts_estimate:
+                best = max(hypotheses, key=attrgetter("weight"))
+                begun = best._replace(
+                    state=restart(),
+                    weight=best.weight + TUNING.log_restart,
+                    ledger=best.ledger._replace(missed=()),
+                    survival={},
+                    error=NO_ERROR,
+                    jump=Jump(),
+                )
+                hypotheses = [*hypotheses, begun]
+        with np.errstate(over="ignore", invalid="ignore"):
+            finite = [h for h in hypotheses if _is_finite(h.state)]
+            weighed = [self._weighed(reading, h, known) for h in finite]
+        weighed = [each for each in weighed if each.is_finite]
+        if not weighed:
+            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
+        return self._kept(reading, weighed, known, new=len(weighed) > before)
+
+    def followed(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
+        """``after`` of hypotheses that hold ``s`` seconds before it, ``since`` the epoch, s.
+
+        By one call of the kernel. None where anything is in doubt, or not for the kernel: then
+        they are to be predicted first.
+        """
+        known = self._sure(reading, hypotheses, s)
+        if known is None:
+            return None
+        row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
+        noise = self.bank.filter.noise
+        made = self.bank.filter.members.free_gaps.followed(
+            since,
+            s,
+            [h.state for h in hypotheses],
+            np.array([h.acceleration_error for h in hypotheses]),
+            0.0 if noise is None else noise.model_error,
+            row.h,
+            row.rest,
+            reading.value,
+            known.variance,
+            gate,
+            not self.bank.trusts_events,
+        )
+        if made is None:
+            return None
+        weighed = []
+        for h, found in zip(hypotheses, made, strict=True):
+            _, _, _, _, innovation, normalized, density, residual = found
+            after, weight = GaussianState(*found[:4]), h.weight + density
+            followed = h._replace(state=after, weight=weight, jump=h.jump.later(s))
+            weighed.append(_Weighed(followed, _judged(innovation, normalized, gate), residual))
+        goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
+        if goes_on or not all(each.is_finite for each in weighed):
+            return None
+        return self._kept(reading, weighed, known, new=False)
+
+    def _sure(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float
+    ) -> SensorState | None:
+        """What is known of a sensor where nothing is in doubt, and the kernel can follow."""
+        known, declared = reading.known, reading.sensor.measurement.deviation
+        if known.variance < 0 and declared is not None:
+            known = known._replace(variance=declared * declared)
+        if known.variance <= 0 or known.rejected >= TUNING.rejected_samples or reading.closed:
+            return None
+        filter_ = self.bank.filter
+        if filter_.members.family.size:
+            return None
+        if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
+            return None
+        for h in hypotheses:
+            if h.survival or h.ledger.missed or h.state.closed:
+                return None
+        return known
+
+    def _kept(
+        self, reading: Reading, weighed: Sequence[_Weighed], known: SensorState, *, new: bool
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+        """The likely ones; where some are ``new`` they may have become alike."""
+        first = max(weighed, key=lambda each: each.hypothesis.weight)
+        known = known.after(
+            accepted=first.outcome.accepted,
+            residual=first.residual,
+            deviation=reading.sensor.measurement.deviation,
+        )
+        if len(weighed) == 1:
+            return (first.hypothesis._replace(weight=0.0),), first.outcome, known
+        found = sorted([each.hypothesis for each in weighed], key=lambda h: -h.weight)
+        found = self.bank.pruning.likely(found)
+        found = self.bank.pruning.distinct(found) if new else found
+        return normalised(found), first.outcome, known
+
+    def _branches(
+        self, reading: Reading, h: Hypothesis, known: SensorState, largest: Vector | None
+    ) -> Iterator[Hypothesis]:
+        """What may have happened before a sample, under one hypothesis."""
+        yield from self._settled(reading, h)
+        if largest is not None and not self.bank.trusts_estimate:
+            row = self.one.row(reading, h.state)
+            noise = self.one.noise(row, h.state, known.variance)
+            variance = row.variance(h.state.root) + noise
+            depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
+            if depth > reading.sensor.measurement.gate:
+                wider = self.bank.filter.widened(h.state, TUNING.widening * depth, largest)
+                yield h._replace(state=wider, weight=h.weight + TUNING.log_restart)
+
+    def _settled(self, reading: Reading, h: Hypothesis) -> Iterator[Hypothesis]:
+        """``h``, and what it is if the impacts have happened that it penetrates.
+
+        A sample ends a dip: either the estimate is in error, or an impact was missed.
+        """
+        yield h
+        for contact, unlikely in h.survival.items():
+            depth = -float(special.ndtri_exp(unlikely))
+            between = self.bank.between
+            dead = between.dead(h, contact, Kind.IMPACT, reading.t)
+            missed = between.log_missed(dead)
+            is_possible = TUNING.possible_depth < depth <= TUNING.confident_depth
+            if not is_possible or missed == -math.inf:
+                continue
+            dip = Dip(contact, Kind.IMPACT, 0, 0.0, 0.0, 0.0, depth, unlikely, False, 0.0)
+            if (after := insert_switch(self.bank.filter, reading.t, h.state, dip)) is None:
+                continue
+            state, kind, flight = after
+            weight = h.weight_without((contact,)) + missed + float(special.log_ndtr(depth))
+            switch, rest = MissedSwitch(contact, kind, 0.0, depth, dead > TUNING.dead), None
+            if kind is Kind.CLOSE:
+                rest = rest_after(self.bank.filter, contact, reading.t, flight, h.clock)
+            yield h._replace(
+                state=state,
+                weight=weight,
+                ledger=h.ledger.with_missed(switch, rest),
+                survival=h.survival_without((contact,)),
+                jump=h.jump._replace(ago=0.0),
+            )
+
+    def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:
+        result = self.one.after(reading, h.state, known, self._jump_in_doubt(reading, h))
+        state, outcome, density, residual = result
+        blanking = reading.sensor.measurement.blanking
+        if h.ledger.missed and min(each.ago for each in h.ledger.missed) < blanking:
+            # What is not used does not judge: as likely as any sample that is expected.
+            density += (min(outcome.normalized, reading.sensor.measurement.gate) ** 2 - 1) / 2
+            reason = f"blanking: an impact that was missed is less than {blanking:g} s ago"
+            outcome = SampleOutcome(outcome.innovation, outcome.normalized, False, reason)
+            return _Weighed(h._replace(weight=h.weight + density), outcome, -1.0)
+        return _Weighed(h._replace(state=state, weight=h.weight + density), outcome, residual)
+
+    def _jump_in_doubt(self, reading: Reading, h: Hypothesis) -> float:
+        """By how much an impact changes a sample that may be before it, or after it.
+
+        An impact is stamped early or late by a few deviations of the clock. Meanwhile the estimate
+        is inside the stop, or has jumped too early.
+        """
+        state, system, n = h.state, self._system, self._system.n
+        gaps = self._directions.dot(state.x[:n]) + system.q_r
+        if not system.m or gaps.min() >= 0:
+            return 0.0
+        squares, row = 0.0, None
+        speeds = self._directions.dot(state.x[n:])
+        for i in np.flatnonzero(gaps < 0).tolist():
+            if i not in state.closed and -gaps[i] <= TUNING.late * h.clock * abs(speeds[i]):
+                row = row or self.one.row(reading, state)
+                squares += self._jump(row, state.x, i, float(speeds[i])) ** 2
+        return math.sqrt(squares)
+
+    def _jump(self, row: Row, x: Vector, contact: int, speed: float) -> float:
+        """By how much an impact changes a measured function of a state."""
+        mirror = self.bank.filter.members.given.mirror_about(x, (contact,))
+        change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
+        eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
+        return change / eps if speed > 0 else change  # it has jumped: the state before was faster

@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter bank: weights, the covariance of the mixture, events in any order."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+from systems import (
+    EPOCH,
+    PRESSED,
+    chain,
+    estimates,
+    event,
+    examples,
+    observer,
+    run,
+    sample,
+    without_faults,
+)
+
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.filter.branching import Extent
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis, published
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.ledger import Ledger
+from impact_observer.filter.model_error import NO_ERROR, ErrorKind, LearnedError
+from impact_observer.filter.tuning import TUNING
+from impact_observer.filter.uncertainty import Uncertainty
+from impact_observer.model import System
+from impact_observer.observer import Belief, Observer
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
+
+Array = NDArray[np.float64]
+FAULTY = Uncertainty(clock_error=0.0, model_error=0.0)
+
+
+@cache
+def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
+    """A sample, where its plant starts, and what it does."""
+    model = sample(name)
+    start = model.initial_state()
+    whole = run(model.system, *start, seconds=seconds, rate=10.0)
+    return model.system, np.concatenate(start), whole
+
+
+def beliefs(watcher: Observer) -> list[Belief]:
+    """After every event."""
+    assert watcher.timeline is not None
+    return [entry.belief for entry in watcher.timeline.entries]
+
+
+def mixture(belief: Belief) -> Array:
+    """Second moments of the published hypotheses about the estimate."""
+    size = belief.x.size
+    P = np.zeros((size, size))
+    shown = published(belief.hypotheses, misfit=False)
+    total = sum(math.exp(each.weight) for each in shown)
+    for each in shown:
+        differences, root = each.state.x - belief.x, each.state.root[:size]
+        P += math.exp(each.weight) / total * (root @ root.T + np.outer(differences, differences))
+    return P
+
+
+@pytest.mark.slow
+def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
+    """After true, spurious and missed impacts; probabilities add up to one, and are ordered."""
+    model, start, whole = truth("three_mass", 20.0)
+    x = start + np.random.default_rng(3).normal(size=6)
+    watcher = observer(model, "minimum-variance", x, uncertainty=FAULTY, epoch=EPOCH)
+    events = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
+    for each in [*events, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
+        watcher.receive(each)
+    several = 0
+    for belief in beliefs(watcher):
+        weights = [each.weight for each in belief.hypotheses]
+        assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
+        assert weights == sorted(weights, reverse=True)
+        assert len(weights) <= TUNING.most_hypotheses + len(TUNING.clock_errors)
+        assert belief.root is not None
+        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].state.x)
+        P = mixture(belief)
+        size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+        np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
+        several += len({each.state.x.tobytes() for each in belief.hypotheses}) > 1
+    assert several >= 5
+
+
+@pytest.mark.parametrize(("penetrated", "leads"), [(0, True), (1, False)])
+def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, leads: bool) -> None:
+    """A late event has alternatives under the likeliest account, which penetrates its contact."""
+    model = chain(1, contacts=[([1], 0.1, 0.5), ([-1], 0.3, 0.5)])
+    clocks = (1e-9, 1e-7)
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), clocks)
+    x = np.array([[-0.1 - 4e-10, -1.0]])
+    state = GaussianState.of(x, 1e-12 * np.eye(2))
+    best = Hypothesis(state, clocks[0], -50.0, survival={penetrated: -50.0})
+    other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
+    change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
+    found = bank.update(change, [best, other], lambda: (), Extent(np.ones(1), np.ones(2)))
+    of_best = [h for h in found if np.linalg.norm(h.state.root[1]) < 1e-6]
+    assert {h.clock for h in of_best} == ({*clocks} if leads else set())
+
+
+def test_a_negative_gap_counts_once_however_often_other_contacts_hit() -> None:
+    """And not at all where its own contact hits: then the gap was no error."""
+    state = GaussianState.of(np.zeros((1, 2)), np.eye(2))
+    h = Hypothesis(state, 1e-9, -3.0, survival={1: -2.0})
+    assert h.weight_without((0,)) == -3.0
+    assert h.weight_without((1,)) == -1.0
+    assert h.survival_without((0,)) == {1: -2.0}
+    assert not h.survival_without((1,))
+
+
+def test_a_gap_that_stays_negative_has_the_least_survival_so_far() -> None:
+    """The oracle is the normal distribution of the gap where it is deepest, before any event.
+
+    A gap that rises, with no event that explains the negative gap, keeps the least probability.
+    """
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
+    declared = Uncertainty(model_error=0.0, missed=0.0)
+    bank = FilterBank(ImpactFilter(model), declared, (1e-9,))
+    root = np.diag([1e-3, 0.0])
+    falling = GaussianState.of(np.array([[0.0, -1e-3]]), root)
+    (one,) = bank.between.predict([Hypothesis(falling, 1e-9)], 0.0, 1.0)
+    (two,) = bank.between.predict([one], 1.0, 1.0)
+    (rising,) = bank.between.predict(
+        [two._replace(state=two.state._replace(x=two.state.x * [1.0, -1.0]))], 2.0, 1.0
+    )
+    for h, depth in ((one, 1.0), (two, 2.0), (rising, 2.0)):
+        assert h.weight == pytest.approx(stats.norm.logcdf(-depth), rel=1e-6)
+        assert h.survival == ({} if h is rising else {0: pytest.approx(h.weight)})
+
+
+def test_one_account_is_left_of_an_exact_run() -> None:
+    """Once the others hold less than 1e-4 of the probability."""
+    model, start, whole = truth("two_mass", 40.0)
+    x = start + np.random.default_rng(3).normal(size=start.size)
+    watcher = observer(model, "minimum-variance", x, uncertainty=Uncertainty(), epoch=EPOCH)
+    for each in whole.events:
+        watcher.receive(each)
+    assert len(whole.events) > 20
+    assert [len(belief.hypotheses) for belief in beliefs(watcher)[-3:]] == [1, 1, 1]
+
+
+def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() -> None:
+    """While the state is not known, an error only says so."""
+    state = GaussianState(np.zeros(2), np.zeros(0), np.eye(2), np.zeros((2, 0)))
+
+    def is_exact(events: int, last_error: int, level: float = 0.0) -> bool:
+        error = LearnedError(ErrorKind.ACCELERATION, level) if level else NO_ERROR
+        ledger = Ledger(events=events, last_error=last_error)
+        return Hypothesis(state, 1e-9, error=error, ledger=ledger).is_exact
+
+    assert [is_exact(events, 5) for events in (6, 11, 12, 40)] == [False, False, True, True]
+    assert [is_exact(events, 13) for events in (13, 36, 37)] == [False, False, True]
+    assert is_exact(3, 0)
+    assert not is_exact(40, 40, 1e-3)
+
+
+@pytest.mark.slow
+def test_exact_model_is_as_probable_as_a_share_of_the_hypotheses() -> None:
+    """It stays probable beside a faulty sensor, and is refuted by a plant of other restitution."""
+    model = sample("two_mass").system
+    other = replace(
+        model, contacts=tuple(replace(c, restitution=0.98 * c.restitution) for c in model.contacts)
+    )
+    rng, start = np.random.default_rng(12), sample("two_mass").initial_state()
+    for plant, jitter, exact in ((model, 1e-4, True), (other, 0.0, False)):
+        whole = run(plant, *start, seconds=60.0, rate=1.0)
+        watcher = observer(
+            model,
+            "minimum-variance",
+            np.zeros(2 * model.n),
+            uncertainty=Uncertainty(),
+            epoch=EPOCH,
+        )
+        for each in whole.events:
+            late = round(jitter * NS_PER_S * rng.normal())
+            watcher.receive(replace(each, stamp=each.stamp + late))
+        evidence = [belief.fit.evidence for belief in beliefs(watcher)]
+        assert (max(evidence) < 4.0) is exact
+        assert (max(evidence) > 12.0) is not exact
+
+
+@pytest.mark.parametrize(("clock", "ways"), [(1e-5, 1), (1e-7, 2)])
+def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
+    clock: float, ways: int
+) -> None:
+    """A stop was reached 1e-6 s before an event: missed, or not yet reached then."""
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), (clock,))
+    state = GaussianState.of(np.array([[1.0, -1.0]]), 1e-9 * np.eye(2))
+    found = bank.between.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
+    assert len(found) == ways
+    waiting = [h for h in found if not h.ledger.missed]
+    assert [bool(h.survival) for h in waiting] == [ways == 2]
+    (later,) = bank.between.predict([waiting[0]], 1.0 + 1e-6, 0.5)[:1]
+    assert [each.kind for each in later.ledger.missed] == [Kind.IMPACT]
+    np.testing.assert_allclose(later.state.x, [0.25, 0.5], atol=1e-5)
+
+
+def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
+    """State and root by ``ImpactFilter`` alone, at the stamp ``end``."""
+    filter_, index = ImpactFilter(model), model.contact_names.index
+    state = filter_.begin(GaussianState.of(x[None], np.eye(x.size)))
+    since = EPOCH
+    for each in events:
+        before = filter_.predict(Elapsed(since - EPOCH), state)
+        s = seconds_between(since, each.stamp)
+        state = before.prior(s)
+        switches = [(index(switch.contact), switch.kind) for switch in each.switches]
+        t = Elapsed(each.stamp - EPOCH)
+        change = ContactChange.of(t, state.closed, switches, flown=s)
+        prior = filter_.joint_prior(change, state, 1e-9 / math.sqrt(12))
+        state, since = (
+            filter_.posterior(change, filter_.joint_posterior(change, prior)),
+            each.stamp,
+        )
+    prediction = filter_.predict(Elapsed(since - EPOCH), state)
+    s = seconds_between(since, end)
+    return prediction.state(s), prediction.root(s)
+
+
+@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
+def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
+    """With all three probabilities at 0: as ``ImpactFilter`` by hand, but for rounding."""
+    if name == "pressed":
+        model, start = PRESSED, np.zeros(4)
+        whole = run(model, start[:2], start[2:], seconds=6.0, rate=10.0)
+        assert {switch.kind for each in whole.events for switch in each.switches} >= {Kind.CLOSE}
+    else:
+        model, start, whole = truth(name, 20.0)
+    x = start + np.random.default_rng(0).normal(size=start.size)
+    watcher = observer(model, "minimum-variance", x, uncertainty=without_faults(), epoch=EPOCH)
+    for each in whole.events:
+        watcher.receive(each)
+    end = int(whole.stamps[-1]) + 1234
+    last = watcher.estimate(end)
+    state, root = by_hand(model, x, whole.events, end)
+    np.testing.assert_allclose(np.concatenate([last.q, last.u]), state, atol=1e-13)
+    np.testing.assert_allclose(last.covariance, root @ root.T, rtol=1e-4, atol=1e-26)
+    assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
+
+
+@pytest.mark.slow
+@given(data=st.data())
+@examples(2)
+def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
+    """With missed, spurious and duplicate events, and estimates in between."""
+    model, start, whole = truth("two_mass", 12.0)
+    kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
+    spurious = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))
+    stamps = [*(each.stamp for each in kept), *(EPOCH + k * 1_000_003 for k in spurious)]
+    events = [
+        ImpactEvent(stamp, (Switch("stop"),), k + 1, 0, EPOCH)
+        for k, stamp in enumerate(sorted(stamps))
+    ]
+    order = data.draw(st.permutations([*events, *events[:2]]))
+    found = []
+    for arriving in (events, order):
+        watcher = observer(
+            model, "minimum-variance", start + 0.3, uncertainty=FAULTY, epoch=EPOCH, history=1e3
+        )
+        for k, each in enumerate(arriving):
+            watcher.receive(each)
+            if arriving is order and k % 2:
+                watcher.estimate(EPOCH + 13 * NS_PER_S)
+        asked = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(0, 14, 3)]
+        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in asked]
+        found.append(np.array(bits))
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def checked(watcher: Observer, stamp: int) -> None:
+    """Nothing is NaN, and there are no more hypotheses than there may be."""
+    for now in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
+        assert np.all(np.isfinite(np.concatenate([now.q, now.u, now.covariance.ravel()])))
+        assert np.all(np.isfinite([each[1:] for each in now.parameters]))
+    assert watcher.timeline is not None
+    for entry in watcher.timeline.entries:
+        hypotheses = entry.belief.hypotheses
+        assert 1 <= len(hypotheses) <= 2 * (TUNING.most_hypotheses + len(TUNING.clock_errors))
+        if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
+            total = sum(math.exp(each.weight) for each in hypotheses)
+            assert total == pytest.approx(1.0, abs=1e-9)
+
+
+CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
+
+
+@pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
+def test_contradictory_streams_give_no_nan(declared: float) -> None:
+    """One stamp again and again; a contact at rest that hits; the last stamp first."""
+    everything: dict[str, Any] = {
+        "missed": declared,
+        "spurious": declared,
+        "mislabelled": declared,
+        "model_error": None if declared else 0.0,
+    }
+    model, start, _ = truth("three_mass", 20.0)
+    streams = {
+        "one stamp": [event(1.0, "left", "right", sequence=k + 1) for k in range(12)],
+        "backwards": [event(9.0 - k, "left", sequence=k + 1) for k in range(5)],
+    }
+    for stream in streams.values():
+        declared_ = Uncertainty(clock_error=0.0, **everything)
+        watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
+        for each in stream:
+            watcher.receive(each)
+        checked(watcher, EPOCH + 10 * NS_PER_S)
+    declared_ = Uncertainty(clock_error=1e-3, **everything)
+    watcher = observer(
+        PRESSED, "minimum-variance", np.zeros(4), uncertainty=declared_, epoch=EPOCH
+    )
+    for k, (contact, kind) in enumerate(2 * CLOSES):
+        stamp = EPOCH + (k + 1) * NS_PER_S // 4
+        watcher.receive(ImpactEvent(stamp, (Switch(contact, kind),), k + 1, 0, EPOCH))
+    assert watcher.missing == 0
+    checked(watcher, EPOCH + 4 * NS_PER_S)
+
+
+@pytest.mark.slow
+def test_events_without_effect_add_no_hypotheses() -> None:
+    """A contact that is reported OPEN again and again while the estimate penetrates stops."""
+    model, start, _ = truth("three_mass", 20.0)
+    declared_ = Uncertainty(clock_error=0.0, deviation=0.05)
+    watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
+    for k in range(100):
+        switches = (Switch("left", Kind.OPEN),)
+        watcher.receive(ImpactEvent(EPOCH + (k + 1) * NS_PER_S // 10, switches, k + 1, 0, EPOCH))
+    assert watcher.missing == 0
+    checked(watcher, EPOCH + 13 * NS_PER_S)
+
+
+@pytest.mark.slow
+def test_a_hundred_spurious_events_at_one_stamp_give_no_nan() -> None:
+    """The next true events are applied."""
+    model, start, whole = truth("two_mass", 20.0)
+    watcher = observer(
+        model, "minimum-variance", start, uncertainty=FAULTY, epoch=EPOCH, history=1e3
+    )
+    for k in range(100):
+        watcher.receive(event(1.0, "stop", sequence=k + 1))
+    for k, each in enumerate(whole.events[1:]):
+        watcher.receive(ImpactEvent(each.stamp, each.switches, 1001 + k, 0, EPOCH))
+    checked(watcher, int(whole.stamps[-1]))
+    differences = estimates(watcher, whole.stamps[-1:])[0] - whole.states[-1]
+    assert np.max(np.abs(differences)) < 1e-6

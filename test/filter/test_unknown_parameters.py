@@ -1,0 +1,416 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the model that are estimated with the state, and their deviations."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import EPOCH, PRESSED, chain, run, sample, system, without_faults
+
+from impact_observer.dynamics import Phases
+from impact_observer.dynamics.lyapunov import distance
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.resting import rested
+from impact_observer.filter.unknown_parameters import UnknownParameters
+from impact_observer.identify.shooting import shoot
+from impact_observer.model import System
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
+from impact_observer.trajectory.linearised_system import FlightEnd
+
+Array = NDArray[np.float64]
+TRUSTING = {"missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
+
+
+@cache
+def truth(name: str, seconds: float = 60.0) -> Run:
+    """A run of a sample."""
+    model = sample(name)
+    q, u = model.initial_state()
+    return run(model.system, q, u, seconds=seconds, rate=10.0)
+
+
+def watching(
+    model: System, x: Array, free: Sequence[str] = (), clock: float = 0.0, **declared: object
+) -> Observer:
+    """A minimum-variance observer that trusts every event and estimates ``free``."""
+    unknowns = UnknownParameters.named(model, free) if free else None
+    uncertainty = without_faults(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
+    law = law_named("minimum-variance")(model, uncertainty)
+    n = model.n
+    return Observer(model, law, x[:n], x[n:], epoch=EPOCH, history=1e4, ensemble=4)
+
+
+def fed(watcher: Observer, events: Sequence[ImpactEvent]) -> Observer:
+    """The observer after it has received ``events``."""
+    for each in events:
+        watcher.receive(each)
+    return watcher
+
+
+def distances(watcher: Observer, model: System, true: Run) -> Array:
+    """V of the estimate at the samples of a run, by the energy of the true model, J."""
+    seen = [watcher.estimate(int(stamp)) for stamp in true.stamps]
+    differences = np.array([np.concatenate([x.q, x.u]) for x in seen]) - true.states
+    return np.asarray(distance(model, differences[:, : model.n], differences[:, model.n :]))
+
+
+def stiffer(model: System, ratio: float) -> System:
+    """The model with other springs."""
+    return replace(model, K=ratio * model.K)
+
+
+def bouncier(model: System, by: float) -> System:
+    """The model with other restitutions."""
+    contacts = tuple(replace(each, restitution=each.restitution + by) for each in model.contacts)
+    return replace(model, contacts=contacts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> None:
+    """Without the parameter, V stays at the floor of a stiffness error of 2 %."""
+    model, true = sample(name).system, truth(name)
+    wrong, start = stiffer(model, 1.02), np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.1])[: 2 * model.n]
+    late = true.stamps > EPOCH + 40 * NS_PER_S
+    plain = fed(watching(wrong, start), true.events)
+    learning = fed(watching(wrong, start, ["stiffness-scale=0.03"]), true.events)
+    floor = np.median(distances(plain, model, true)[late])
+    assert floor > 1e-3
+    assert np.median(distances(learning, model, true)[late]) < 1e-8 * floor
+    ((name_, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
+    assert name_ == "stiffness-scale"
+    assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
+
+
+@pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
+def test_restitution_is_estimated_whether_it_is_wrong_or_right(
+    wrong: float,
+) -> None:
+    """V falls to the rounding of stamps, as with a known restitution."""
+    model, true = sample("two_mass").system, truth("two_mass", 30.0)
+    start = np.array([0.4, -0.3, 0.5, -0.6])
+    watcher = fed(
+        watching(bouncier(model, wrong), start, ["restitution"]),
+        true.events,
+    )
+    V = distances(watcher, model, true)
+    assert np.median(V[-50:]) < 1e-15 * V[0]
+    ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).parameters
+    assert abs(value - 0.7) < 4 * deviation < 1e-8
+    assert watcher.estimate(int(true.stamps[-1])).synchronized
+
+
+@pytest.mark.slow
+def test_stiffness_restitution_and_gap_are_estimated_together() -> None:
+    """Each within its deviation."""
+    model, true = sample("two_mass").system, truth("two_mass")
+    contacts = tuple(replace(c, gap=1.01 * c.gap) for c in model.contacts)
+    wrong = bouncier(stiffer(replace(model, contacts=contacts), 1.03), 0.1)
+    free = ["restitution=0.15", "gap=0.02", "stiffness-scale=0.05"]
+    watcher = fed(watching(wrong, np.array([0.4, -0.3, 0.5, -0.6]), free), true.events)
+    estimated = watcher.estimate(int(true.stamps[-1])).parameters
+    right = {"stiffness-scale": 1 / 1.03, "restitution.stop": 0.7, "gap.stop": 0.5}
+    assert [name for name, _, _ in estimated] == [
+        "stiffness-scale",
+        "restitution.stop",
+        "gap.stop",
+    ]
+    for name, value, deviation in estimated:
+        assert abs(value - right[name]) < 4 * deviation < 1e-4
+
+
+@pytest.mark.slow
+def test_gaps_are_estimated_where_contacts_rest() -> None:
+    """A body at rest on a stop shares the stop's error and its deviation."""
+    contacts = tuple(replace(c, gap=c.gap + 0.015) for c in PRESSED.contacts)
+    true = run(PRESSED, np.zeros(2), np.zeros(2), seconds=12.0, rate=10.0)
+    wrong = replace(PRESSED, contacts=contacts)
+    watcher = watching(wrong, np.array([0.1, -0.1, 0.2, 0.1]), ["gap=0.02"], deviation=0.3)
+    fed(watcher, true.events)
+    at = 100
+    late = watcher.estimate(int(true.stamps[at]))
+    assert late.closed == ("c1", "c2")
+    for (_, value, deviation), right in zip(late.parameters, PRESSED.q_r.tolist(), strict=True):
+        assert abs(value - right) < 4 * deviation < 1e-9
+    np.testing.assert_allclose(late.q, true.states[at][:2], atol=1e-9)
+    spread = np.sqrt(np.diag(late.covariance))[:2]
+    assert np.all(spread > 0.2 * late.parameters[0][2])
+
+
+def linearised(
+    family: ParametricFamily, t: float, x: Array, s: float, closed: tuple[int, ...] = ()
+) -> tuple[Array, Array]:
+    """Derivatives of the state after ``s`` seconds with state and parameters, by differences."""
+
+    def after(theta: Array) -> tuple[Array, Array]:
+        phases = Phases(family.system_at(theta))
+        phase = phases.phase(closed)
+        return phase.start(t, x).state(s), phase.transition(s)
+
+    given, h = np.array(family.nominal), 1e-5
+    turn = [
+        (after(given + h * e)[0] - after(given - h * e)[0]) / (2 * h) for e in np.eye(given.size)
+    ]
+    return after(given)[1], np.column_stack(turn)
+
+
+@pytest.mark.parametrize("closed", [(), (0,)])
+def test_small_errors_are_propagated_by_the_derivatives_of_the_motion(
+    closed: tuple[int, ...],
+) -> None:
+    """State and parameters, also while a contact is held; also the other replicas."""
+    unknowns = UnknownParameters.named(
+        PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"]
+    )
+    filter_ = ImpactFilter(PRESSED, 0.0, unknowns)
+    rng = np.random.default_rng(5)
+    root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
+    x = np.array([0.1, 0.05, 0.0, -0.4])
+    differences = 1e-5 * rng.normal(size=(7, 2))
+    state = GaussianState(x, unknowns.family.nominal, root, differences, closed, parameters=3)
+    found = filter_.predict(0.3, state).prior(0.8)
+    Phi, turn = linearised(unknowns.family, 0.3, x, 0.8, closed)
+    whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
+    P = whole @ root @ root.T @ whole.T
+    size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
+    assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
+    np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
+    np.testing.assert_array_equal(found.constants, unknowns.family.nominal)
+
+
+def test_small_errors_are_corrected_as_by_least_squares() -> None:
+    """The filter's parameters and deviations are those of all impacts fitted at once."""
+    model, true, jitter, size = sample("two_mass").system, truth("two_mass", 12.0), 1e-6, 1e-5
+    free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
+    unknowns = UnknownParameters.named(model, free)
+    rng = np.random.default_rng(8)
+    start = np.concatenate([true.states[0] + size * rng.normal(size=4), unknowns.family.nominal])
+    late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
+    events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
+    watcher = fed(watching(model, start[:4], free, jitter, deviation=size), events)
+    found = watcher.estimate(events[-1].stamp).parameters
+    # shifts and start are such that all gaps are zero; the sum of squares, each over its own
+    # deviation, is least
+    t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
+    moments = [FlightEnd(float(each), (0,), (0,)) for each in t]
+    shot = shoot(unknowns.family, start, moments, t, 0.0)
+    weights = np.concatenate([np.full(7, size), np.full(t.size, jitter)])
+    rows = np.hstack([shot.by_start, shot.by_instant]) * weights
+    step = weights * np.linalg.lstsq(rows, -shot.gaps, rcond=None)[0]
+    _, _, rest = np.linalg.svd(rows)
+    free_ = rest[len(rows) :] * weights
+    deviations = np.linalg.norm(free_, axis=0)[4:7]
+    values = np.array([value for _, value, _ in found])
+    np.testing.assert_allclose([each for _, _, each in found], deviations, rtol=1e-2)
+    assert np.max(np.abs(values - (start + step[:7])[4:]) / deviations) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
+def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
+    """The mean of the squared normalised errors over many starts is near one."""
+    model, true = sample("two_mass").system, truth("two_mass", 20.0)
+    name, _, deviation = free.partition("=")
+    family = UnknownParameters.named(model, [free]).family
+    squares = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        value = float(family.nominal[0]) + float(deviation) * np.clip(rng.normal(), -2, 2)
+        wrong = family.system_at(np.array([value]))
+        right = 1 / value if name == "stiffness-scale" else float(family.nominal[0])
+        late = [from_seconds(each) for each in 1e-3 * rng.normal(size=len(true.events))]
+        events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
+        start = true.states[0] + 0.5 * rng.normal(size=4)
+        watcher = watching(wrong, start, [free], 1e-3, deviation=0.5)
+        ((_, found, claimed),) = fed(watcher, events).estimate(int(true.stamps[-1])).parameters
+        squares.append(((found - right) / claimed) ** 2)
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+def test_the_deviation_of_a_drifting_parameter_grows() -> None:
+    """By its share of what was declared, as a random walk; a constant one keeps its deviation."""
+    model, s = sample("two_mass").system, 15.0
+    x = np.concatenate(sample("two_mass").initial_state())
+    for free in ("restitution", "stiffness-scale"):
+        for drift in (0.0, 0.4):
+            unknowns = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
+            root = np.diag([1e-3] * 4 + [0.005])
+            state = GaussianState(
+                x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1
+            )
+            found = ImpactFilter(model, 0.0, unknowns).predict(0.0, state).prior(s)
+            wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
+            assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
+
+
+def test_estimated_restitutions_stay_within_their_bounds() -> None:
+    """Published restitutions are between 0 and 1, however large the errors of stamps."""
+    model = system(1.0, 0.0, 4.0, contacts=[([1.0], 0.2, 0.95)])
+    true = run(model, np.array([0.5]), np.array([0.0]), seconds=20.0)
+    rng = np.random.default_rng(1)
+    watcher = watching(bouncier(model, -0.3), np.array([0.3, 0.2]), ["restitution=0.5"], 0.05)
+    for each in true.events[:12]:
+        watcher.receive(replace(each, stamp=each.stamp + from_seconds(0.05 * rng.normal())))
+        ((_, value, _),) = watcher.estimate(each.stamp + NS_PER_S // 10).parameters
+        assert 0.0 <= value <= 1.0
+
+
+def test_names_and_deviations_are_read_as_users_write_them() -> None:
+    """A kind is all of its members; a deviation of one beats that of its kind."""
+    model = sample("three_mass")
+    unknowns = UnknownParameters.named(model.system, ["gap = 0.01", "restitution"])
+    assert unknowns.family.names == (
+        "gap.right",
+        "gap.left",
+        "restitution.right",
+        "restitution.left",
+    )
+    assert unknowns.deviations.tolist() == [0.01, 0.01, 0.1, 0.1]
+    unknowns = UnknownParameters.named(
+        model.system, ["gap.left=0.02", "stiffness.x1-x2", "mass.x2=0.3"], model.elements
+    )
+    assert unknowns.family.names == ("stiffness.x1-x2", "mass.x2", "gap.left")
+    np.testing.assert_allclose(unknowns.deviations, [0.05 * 25, 0.3, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "error"),
+    [
+        (("clock-offset",), "declare clock_offset_error instead"),
+        (("restitution=",), "nothing found after ="),
+        (("restitution=much",), "much found after ="),
+        (("restitution=0",), "deviation of restitution.stop: 0 found"),
+        (("restitution=nan",), "deviation of restitution.stop: nan found"),
+        (("restitution=1e5",), "100000 found; expected 1e-12 to 1"),
+        (("stiffness-scale=1e-300",), "1e-300 found; expected 1e-12 to 1"),
+        (("elasticity",), "parameter 'elasticity': this model has none; expected some of"),
+        (("restituton",), "'restituton': this model has none; did you mean restitution"),
+        (("gap.stopp",), "'gap.stopp': this model has none; did you mean gap.stop"),
+        (("mass.x1",), "'mass.x1': this model has none; .* give elements=model.elements, too"),
+        (("restitution", "restitution.stop"), "found twice"),
+    ],
+)
+def test_parameters_that_cannot_be_estimated_are_refused_by_name(
+    wanted: tuple[str, ...], error: str
+) -> None:
+    """In one line."""
+    options = Options("minimum-variance", estimate_parameters=wanted)
+    with pytest.raises(UsageError, match=error):
+        make_observer(sample("two_mass").system, options)
+
+
+def test_a_law_that_estimates_no_parameters_refuses_them() -> None:
+    """Rather than ignore them."""
+    options = Options("geometric", estimate_parameters=("restitution",))
+    with pytest.raises(UsageError, match="the law geometric estimates none"):
+        make_observer(sample("two_mass").system, options)
+
+
+def test_a_drift_without_parameters_is_refused() -> None:
+    """With several laws, those that estimate no parameters have no drift."""
+    with pytest.raises(UsageError, match="but no estimate_parameters to"):
+        make_observer(sample("two_mass").system, Options("minimum-variance", parameter_drift=0.1))
+    learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
+    both = options_of_laws(learning, ["geometric", "minimum-variance"])
+    assert [each.parameter_drift for each in both] == [0.0, 0.1]
+    assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
+
+
+def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
+    """A CLOSE may stand for one bounce or for many: impacts alone measure the restitution."""
+    model = sample("two_mass").system
+    unknowns = UnknownParameters.named(model, ["restitution=0.1"])
+    filter_ = ImpactFilter(model, 0.0, unknowns)
+    x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
+    state = GaussianState(x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1)
+    change = ContactChange(1.0, (), (0,), (0,))
+    after = filter_.posterior(
+        change, filter_.joint_posterior(change, filter_.joint_prior(change, state, 1e-4))
+    )
+    assert after.closed == (0,)
+    assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
+    assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
+    assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
+
+
+def test_a_contact_that_rests_leaves_parameters_within_their_bounds() -> None:
+    """To the last digit: a contact time of -1e-21 s is none."""
+    model, rng = sample("two_mass").system, np.random.default_rng(1)
+    unknowns = UnknownParameters.named(model, ["contact-time=0.01", "restitution=0.3"])
+    members, nothing = ImpactFilter(model, 0.0, unknowns).members, np.zeros((2, 0))
+    for _ in range(50):
+        x, root = np.append(0.1 * rng.normal(size=2), rng.normal(size=2)), rng.normal(size=(6, 6))
+        theta = unknowns.family.nominal + 0.1 * rng.normal(size=2)
+        theta = members.parameters.bounded(theta, nothing, 0)
+        state = GaussianState(x, theta, root, np.empty((6, 0)), (0,), parameters=2)
+        after = rested(members, state, (0,), np.zeros(1)).theta
+        np.testing.assert_array_equal(members.parameters.bounded(after, nothing, 0), after)
+
+
+def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations() -> None:
+    """However much the state is widened."""
+    model = sample("two_mass").system
+    unknowns = UnknownParameters.named(model, ["restitution=0.1", "gap=0.02"])
+    filter_ = ImpactFilter(model, 0.0, unknowns)
+    rng = np.random.default_rng(4)
+    root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
+    state = GaussianState(
+        np.ones(4), unknowns.family.nominal, root, np.empty((6, 0)), (), parameters=2
+    )
+    wider = filter_.widened(state, 50.0, np.full(4, 1e6))
+    covariance = wider.root[:4] @ wider.root[:4].T
+    np.testing.assert_allclose(covariance, 2500.0 * root[:4] @ root[:4].T, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
+
+
+def test_a_widened_covariance_stays_as_large_as_the_motion() -> None:
+    """In each direction, and where a part is widened only there."""
+    filter_ = ImpactFilter(chain(3))
+    root = np.random.default_rng(5).normal(size=(6, 6))
+    state = GaussianState(np.ones(6), np.empty(0), root, np.empty((6, 0)), ())
+    wider = filter_.widened(state, 1e6, np.full(6, 2.0)).root
+    np.testing.assert_allclose(np.linalg.norm(wider, axis=1), 20.0, rtol=1e-3)
+    part = np.array([True, False, False])
+    some = filter_.widened(state, 50.0, np.full(6, 1e6), part).root
+    here = np.tile(part, 2)
+    P, covariance = root @ root.T, some @ some.T
+    np.testing.assert_allclose(
+        covariance[np.ix_(here, here)], 2500 * P[np.ix_(here, here)], rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        covariance[np.ix_(~here, ~here)], P[np.ix_(~here, ~here)], rtol=1e-6
+    )
+
+
+def test_unknowns_check_themselves() -> None:
+    """Their number and their drift."""
+    family = UnknownParameters.named(sample("two_mass").system, ["restitution"]).family
+    with pytest.raises(UsageError, match="2 found; expected 1"):
+        UnknownParameters(family, np.array([0.1, 0.2]))
+    for drift in (-0.1, float("nan"), 2e3):
+        with pytest.raises(UsageError, match=r"parameter_drift: .* found; expected 0 to"):
+            UnknownParameters(family, np.array([0.1]), drift)
+
+
+def test_late_events_change_no_estimated_parameter() -> None:
+    """In any order they give the same bits."""
+    model, true = sample("two_mass").system, truth("two_mass", 12.0)
+    start = np.array([0.4, -0.3, 0.5, -0.6])
+    inorder = fed(watching(bouncier(model, 0.1), start, ["restitution"]), true.events)
+    late = watching(bouncier(model, 0.1), start, ["restitution"])
+    for k in (0, 2, 1, 4, 3):
+        late.receive(true.events[k])
+    fed(late, true.events[5:])
+    stamp = int(true.stamps[-1])
+    assert inorder.estimate(stamp).parameters == late.estimate(stamp).parameters
+    assert inorder.estimate(stamp).q.tolist() == late.estimate(stamp).q.tolist()
