@@ -306,9 +306,9 @@ def oracle(case: SimulatedPlant, scenario: Scenario, seed: int, x: Vector, end: 
         state = filter_.predict(since, state).prior(t - since)
         switches = [(index(each.contact), each.kind) for each in switching.switches]
         change = ContactChange.of(t, state.closed, switches)
-        prior = filter_.joint_prior(change, state, clock if detected else 0.0)
-        state = filter_.posterior(
-            change, filter_.joint_posterior(change, prior) if detected else prior
+        prior = filter_.conditioning.joint_prior(change, state, clock if detected else 0.0)
+        state = filter_.conditioning.after_jump(
+            change, filter_.conditioning.joint_posterior(change, prior) if detected else prior
         )
         since = t
     return filter_.predict(since, state).state(seconds_between(EPOCH, end) - since)

@@ -7,6 +7,7 @@ Members that differ only by gaps and restitutions share the motion between impac
 import math
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,13 @@ _LARGEST = 1e300
 """Instead of bounds that are infinite."""
 _LINEAR = {"C", "K", "gap", "rebound", "contact_time"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
+
+
+class HasTheta(Protocol):
+    """An estimate with parameters."""
+
+    @property
+    def theta(self) -> Vector: ...  # noqa: D102
 
 
 class Member:
@@ -204,6 +212,10 @@ class Members:
     def at(self, values: Vector) -> Member:
         """The member whose parameters are ``values``, shape (p,), all within their bounds."""
         return self._at(tuple(values.tolist()))
+
+    def of_estimate(self, estimate: HasTheta) -> Member:
+        """The member with the parameters of an estimate."""
+        return self.at(estimate.theta)
 
     def with_given_restitution(self, member: Member) -> Member:
         """``member`` with the restitutions of the model."""

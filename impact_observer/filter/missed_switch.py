@@ -4,18 +4,13 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts, Kind
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.forecast import Dip
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.joint import Joint
-from impact_observer.filter.square_root import lengths, triangular
 from impact_observer.filter.tuning import TUNING
-from impact_observer.kernel._kernel import TINY
 
 
 class Inserted(NamedTuple):
@@ -43,7 +38,7 @@ def insert_switch(
     """
     change = _missed(t, state.closed, dip)
     try:
-        after = posterior_of_missed(filter_, change, state)
+        after = filter_.posterior_of_missed(change, state)
     except ImpactLawError:
         return None
     if dip.kind is Kind.OPEN:
@@ -54,7 +49,7 @@ def insert_switch(
     if not _comes_to_rest(filter_, dip.contact, after, speed, flight):
         return Inserted(after, Kind.IMPACT)
     resting = change._replace(closed=tuple(sorted({*state.closed, dip.contact})))
-    rested = posterior_of_missed(filter_, resting, state, max(speed, 0.0))
+    rested = filter_.posterior_of_missed(resting, state, max(speed, 0.0))
     return Inserted(rested, Kind.CLOSE, max(flight, 0.0))
 
 
@@ -63,43 +58,6 @@ def _missed(t: float, closed: Contacts, dip: Dip) -> ContactChange:
     if dip.kind is Kind.OPEN:
         return ContactChange(t, closed, (), tuple(i for i in closed if i != dip.contact))
     return ContactChange(t, closed, (dip.contact,), closed)
-
-
-def posterior_of_missed(
-    filter_: ImpactFilter, change: ContactChange, state: GaussianState, leftover: float = 0.0
-) -> GaussianState:
-    """The state after a missed event, at the instant of ``change``.
-
-    The instant is the root of the estimate's own guard. It measures nothing, and its error follows
-    from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
-    """
-    if filter_.is_alone(change) and not leftover:
-        impact = filter_.members.free_impact(change.hit[0])
-        return filter_.free_state(impact.missed(np.array([change.t]), [state])[0])
-    x, root, member = state.x, state.root, filter_.member(state)
-    contacts = change.contacts[:1]
-    hit = bool(change.hit)
-    _, jet = member.guard_at(change.t, x, change.before, contacts, hit=hit)
-    value, H, D, E = jet.expanded(x, member.moving.forces(change.t))
-    sensitivity = filter_.measured_sensitivity(member, change, contacts, x, change.t)
-    seen = np.hstack([H[:, 1:], sensitivity])
-    late, bend = -float(value[0]), float(E[0])
-    deviation = lengths(seen.dot(root[: seen.size]))[0]
-    # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
-    falling = math.sqrt(abs(bend) * (deviation + abs(late)))
-    # A gap that stands still tells no instant: the error of it stays one that can be followed.
-    farthest = filter_.farthest(change)
-    slope = max(float(H[0, 0]), falling, (deviation + abs(late)) / farthest, TINY)
-    row, e, deviation = -seen / slope, late / slope, deviation / slope
-    nonlinear = deviation * lengths(D.dot(root[: x.size]))[0] / slope
-    nonlinear += bend / slope * deviation**2 / 2
-    nonlinear = min(max(nonlinear, -farthest), farthest)
-    differences = Joint.differences_of(state)
-    differences[:1] = row.dot(differences[1 : 1 + row.size])
-    whole = np.zeros((1 + len(root), 1 + root.shape[1]))
-    whole[0, 0], whole[0, 1:], whole[1:, 1:] = nonlinear, row.dot(root[: row.size]), root
-    joint = Joint.of(change.t, e, state, triangular(whole), differences)
-    return filter_.posterior(change, joint, leftover)
 
 
 def _comes_to_rest(
@@ -115,4 +73,5 @@ def _comes_to_rest(
     seen = filter_.system.W[:, contact].dot(state.root[: filter_.system.n])
     deviation = math.sqrt(seen.dot(seen))
     brief = TUNING.resting_flight * filter_.phases.scales.timescale
-    return flight <= filter_.short or (speed * flight / 4 <= deviation and flight <= brief)
+    is_low = speed * flight / 4 <= deviation and flight <= brief
+    return is_low or flight <= filter_.conditioning.short

@@ -84,7 +84,7 @@ def settled(
     flight = max(2 * speed / fall, 0.0)
     closed: Contacts = tuple(sorted({*change.closed, contact}))
     change = change._replace(closed=closed)
-    state = filter_.posterior_at_rest(query._replace(change=change))
+    state = filter_.conditioning.posterior(change, query.state, clock, leftover=math.inf)
     state = state.with_error(_neglected(filter_, contact, state, fall, flight + clock))
     return Settled(change, state, rest_after(filter_, contact, change.t, flight, clock))
 

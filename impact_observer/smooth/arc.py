@@ -16,7 +16,6 @@ import numpy as np
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.missed_switch import posterior_of_missed
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.readings import Place, Reading, Row
 from impact_observer.filter.sample_update import SampleFilter
@@ -94,6 +93,7 @@ class Arc(Linearised):
             DynamicsError: the filter's state grows beyond all bounds.
         """
         count, filter_ = len(self.moments), self.filter
+        conditioning = filter_.conditioning
         early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
         state, t = self._state, self._t
         if about is not None:
@@ -114,12 +114,12 @@ class Arc(Linearised):
             x[k], t = followed(prior.x), change.t
             doubt[k] = self.gap_deviation(k, prior.root)
             if moment.is_inserted:
-                state = posterior_of_missed(filter_, change, prior)
+                state = filter_.posterior_of_missed(change, prior)
             else:
-                joint = filter_.joint_prior(change, prior, moment.clock)
-                joint = filter_.joint_posterior(change, joint)
+                joint = conditioning.joint_prior(change, prior, moment.clock)
+                joint = conditioning.joint_posterior(change, joint)
                 early[k], x[k] = change.t - joint.t, followed(joint.x)
-                state = filter_.posterior(change, joint, math.inf if moment.until else 0.0)
+                state = conditioning.after_jump(change, joint, math.inf if moment.until else 0.0)
             followed(state.x)
         return Path(start, early, x, doubt, state.constants)
 

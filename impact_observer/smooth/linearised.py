@@ -187,7 +187,9 @@ class Linearised:
         new = tuple(i for i in change.closed if i not in change.before)
         new = () if self.moments[k].until else new
         pressing = system.moving.rate_of(self.instant(path, k), x, change.before)
-        short = self.filter.short * self.filter.system.contact_speed(pressing[x.size // 2 :])
+        short = self.filter.conditioning.short * self.filter.system.contact_speed(
+            pressing[x.size // 2 :]
+        )
         d = self._size + self._count
         nothing = np.zeros((d, 0))
         near = GaussianState(x, path.constants, nothing, nothing, change.closed, self._p)
@@ -214,7 +216,8 @@ class Linearised:
     def _guard(self, path: Path, k: int) -> Step:
         """The measurement that the guards of the ``k``-th moment are zero."""
         change, x, system = self.moments[k].change, path.x[k], self.system_of(path)
-        contacts, d = self.filter.measured_contacts(change), 1 + self._size + self._count
+        contacts = self.filter.conditioning.measured_contacts(change)
+        d = 1 + self._size + self._count
         if self.moments[k].is_inserted:
             contacts = change.contacts[:1]
         if not contacts:
@@ -232,7 +235,7 @@ class Linearised:
             # A gap that stands still tells no instant: its error stays one that can be followed.
             deviation = np.abs(value) + path.doubt[k]
             falling = np.sqrt(np.abs(bend) * deviation)
-            least = (deviation + floor) / self.filter.farthest(change)
+            least = (deviation + floor) / self.filter.conditioning.farthest(change)
             H[:, 0] = np.max([H[:, 0], falling, least], axis=0)
         y = H[:, 1:] @ np.append(x, path.constants) - value
         return Step(np.eye(d), np.zeros(d), np.zeros((d, 0)), H, y, np.diag(floor))

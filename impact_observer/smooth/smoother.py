@@ -343,7 +343,7 @@ def _improved(
         k, z = node.moment, known.state(node)
         doubt[k] = arc.gap_deviation(k, z.root[1:])
         constants = z.mean[1 + x.shape[1] :]
-        farthest = arc.filter.farthest(arc.moments[k].change)
+        farthest = arc.filter.conditioning.farthest(arc.moments[k].change)
         on, back = min(float(room[k + 1]), farthest), min(float(room[k]), farthest)
         e = min(max(float(z.mean[0]), -on), back)
         early[k] += e

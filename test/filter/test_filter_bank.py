@@ -223,9 +223,8 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
         switches = [(index(switch.contact), switch.kind) for switch in each.switches]
         t = Elapsed(each.stamp - EPOCH)
         change = ContactChange.of(t, state.closed, switches, flown=s)
-        prior = filter_.joint_prior(change, state, 1e-9 / math.sqrt(12))
         state, since = (
-            filter_.posterior(change, filter_.joint_posterior(change, prior)),
+            filter_.conditioning.posterior(change, state, 1e-9 / math.sqrt(12)),
             each.stamp,
         )
     prediction = filter_.predict(Elapsed(since - EPOCH), state)

@@ -48,8 +48,7 @@ def test_likelihood_is_the_density_of_the_first_passage(
     Phi = np.array([[1.0, dt], [0.0, 1.0]])
     then = Phi @ x - gravity * np.array([dt * dt / 2, dt])
     filter_, change = ImpactFilter(model), ContactChange(dt, (), (0,), ())
-    prior = filter_.joint_prior(change, GaussianState.of(then[None], Phi @ S), clock)
-    found = filter_.likelihood(change, prior)
+    found = filter_.conditioning.likelihood(change, GaussianState.of(then[None], Phi @ S), clock)
     bin_ = spread / 5
     instants = passages(x, S, gravity)
     low, high = (dt - bin_ / 2 - instants) / clock, (dt + bin_ / 2 - instants) / clock
@@ -68,8 +67,8 @@ def test_likelihood_is_that_of_a_gap_that_closes(
     cross = math.sqrt(1.0 - correlation**2)
     S = np.array([[0.1, 0.0], [0.3 * correlation, 0.3 * cross]])
     filter_, change = ImpactFilter(ball(0.0)), ContactChange(0.0, (), (0,), ())
-    prior = filter_.joint_prior(change, GaussianState.of(np.array([[gap, speed]]), S), 1e-9)
-    found = filter_.likelihood(change, prior).density
+    state = GaussianState.of(np.array([[gap, speed]]), S)
+    found = filter_.conditioning.likelihood(change, state, 1e-9).density
     both = stats.multivariate_normal([gap, speed], S @ S.T)
     closing, _ = integrate.quad(lambda u: -u * both.pdf([0.0, u]), -4.0, 0.0, limit=200)
     assert found == pytest.approx(math.log(closing), abs=1e-5)
@@ -82,7 +81,7 @@ def test_likelihood_of_an_outlier_falls_with_its_distance() -> None:
     for gap in (0.2, 1.0, 30.0, 1e6):
         change = ContactChange(0.0, (), (0,), ())
         state = GaussianState.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
-        found.append(filter_.likelihood(change, filter_.joint_prior(change, state, 1e-9)).density)
+        found.append(filter_.conditioning.likelihood(change, state, 1e-9).density)
     assert np.all(np.isfinite(found))
     assert found == sorted(found, reverse=True)
 

@@ -14,7 +14,7 @@ from impact_observer.filter.forecast import Dip
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.missed_switch import insert_switch, posterior_of_missed
+from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 
@@ -60,8 +60,8 @@ def test_missed_impact_leaves_the_moments_of_nonlinear_jumps(deviation: float) -
     rng = np.random.default_rng(5)
     root = deviation * np.tril(rng.normal(size=(4, 4)) / 4 + np.eye(4))
     filter_ = ImpactFilter(model)
-    state = posterior_of_missed(
-        filter_, ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root)
+    state = filter_.posterior_of_missed(
+        ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root)
     )
     drawn = rng.normal(size=(4000, 4)) @ root.T
     after = thrown(model, t, x + np.vstack([drawn, -drawn]), 0)
@@ -77,8 +77,7 @@ def test_missed_impact_that_is_early_jumps_at_its_own_root() -> None:
     """A gap that is not yet zero: the state then is that of a plant that hits a little later."""
     model, t = sample("two_mass").system, 0.3
     x = np.array([0.1, 0.499, -0.4, 1.6])
-    state = posterior_of_missed(
-        ImpactFilter(model),
+    state = ImpactFilter(model).posterior_of_missed(
         ContactChange(t, (), (0,), ()),
         GaussianState.of(x[None], 1e-9 * np.eye(4)),
     )
@@ -100,7 +99,7 @@ def test_missed_impact_of_a_gap_that_stands_still_has_a_finite_state(
     push = forcing(3, [0.0, 1.0, 0.0])
     filter_ = ImpactFilter(chain(3, damping=2.0, contacts=contacts, force=push))
     state = filter_.begin(GaussianState.of(np.zeros((1, 6)), 0.1 * np.eye(6), closed))
-    after = posterior_of_missed(filter_, ContactChange(1.0, closed, (0,), closed), state)
+    after = filter_.posterior_of_missed(ContactChange(1.0, closed, (0,), closed), state)
     assert np.all(np.abs(after.x) < 100.0)
     assert np.all(np.linalg.norm(after.root, axis=1) < 1000.0)
 

@@ -334,9 +334,7 @@ def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
     state = GaussianState(x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1)
     change = ContactChange(1.0, (), (0,), (0,))
-    after = filter_.posterior(
-        change, filter_.joint_posterior(change, filter_.joint_prior(change, state, 1e-4))
-    )
+    after = filter_.conditioning.posterior(change, state, 1e-4)
     assert after.closed == (0,)
     assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
     assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)

@@ -36,10 +36,8 @@ class Case(NamedTuple):
 
     def in_general(self) -> tuple[Likelihood, GaussianState]:
         """Likelihood and posterior by the general methods."""
-        prior = self.filter.joint_prior(self.change, self.state, self.clock)
-        likelihood = self.filter.likelihood(self.change, prior)
-        joint = self.filter.joint_posterior(self.change, prior, likelihood)
-        return likelihood, self.filter.posterior(self.change, joint)
+        general, about = self.filter.conditioning, (self.change, self.state, self.clock)
+        return general.likelihood(*about), general.posterior(*about)
 
     def in_kernel(self) -> tuple[Likelihood, GaussianState]:
         """The same by the kernel."""

@@ -145,7 +145,7 @@ class MinimumVariance(Law):
         same = (h for h in prior.hypotheses if h.clock == clock)
         state = next(same, prior.hypotheses[0]).state
         here = change.from_closed(state.closed)
-        return Onset(*self._bank.filter.before(here, state, clock), late)
+        return Onset(*self._bank.filter.conditioning.before(here, state, clock), late)
 
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
