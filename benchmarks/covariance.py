@@ -209,10 +209,11 @@ def least(name: str, seconds: int = 60) -> float:
         t, hit = -each.instant.until(EPOCH), each.contacts
         forces = system.forcing.derivatives(np.array([t]), 2)[:, 0]
         joint = linalg.block_diag(JITTER, phase.transition(t - last) @ root)
-        rows = Measured.gaps(system, hit).along(rates).expanded(each.before, forces).H
+        rows = Measured.gaps(system, hit).expanded(rates, each.before, forces).H
         corrected = correction(joint, rows, 1e-15 * np.eye(len(hit))).root
         mirror = Mirror.of(system, law.jump(hit), hit)
-        root = triangular(mirror.between(rates, rates).expanded(each.before, forces).H @ corrected)
+        jump = mirror.expanded(rates, rates, each.before, forces)
+        root = triangular(jump.H @ corrected)
         last = t
     root = phase.transition(seconds - last) @ root
     return float(np.sum(energy(system, root.T)) / np.sum(energy(system, start)))

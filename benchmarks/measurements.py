@@ -145,10 +145,11 @@ def bounds(name: str, seconds: float, *, encodes: bool = True, impacts: bool = T
             continue
         hit, forces = each.contacts, system.forcing.derivatives(np.array([t]), 2)[:, 0]
         joint = linalg.block_diag(JITTER, root)
-        rows = Measured.gaps(system, hit).along(rates).expanded(each.before, forces).H
+        rows = Measured.gaps(system, hit).expanded(rates, each.before, forces).H
         corrected = correction(joint, rows, 1e-15 * np.eye(len(hit))).root
         mirror = Mirror.of(system, law.jump(hit), hit)
-        root = triangular(mirror.between(rates, rates).expanded(each.before, forces).H @ corrected)
+        jump = mirror.expanded(rates, rates, each.before, forces)
+        root = triangular(jump.H @ corrected)
     return np.array(found)
 
 

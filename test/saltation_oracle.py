@@ -29,8 +29,8 @@ def saltation_error(model: System, rng: np.random.Generator) -> float:
         now = np.concatenate([now[:n], law.velocity_after(now[n:], (0,))])
         return np.asarray(phase.moved(s, now, -s)[0])
 
-    jet = member.jump_about(0.0, x, (0,), (), ())
-    found = jet.expanded(x, member.moving.forces(0.0))
+    rates = member.moving.rates_at(0.0, x, ())
+    found = member.mirror_about(x, (0,)).expanded(rates, rates, x, member.moving.forces(0.0))
     np.testing.assert_allclose(found.value, own_root(x), atol=1e-13)
     grad = np.concatenate([w, np.zeros(n)])
     Xi = found.H[:, 1:] + np.outer(found.H[:, 0], grad) / float(w @ x[n:])

@@ -179,8 +179,9 @@ class Conditioning:
         x, root, member = state.x, state.root, self.members.of_estimate(state)
         contacts = change.contacts[:1]
         hit = bool(change.hit)
-        _, jet = member.guard_at(change.t, x, change.before, contacts, hit=hit)
-        value, H, D, E = jet.expanded(x, member.moving.forces(change.t))
+        rates = member.moving.rates_at(change.t, x, change.before)
+        rows = member.guard(change.before, contacts, hit)
+        value, H, D, E = rows.expanded(rates, x, member.moving.forces(change.t))
         sensitivity = self.measured_sensitivity(member, change, contacts, x, change.t)
         seen = np.hstack([H[:, 1:], sensitivity])
         late, bend = -float(value[0]), float(E[0])
@@ -241,14 +242,12 @@ class Conditioning:
 
         ``member`` is the one of ``view``.
         """
-        if turned := self._is_turned(member, change, about):
-            rows = Measured.speeds(self.system, contacts)
-            jet = rows.along(member.moving.rates_at(view.t, about.x, change.before))
-        else:
-            hit = bool(change.hit)
-            rows, jet = member.guard_at(view.t, about.x, change.before, contacts, hit=hit)
+        turned = self._is_turned(member, change, about)
+        rows = member.guard(change.before, contacts, bool(change.hit))
+        rows = Measured.speeds(self.system, contacts) if turned else rows
         forces = member.moving.forces(view.t)
-        expansion = jet.expanded(about.x, forces)
+        rates = member.moving.rates_at(view.t, about.x, change.before)
+        expansion = rows.expanded(rates, about.x, forces)
         mean, nonlinear = product(about.own, expansion.D, expansion.E)
         x, e = view.x, view.e
         value = expansion.value if about is view else rows.value(x, forces[0])
@@ -329,9 +328,12 @@ class Conditioning:
         A ``soft`` one leaves positions as they are.
         """
         member, size = self.members.of_estimate(joint), joint.size
-        pressed = self.pressed(member, change, joint.x)
-        jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed, soft=soft)
-        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
+        pressed, moving = self.pressed(member, change, joint.x), member.moving
+        mirror = member.mirror_about(joint.x, pressed)
+        mirror = mirror.soft if soft else mirror
+        before = moving.rates_at(joint.t, joint.x, change.before)
+        after = moving.rates_at(joint.t, mirror.landed(joint.x), change.closed)
+        x, H, D, E = mirror.expanded(before, after, joint.x, moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
         if not self.system.is_plain(pressed):
             bends = member.bends(joint.x, joint.root[1 : 1 + size], pressed)

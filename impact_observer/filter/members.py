@@ -20,7 +20,7 @@ from impact_observer.dynamics import (
 from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.events import Contacts
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.saltation import Jet, Measured, Mirror
+from impact_observer.filter.saltation import Measured, Mirror
 from impact_observer.kernel._kernel import Family, Gaps, Impact, Parameters
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
@@ -69,7 +69,6 @@ class Member:
         self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
         self.guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
-        self.jump = lru_cache(KEPT)(self._jump_of)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -89,37 +88,6 @@ class Member:
             return self.mirror(pressed)
         return _mirror_about(self.masses, self._numbers, x, pressed)
 
-    def jump_about(
-        self,
-        t: float,
-        x: Vector,
-        pressed: Contacts,
-        before: Contacts,
-        closed: Contacts,
-        *,
-        soft: bool = False,
-    ) -> Jet:
-        """The jump of states near ``x`` at ``t``, between phases; see ``jump``.
-
-        It may be a ``soft`` one, which lasts.
-        """
-        moving = self.moving
-        if self.system.is_plain(pressed) and not (moving.guided or soft):
-            return self.jump(pressed, before, closed)
-        mirror = self.mirror_about(x, pressed)
-        mirror = mirror.soft if soft else mirror
-        after = mirror.J @ x + mirror.offset
-        return mirror.between(moving.rates_at(t, x, before), moving.rates_at(t, after, closed))
-
-    def guard_at(
-        self, t: float, x: Vector, before: Contacts, contacts: Contacts, *, hit: bool
-    ) -> tuple[Measured, Jet]:
-        """``guard`` of states near ``x``, shape (2n,), at ``t``, s since the epoch."""
-        rows, jet = self.guard(before, contacts, hit)
-        if not self.moving.guided:
-            return rows, jet
-        return rows, rows.along(self.moving.rates_at(t, x, before))
-
     def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
         """What the curvature of rebound laws adds to the error of a jump, (2n, k).
 
@@ -136,22 +104,13 @@ class Member:
             found[n:, k] = bend * stops[:, pressed.index(i)]
         return found
 
-    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
-        """The guards of an event, and their expansions in the phase before it.
-
-        They are gaps of contacts that hit, or the load of one that opens.
-        """
-        moving = self.moving
-        rows = self.gaps(contacts) if hit else Measured.loads(moving.phase(before), contacts)
-        return rows, rows.along(moving.rates(before))
+    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> Measured:
+        """Gaps of contacts that hit, or loads of those that open, in the phase ``before``."""
+        return self.gaps(contacts) if hit else Measured.loads(self.moving.phase(before), contacts)
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
         J = self.masses.jump(pressed, self._numbers.eps)
         return Mirror.of(self.system, J, pressed, self._numbers)
-
-    def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
-        """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
-        return self.mirror(pressed).between(self.moving.rates(before), self.moving.rates(closed))
 
 
 def _mirror_about(
@@ -300,7 +259,7 @@ class Members:
             moving, numbers = self._heavy(key)
             mirror = _mirror_about(moving.newton, numbers, x, pressed)
         mirror = mirror.soft if soft else mirror
-        return mirror.J @ x + mirror.offset, mirror.J
+        return mirror.landed(x), mirror.J
 
     def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
         """The model's motion with the masses of a member, and its coefficients."""

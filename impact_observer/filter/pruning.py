@@ -15,14 +15,14 @@ from impact_observer.filter.weighing import Branch
 from impact_observer.model import System
 
 
-class _Weighed(Protocol):
+class _HasWeight(Protocol):
     """Something with a logarithm of a probability."""
 
     @property
     def weight(self) -> float: ...
 
 
-_Some = TypeVar("_Some", bound=_Weighed)
+_Some = TypeVar("_Some", bound=_HasWeight)
 
 
 def likeliest_first(some: Iterable[_Some]) -> list[_Some]:
@@ -105,7 +105,7 @@ def _are_near(one: GaussianState, other: GaussianState) -> bool:
     return bool(np.all(np.abs(one.x - other.x) <= TUNING.near * deviations))
 
 
-def _likely(ordered: Sequence[_Weighed]) -> int:
+def _likely(ordered: Sequence[_HasWeight]) -> int:
     """How many of ``ordered``, the likeliest first, hold all but ``Tuning.negligible``."""
     if not ordered:
         return 0

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.flow.equations import Equations
@@ -29,7 +28,6 @@ ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Rounding of a measurement, relative to the terms of its sum."""
 STATE_ROUNDING = float(np.finfo(np.float64).eps)
 """Rounding of a state, relative to ``Scales.sizes``."""
-_ONE = np.ones(1)
 
 
 class FreePhase(NamedTuple):
@@ -87,33 +85,6 @@ class Expansion(NamedTuple):
     E: Vector
 
 
-class Jet(NamedTuple):
-    """Expansions of the same functions at any ``y``, whose coefficients are affine in ``y``.
-
-    Attributes:
-        now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
-            shape (3 k, 1 + 2n + 3n).
-        maps: derivatives of value and slope by ``y``, shape (2, k, 2n).
-    """
-
-    now: Matrix
-    maps: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, *rows: list[Matrix | Vector]) -> "Jet":
-        """From the parts of ``now``: one row each for value, slope and E."""
-        now = np.concatenate([np.column_stack(row) for row in rows])
-        return cls(now, np.array([row[1] for row in rows[:2]]))
-
-    def expanded(self, y: Vector, forces: Matrix) -> Expansion:
-        """The expansion about ``(0, y)``.
-
-        ``forces`` are f and its first two derivatives at the instant of ``y``, shape (3, n).
-        """
-        now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()])).reshape(3, -1)
-        return Expansion(now[0], np.column_stack([now[1], self.maps[0]]), self.maps[1], now[2])
-
-
 class Measured(NamedTuple):
     """Guard functions ``c x + rest - load f(t)``: zero when a contact switches.
 
@@ -163,16 +134,17 @@ class Measured(NamedTuple):
         assert force is not None, "a load depends on the force"
         return np.asarray(self.rest - self.load.dot(force))
 
-    def along(self, rates: StateRates) -> Jet:
-        """Their expansions in one phase."""
-        nothing = np.zeros((len(self.c), rates.B.shape[1]))
-        load = nothing if self.load is None else self.load
-        still, first = np.zeros_like(self.rest), self.c @ rates.A
-        return Jet.of(
-            [self.rest, self.c, -load, nothing, nothing],
-            [still - self.c @ rates.b, -first, -self.c @ rates.B, load, nothing],
-            [still + first @ rates.b, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
-        )
+    def expanded(self, rates: StateRates, x: Vector, forces: Matrix) -> Expansion:
+        """Their expansions about ``(0, x)`` in one phase.
+
+        ``forces`` are f and its first two derivatives at the instant of ``x``, shape (3, n).
+        """
+        first, second = rates.along(x, forces)
+        rate, bend = self.c.dot(first), self.c.dot(second)
+        if self.load is not None:
+            rate, bend = rate - self.load.dot(forces[1]), bend - self.load.dot(forces[2])
+        H = np.column_stack([-rate, self.c])
+        return Expansion(self.value(x, forces[0]), H, -self.c.dot(rates.A), bend)
 
 
 def _impulse_delay(numbers: Coefficients, pressed: list[int]) -> float:
@@ -234,15 +206,20 @@ class Mirror(NamedTuple):
         J[:n, :n], offset[:n] = np.eye(n), 0.0
         return Mirror(J, offset)
 
-    def between(self, before: StateRates, after: StateRates) -> Jet:
-        """The expansions of the state after the jump, at the instant of the one before."""
-        J, (d, n) = self.J, before.B.shape
-        D, kicked = after.A @ J - J @ before.A, after.B - J @ before.B
-        rubbed, nothing = after.b - J @ before.b, np.zeros((d, n))
-        pulled = after.A @ self.offset + rubbed
-        curved, jerked = after.A @ D - D @ before.A, after.A @ kicked - D @ before.B
-        return Jet.of(
-            [self.offset, J, nothing, nothing, nothing],
-            [pulled, D, kicked, nothing, nothing],
-            [after.A @ pulled - D @ before.b, curved, jerked, -kicked, nothing],
-        )
+    def expanded(
+        self, before: StateRates, after: StateRates, x: Vector, forces: Matrix
+    ) -> Expansion:
+        """The state after the jump, at the instant of ``x``, between two phases; about ``(0, x)``.
+
+        ``forces`` are f and its first two derivatives at that instant, shape (3, n).
+        """
+        J, landed = self.J, self.landed(x)
+        first = before.along(x, forces)[0]
+        slope = after.along(landed, forces)[0] - J.dot(first)
+        D = after.A.dot(J) - J.dot(before.A)
+        E = after.A.dot(slope) - D.dot(first) - (after.B - J.dot(before.B)).dot(forces[1])
+        return Expansion(landed, np.column_stack([slope, J]), D, E)
+
+    def landed(self, x: Vector) -> Vector:
+        """The state after the jump from ``x``, shape (2n,)."""
+        return np.asarray(self.J.dot(x) + self.offset)

@@ -370,6 +370,6 @@ class SampleUpdate:
     def _jump(self, row: Row, x: Vector, contact: int, speed: float) -> float:
         """By how much an impact changes a measured function of a state."""
         mirror = self.bank.filter.members.given.mirror_about(x, (contact,))
-        change = float(row.h.dot(mirror.J.dot(x) + mirror.offset - x))
+        change = float(row.h.dot(mirror.landed(x) - x))
         eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
         return change / eps if speed > 0 else change  # it has jumped: the state before was faster

@@ -13,7 +13,7 @@ from scipy import linalg
 from systems import Harmonic, chain, examples, forcing, system, systems, vectors
 
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
-from impact_observer.filter.saltation import Jet, Measured, Mirror, StateRates
+from impact_observer.filter.saltation import Measured, Mirror, StateRates
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients
 
@@ -46,8 +46,8 @@ def differences(f: Callable[[float], Array], h: float = 1e-3) -> tuple[Array, Ar
 
 def jump(
     before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
-) -> tuple[Phase, Mirror, Jet, Jumped]:
-    """The phase before a jump, the jump, and its exact map: back, jump, and on.
+) -> tuple[Phase, Mirror, StateRates, Jumped]:
+    """The phase before a jump, the jump, the rates after it, and its map: back, jump, and on.
 
     Contacts that stay closed have no restitution here, so that they are held at once.
     """
@@ -60,7 +60,7 @@ def jump(
         x = mirror.J @ one.moved(T, y, -e)[0] + mirror.offset
         return two.moved(T - e, x, e)[0] if e else x
 
-    return one, mirror, mirror.between(StateRates(one), StateRates(two)), jumped
+    return one, mirror, StateRates(two), jumped
 
 
 @pytest.mark.parametrize(
@@ -71,11 +71,11 @@ def test_jump_is_expanded_as_its_exact_map(
     before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
 ) -> None:
     """Back by the phase before, jump, on by the phase after: against finite differences."""
-    one, mirror, jet, jumped = jump(before, after, pressed)
+    one, mirror, after_jump, jumped = jump(before, after, pressed)
     n = FORCED.n
     y = np.random.default_rng(6).normal(size=2 * n)
     y[n:] = one.inverse @ FORCED.M @ y[n:]
-    found = jet.expanded(y, forces(FORCED, T))
+    found = mirror.expanded(StateRates(one), after_jump, y, forces(FORCED, T))
     np.testing.assert_allclose(found.value, jumped(0.0, y), atol=1e-14)
     first, second = differences(lambda e: jumped(e, y))
     np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)
@@ -114,7 +114,7 @@ def test_jump_at_the_own_root_is_the_saltation_matrix(data: st.DataObject) -> No
         return phase.moved(T - e, at, e)[0]
 
     mirror = Mirror.of(model, law.jump((0,)), (0,))
-    expansion = mirror.between(rates, rates).expanded(x, forces(model, T))
+    expansion = mirror.expanded(rates, rates, x, forces(model, T))
     grad = np.concatenate([w, np.zeros(n)])
     Xi = expansion.H[:, 1:] + np.outer(expansion.H[:, 0], grad) / (w @ x[n:])
     ending = rates.along(x, forces(model, T))[0]
@@ -148,7 +148,7 @@ def test_gaps_and_loads_are_expanded_as_they_are() -> None:
             return found[[phase.held.index(i) for i in which]]
 
         measured = Measured.loads(phase, contacts) if held else Measured.gaps(FORCED, contacts)
-        found = measured.along(StateRates(phase)).expanded(y, forces(FORCED, T))
+        found = measured.expanded(StateRates(phase), y, forces(FORCED, T))
         first, second = differences(lambda e: watched(e, y))  # noqa: B023
         np.testing.assert_allclose(found.value, watched(0.0, y), atol=1e-13)
         np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)
