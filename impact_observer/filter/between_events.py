@@ -13,7 +13,7 @@ from impact_observer.events import Kind
 from impact_observer.filter.error_accounts import ErrorAccounts
 from impact_observer.filter.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.hypotheses import Hypothesis, Jump
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.ledger import MissedSwitch
 from impact_observer.filter.missed_switch import insert_switch
@@ -114,7 +114,7 @@ class BetweenEvents:
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` of ``t`` (s since the epoch) ``s`` seconds later, the likeliest first.
 
-        One that penetrates a stop branches: the stop was missed by the sensor, or the estimate
+        A hypothesis that penetrates a stop branches: the sensor missed a switch, or the estimate
         is in error.
         """
         if any(each.ledger.missed for each in hypotheses):
@@ -168,18 +168,21 @@ class BetweenEvents:
         """The hypotheses of ``paths`` at their ends, with the survival of the dips on the way.
 
         A dip that had begun before counts by how much deeper it has become. Beside each hypothesis
-        stands the logarithm of its probability if the next event explains what dips go on.
+        stands the logarithm of its probability if the next event explains the dips that go on, or
+        are so late that the event may be theirs.
         """
         for (_, s, h), state, found in zip(paths, self._priors(paths), dips, strict=True):
-            some = [dip for dip in found if not self._is_now(dip, s, h.clock)]
             weight, chance, survival = h.weight, h.weight, dict[int, float]()
-            for dip in some:
+            for dip in found:
                 before = h.survival.get(dip.contact, 0.0) if dip.goes_on else 0.0
-                now = min(max(dip.unlikely, _LEAST_SURVIVAL), before)
+                now, is_late = before, self._is_late(dip, s, h)
+                if dip.over or not is_late:
+                    now = min(max(dip.unlikely, _LEAST_SURVIVAL), before)
                 weight += now - before
-                if dip.over:
+                if dip.over and not is_late:
                     chance += now - before
-                else:
+                elif now:
+                    chance -= before
                     survival[dip.contact] = now
             after = h._replace(state=state, weight=weight, survival=survival)
             yield chance, after._replace(jump=h.jump.later(s))
@@ -198,7 +201,7 @@ class BetweenEvents:
             dip
             for dip in dips
             if dip.depth > (TUNING.possible_depth if dip.over else TUNING.confident_depth)
-            and not self._is_now(dip, path.left, h.clock)
+            and not self._is_now(dip, path.left, h)
         )
         dip = next(likely, None)
         if dip is None or len(h.ledger.missed) >= TUNING.most_missed:
@@ -230,6 +233,7 @@ class BetweenEvents:
                 weight=weight,
                 ledger=h.ledger.with_missed(switch, rest),
                 survival=h.survival_without((dip.contact,)),
+                jump=Jump(),
             )
             if self.errors is not None:
                 hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
@@ -237,14 +241,21 @@ class BetweenEvents:
             found.append(_Path(at, left, h))
         return found
 
-    def _is_now(self, dip: Dip, now: float, clock: float) -> bool:
-        """Whether an impact comes so late that it may be after the event, of which the stamp errs.
+    def _is_now(self, dip: Dip, now: float, h: Hypothesis) -> bool:
+        """Whether a dip is left to the event: its gap is negative, and has not been for long."""
+        return not dip.over and self._is_late(dip, now, h)
 
-        Parameters in doubt leave its instant in doubt: there a dip is now that has just been seen.
+    def _is_late(self, dip: Dip, now: float, h: Hypothesis) -> bool:
+        """Whether an impact comes so late that it may be the event, of which the stamp errs.
+
+        Parameters in doubt leave its instant in doubt: there a dip is late that has just been
+        seen. A gap that is negative at the start of the flight was zero when its speed says.
         """
         estimates = self.filter.members.family.size > 0
         began = dip.below if estimates else dip.began
-        return not dip.over and now - began <= TUNING.late * clock
+        if dip.goes_on and dip.kind is Kind.IMPACT:
+            began = -self.filter.since_root(dip.contact, h.state)
+        return now - began <= TUNING.late * h.clock
 
     def dead(self, h: Hypothesis, contact: int, kind: Kind, t: float) -> float:
         """Probability that the sensor could not report a switch of ``contact`` at ``t``, s.

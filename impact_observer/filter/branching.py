@@ -9,7 +9,7 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.error_accounts import ErrorAccounts
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.likelihood import CERTAIN, Likelihood
+from impact_observer.filter.likelihood import UNMEASURED, Likelihood
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.weighing import Branch, Draft, weigh
@@ -37,7 +37,7 @@ class LogPriors(NamedTuple):
         missed: probability that an impact is not reported.
         spurious: odds of a spurious event, times their rate, 1/s.
         mislabelled: probability that an event is of another contact.
-        rate: of the model's motion, 1/s.
+        rate: one event in the model's time scale, 1/s.
     """
 
     reported: float
@@ -130,7 +130,7 @@ class Branching:
         if branch.here is None:
             return False
         likelihood = branch.likelihood
-        soon = likelihood.density > max(len(branch.here.contacts), 1) * self.priors.rate
+        soon = likelihood.density >= max(len(branch.here.contacts), 1) * self.priors.rate
         return soon and max(likelihood.innovations.values(), default=0.0) < TUNING.surprise
 
     def _leading(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[bool]:
@@ -159,11 +159,11 @@ class Branching:
         if depth <= TUNING.surprise or self._trusts_estimate or true.here is None:
             return
         h, part = true.before, self._filter.part_of(true.here.contacts)
-        weight = h.weight_without(true.here.contacts) + TUNING.log_restart
+        prior = self.priors.reported + h.weight_without(true.here.contacts)
         for factor in (TUNING.widening, TUNING.large_widening):
             wider = h._replace(state=self._filter.widened(h.state, factor * depth, largest, part))
             reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
-            yield Draft(weight, wider, true.here, reason)
+            yield Draft(prior + TUNING.log_restart, wider, true.here, reason)
 
     def _other_contacts(self, change: ContactChange, true: Branch) -> Iterator[Draft]:
         """An unexpected impact of the branch ``true`` was of another contact."""
@@ -175,7 +175,8 @@ class Branching:
         others = [i for i in range(system.m) if i not in (*change.hit, *closed)]
         for i in others:
             other_contact = change._replace(before=closed, hit=(i,), closed=closed)
-            weight = h.weight_without((i,)) + self.priors.mislabelled - math.log(len(others))
+            prior = self.priors.reported + h.weight_without((i,))
+            weight = prior + self.priors.mislabelled - math.log(len(others))
             reason = f"mislabelled: it hit {system.contact_names[i]}"
             yield Draft(weight, h, other_contact, reason)
 
@@ -197,10 +198,11 @@ class Branching:
         change: ContactChange,
         h: Hypothesis,
         reason: str = "",
-        likelihood: Likelihood = CERTAIN,
+        likelihood: Likelihood = UNMEASURED,
     ) -> Branch:
         """The event was spurious, for a ``reason`` or as its ``likelihood`` is small."""
-        odds = self.priors.spurious if self.priors.spurious > -math.inf else 0.0
+        # An event that can be nothing else is as likely as any in the model's time scale.
+        odds = self.priors.spurious if self.priors.spurious > -math.inf else self.priors.rate
         weight = h.weight + len(change.contacts) * odds
         return Branch(weight, h, None, reason, likelihood)
 

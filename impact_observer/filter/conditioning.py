@@ -3,8 +3,8 @@
 
 The equations are those of the kernel's ``Impact``, which takes impacts of one contact while none
 is closed, with harmonic forces and constant restitutions. There an impact changes a root by a few
-products of a column and a row, and a hypothesis costs 5 us instead of 0.8 ms. The classes here
-take all other events: several contacts, rests and releases, sampled forces, guides that rub,
+products of a column and a row, and a hypothesis costs 5 us instead of 0.8 ms. ``Conditioning``
+takes all other events: several contacts, rests and releases, sampled forces, guides that rub,
 contact times, and parameters of masses and forces. Tests compare both wherever both apply.
 """
 
@@ -102,8 +102,8 @@ class Conditioning:
         """The likelihood of an event, if it is what it is reported to be."""
         contacts = self.measured_contacts(change)
         if not contacts:
-            # the instant is as likely as any in the model's time scale
-            return Likelihood(-math.log(self._scales.timescale), {})
+            # The instant of each switch is as likely as any in the model's time scale.
+            return Likelihood(-len(change.contacts) * math.log(self._scales.timescale), {})
         member = self.members.of_estimate(prior)
         expected = self._expected(member, change, contacts, prior, prior)
         return likelihood_of(contacts, expected, prior)
@@ -163,6 +163,7 @@ class Conditioning:
             new = () if turned or math.isinf(leftover) else new
             short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
+            member = self.members.of_estimate(after)
         s, sensitivity = change.t - joint.t, None
         if not (s or change.closed):
             return after

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hypotheses after an event: steps "correct" and "settle" of the filter."""
+"""The hypotheses after an event: their states, ledgers and errors of the model."""
 
 from collections.abc import Sequence
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bank of impact filters: each holds another hypothesis of what the events were.
+"""A bank of hypotheses on what the events were, of which one filter corrects each state.
 
 Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern Tracking Systems,
 1999, chapter 16), as ``docs/theory/filter.md`` describes.

@@ -33,10 +33,6 @@ from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
-_NO_TIME = 1e-15
-"""Time in which nothing moves, s."""
-_NEGLECTED_FLIGHT = 1e-8
-"""Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
 _LEAST_EXTENT = 1e-9
 """Magnitude of a component of the motion that has been still, relative to the largest."""
 
@@ -123,6 +119,15 @@ class ImpactFilter:
     def speed(self, contact: int, state: GaussianState) -> float:
         """The contact speed of a state, m/s; positive where the contact opens."""
         return float(self.system.W[:, contact].dot(state.x[self.system.n :]))
+
+    def since_root(self, contact: int, state: GaussianState) -> float:
+        """How long ago a negative gap was zero, to first order, s; 0 for an opening contact."""
+        w, n = self.system.W[:, contact], self.system.n
+        gap, speed = (
+            float(w.dot(state.x[:n]) + self.system.q_r[contact]),
+            self.speed(contact, state),
+        )
+        return min(gap / speed, self.conditioning.longest) if gap < 0 and speed < 0 else 0.0
 
     def speed_deviation(self, contact: int, state: GaussianState) -> float:
         """The standard deviation of ``speed``, m/s."""

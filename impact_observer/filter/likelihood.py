@@ -65,7 +65,7 @@ class Likelihood(NamedTuple):
         return cls(density, {contact: abs(normalised)}, normalised, deviation)
 
 
-CERTAIN = Likelihood(0.0, {})
+UNMEASURED = Likelihood(0.0, {})
 """Of what measures nothing."""
 
 

@@ -251,7 +251,7 @@ class Members:
     def impact(
         self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
     ) -> tuple[Vector, Matrix]:
-        """The state after an impact of ``pressed``, and its derivative: a ``Mirror``."""
+        """The state after an impact of ``pressed``, and its derivative by the state."""
         key = tuple(values.tolist())
         if self.family.system.is_plain(pressed):
             mirror = self._mirror(key, pressed)

@@ -334,7 +334,7 @@ class SampleUpdate:
                 weight=weight,
                 ledger=h.ledger.with_missed(switch, rest),
                 survival=h.survival_without((contact,)),
-                jump=h.jump._replace(ago=0.0),
+                jump=Jump(),
             )
 
     def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:

@@ -66,7 +66,7 @@ def settled(
         filter_: of the state.
         query: the event, and the state before it.
         after: the state after it, if the contact leaves its stop.
-        since: duration of the flight before it, s.
+        since: time since the latest jump of any contact, s.
     """
     change, clock = query.change, query.clock
     is_long = since > TUNING.longest_flight * clock

@@ -94,7 +94,7 @@ class Tuning:
     near: float = 3.0
     """Deviations up to which two states count as the same."""
     most_notes: int = 32
-    """Decisions that a hypothesis keeps, at least; older ones are not revised."""
+    """Decisions that a hypothesis keeps, at least, of whole events; older ones are not revised."""
     unpublished: float = 1e-3
     """Probability up to which the least likely hypotheses are not published. The variance of a
     whole mixture would be that of its rarest members.

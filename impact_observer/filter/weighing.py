@@ -9,7 +9,7 @@ from impact_observer.events import Ruling
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.impact_filter import EventQuery, ImpactFilter
-from impact_observer.filter.likelihood import CERTAIN, Likelihood
+from impact_observer.filter.likelihood import UNMEASURED, Likelihood
 from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import TINY
 
@@ -45,7 +45,7 @@ class Branch(NamedTuple):
     before: Hypothesis
     here: ContactChange | None = None
     reason: str = ""
-    likelihood: Likelihood = CERTAIN
+    likelihood: Likelihood = UNMEASURED
 
     @property
     def query(self) -> EventQuery:

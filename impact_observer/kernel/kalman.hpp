@@ -6,7 +6,7 @@
 // zero of the gap. Gap and state after the impact are functions of (e, y): affine in y, expanded
 // to second order in e. With Phi the flow, w the direction of the contact and k its kick,
 //
-//     gap             g = w^T q,  q of the state  x = flow(y, -e),      dg/de = -gamma
+//     gap             g = w^T q + rest,  q of the state  x = flow(y, -e),      dg/de = -gamma
 //     after           y+ = y + kappa_0 g + kappa_1 gamma,   kappa = Phi(e) (k 0; 0 k)
 //     derivatives     d kappa/de = A kappa,   d rho/de = -rho A,   rho = (w 0; 0 w) Phi(-e)
 //
@@ -96,7 +96,7 @@ class Impact {
     }
 
     // The posterior where the impact was not reported: it is at the zero of the estimate's own
-    // gap, near t, and measures nothing. The prior has an infinite clock.
+    // gap, near t, and measures nothing. The clock of the prior is not used.
     Posterior missed(double t, double flown, const Prior& prior) const {
         Joint joint = joint_of(prior, false);
         const Law law = law_of(prior.constants);
@@ -139,7 +139,7 @@ class Impact {
     // Gap and jump, expanded about an instant and a state.
     struct Place {
         double g, gamma, a, jerk;  // the gap and its derivatives by time
-        Vector rho[3];             // g, gamma and w^T A (A x)_u as rows of y and theta
+        Vector rho[3];             // g, gamma and its rate w^T (A x)_u as rows of y and theta
     };
 
     Law law_of(const ConstSpan& theta) const { return law_of(theta, family->member(theta)); }
