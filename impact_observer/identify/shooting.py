@@ -53,8 +53,10 @@ def shoot(
         t0: where the initial state holds, s since the epoch.
         samples: of each sensor beside the impacts.
     """
-    n, W, d = family.system.n, family.system.W, start.size
+    n, d = family.system.n, start.size
     system = LinearisedSystem(family, start[2 * n :])
+    closed = [(), *(end.held for end in moments)]
+    system.prepare(zip(closed, np.diff(t, prepend=t0).tolist(), strict=False))
     at = system.begin(t0, start[: 2 * n], len(moments))
     maker = RowMaker(system, samples, t) if samples else None
     if maker:
@@ -68,7 +70,7 @@ def shoot(
         if end.hit:
             own = slice(first, first := first + len(end.hit))
             gaps[own], table[own] = system.gaps(at, end.hit)
-            speeds[own], moment[own] = W[:, list(end.hit)].T @ at.x[n:], k
+            speeds[own], moment[own] = system.contact_rows(end.hit)[0] @ at.x[n:], k
             table[own, d + k] = speeds[own]
         at, sooner = system.switch(at, end)
         at.X[:, d + k] -= sooner

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights and jumps of a system with their derivatives by state, parameters and instants.
 
-``docs/theory/trajectory.md`` has the equations. A flight is that of ``MovingSystem``. Its
-derivative by a parameter is a block of an exponential in which harmonics and constants are states
-as well (Van Loan, Computing integrals involving the matrix exponential, 1978). Guides stick, slip
-and turn at instants that depend on the motion, and samples of a force are no states: there it is
-a difference of two motions.
+``docs/theory/trajectory.md`` has the equations. A flight that no parameter changes is that of
+``MovingSystem``. Other flights and their derivatives by a parameter are blocks of an exponential
+in which harmonics and constants are states as well (Van Loan, Computing integrals involving the
+matrix exponential, 1978). Guides stick, slip and turn at instants that depend on the motion, and
+samples of a force are no states: there the derivative is a difference of two motions.
 """
 
-from functools import cache, lru_cache
+from collections.abc import Iterable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import KEPT, ImpactLaw, Phases
+from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
@@ -24,7 +25,7 @@ from impact_observer.states import Matrix, Vector
 
 STEP = 1e-6
 """Step of a difference by a parameter, relative to its size."""
-_NOTHING = np.zeros(0)
+_ONE = np.ones(1)
 
 
 class FlightEnd(NamedTuple):
@@ -141,22 +142,42 @@ class LinearisedSystem:
         """
         self.family, self.theta = family, np.array(theta)
         self.numbers = family.coefficients_at(theta)
-        own = family.near(theta) if family.size else family.system
-        self.moving = moving or MovingSystem(own)
         self.gap_change = family.gap_changes
         effects = [each.effect for each in family.parameters]
         self._laws = self.numbers.laws(family.system)
         self._moves = [j for j, each in enumerate(family.parameters) if each.moves]
+        own = family.near(theta) if family.size else family.system
+        inverse = linalg.inv(self.numbers.M) if self._moves else None
+        self.moving = moving or MovingSystem(own, inverse)
+        self._is_driven = bool(self._moves) and self.moving.is_plain
         lasting = [family.system.contact_time, *(each.contact_time for each in effects)]
         self._lasts = bool(np.any(lasting))
-        self._driven = cache(self._driven_by)
+        self._flight_maps = dict[tuple[Contacts, float], np.ndarray]()
+        self._generators = cache(self._generators_of)
         self._stops = cache(self._stops_of)
-        self._jump = lru_cache(KEPT)(self._jump_of)
+        self.contact_rows = cache(self._contact_rows)
         self.beside = cache(self._beside)
 
     def begin(self, t: float, x: Vector, others: int = 0) -> TangentState:
         """The start ``x``, shape (2n,), at ``t``, with ``others`` more unknowns; all is open."""
         return TangentState(t, np.array(x), np.eye(x.size, x.size + self.family.size + others))
+
+    def prepare(self, flights: Iterable[tuple[Contacts, float]]) -> None:
+        """Make the exponentials of ``flights``, those of a phase at once.
+
+        A flight has closed contacts and a duration, s. ``flow`` makes others when it needs them.
+        """
+        durations = dict[Contacts, list[float]]()
+        for closed, duration in flights if self._is_driven else ():
+            durations.setdefault(closed, []).append(duration)
+        d, p = 2 * self.family.system.n, self.family.size
+        for closed, each in durations.items():
+            s, generators = np.array(each)[:, None, None], self._generators(closed)
+            maps = np.zeros((len(each), 1 + p, d, len(generators[0][1]) - d))
+            for j, (generator, scale) in zip(self._moves, generators, strict=True):
+                blocks = linalg.expm(generator * s)[..., :-d] * (scale[:, None] / scale[:-d])
+                maps[:, 0], maps[:, 1 + j] = blocks[:, :d], blocks[:, -d:]
+            self._flight_maps.update(zip([(closed, one) for one in each], maps, strict=True))
 
     def flight(self, at: TangentState, t: float) -> TangentState:
         """The motion from ``at`` to ``t``, s since the epoch; nothing switches."""
@@ -172,16 +193,14 @@ class LinearisedSystem:
 
     def gaps(self, at: TangentState, contacts: Contacts) -> tuple[Vector, Matrix]:
         """The gaps of ``contacts``, m, and their derivatives, shapes (k,) and (k, any)."""
-        n, own = self.family.system.n, list(contacts)
-        W = self.family.system.W[:, own].T
+        n, (W, gap, change) = self.family.system.n, self.contact_rows(contacts)
         rows = W.dot(at.X[:n])
-        rows[:, 2 * n : 2 * n + self.family.size] += self.gap_change[:, own].T
-        return W @ at.x[:n] + self.numbers.gap[own], rows
+        rows[:, 2 * n : 2 * n + self.family.size] += change
+        return W.dot(at.x[:n]) + gap, rows
 
     def speeds(self, at: TangentState, contacts: Contacts) -> Matrix:
         """The derivatives of the speeds of ``contacts``, shape (k, any)."""
-        n = self.family.system.n
-        return np.asarray(self.family.system.W[:, list(contacts)].T @ at.X[n:])
+        return self.contact_rows(contacts)[0] @ at.X[self.family.system.n :]
 
     def guard(self, at: TangentState, contacts: Contacts, *, hit: bool) -> Guard:
         """The gaps of ``contacts`` that ``hit``, or the loads of closed ones that open."""
@@ -206,16 +225,15 @@ class LinearisedSystem:
 
     def flow(self, t: float, x: Vector, s: float, closed: Contacts) -> TangentMap:
         """The state ``s`` seconds after, or before, the state ``x`` at ``t``."""
+        if self._is_driven:
+            if (closed, s) not in self._flight_maps:
+                self.prepare([(closed, s)])
+            maps, angle = self._flight_maps[closed, s], self.family.system.forcing.frequency * t
+            after = maps.dot(np.concatenate([x, np.cos(angle), np.sin(angle), _ONE]))
+            return TangentMap(after[0], maps[0, :, : x.size], after[1:].T)
         moved, Phi = self.moving.moved(t, x, s, closed)
         Gamma = np.zeros((x.size, self.family.size))
-        if self._moves and self.moving.is_plain and s:
-            wave = np.exp(1j * self.family.system.forcing.frequency * t)
-            z = np.concatenate([x, wave.real, wave.imag, [1.0]])
-            driven, scale = self._driven(closed)
-            block = linalg.expm(driven * s)[z.size :, : z.size]
-            found = scale[z.size :] * (block @ (z / scale[: z.size]))
-            Gamma[:, self._moves] = found.reshape(-1, x.size).T
-        elif s:
+        if s:
             for j in self._moves:
                 more, less = (each.moving.moved(t, x, s, closed)[0] for each in self.beside(j))
                 Gamma[:, j] = (more - less) / self.distance(j)
@@ -227,32 +245,26 @@ class LinearisedSystem:
         If the impact ``reflects``, gaps that are left are reversed like speeds: an impact that is
         as early or late as its gap says leaves the positions as they are.
         """
-        n, p, P = self.family.system.n, self.family.size, list(pressed)
-        W, x, Phi, Gamma = (
-            self.family.system.W[:, P],
-            x.copy(),
-            np.eye(2 * n),
-            np.zeros((2 * n, p)),
-        )
-        gamma = W.T.dot(x[n:])
-        laws, (stops, by_mass, by_law) = [self._laws[i] for i in pressed], self._stops(pressed)
-        speeds = [*zip(laws, gamma.tolist(), strict=True)]
+        n, p, x = self.family.system.n, self.family.size, x.copy()
+        W, gap, change = self.contact_rows(pressed)
+        stopped, stops, by_mass, by_law = self._stops(pressed)
+        Phi, Gamma, gamma = np.eye(2 * n), np.zeros((2 * n, p)), W.dot(x[n:])
+        speeds = [(self._laws[i], v) for i, v in zip(pressed, gamma.tolist(), strict=True)]
         rebounds = np.array([float(law.rebound(np.array(v))) for law, v in speeds])
-        slopes = tuple(law.slope(v) for law, v in speeds)
-        Phi[n:, n:] = self._jump(pressed, slopes)
-        x[n:] = Phi[n:, n:].dot(x[n:]) - stops.dot(rebounds - gamma * slopes)
+        Phi[n:, n:] = stopped - (stops * [law.slope(v) for law, v in speeds]).dot(W)
+        x[n:] = stopped.dot(x[n:]) - stops.dot(rebounds)
         if p:
-            by = np.zeros(by_law.shape[1:])
+            by = np.zeros((len(pressed), self.numbers.rebound.shape[1]))
             for row, (law, v) in zip(by, speeds, strict=True):
-                row[: len(law.parameters)] = law.sensitivity(v)
-            changes = np.sum(by_law * by, axis=2)
-            Gamma[n:] = (by_mass.dot(gamma + rebounds) - changes.dot(stops.T)).T
+                sensitivity = law.sensitivity(v)
+                row[: len(sensitivity)] = sensitivity
+            Gamma[n:] = by_mass.dot(gamma + rebounds) - by_law.dot(by.ravel())
         if reflects:
-            eps = tuple(float(law.restitution_at(np.array(abs(v)))) for law, v in speeds)
-            Phi[:n, :n] = self._jump(pressed, eps)
-            left = (Phi[:n, :n] - np.eye(n)) @ linalg.pinv(W.T)
-            x[:n] = Phi[:n, :n] @ x[:n] + left @ self.numbers.gap[P]
-            Gamma[:n] = left @ self.gap_change[:, P].T
+            eps = [float(law.restitution_at(np.array(abs(v)))) for law, v in speeds]
+            Phi[:n, :n] = stopped - (stops * eps).dot(W)
+            left = (Phi[:n, :n] - np.eye(n)) @ linalg.pinv(W)
+            x[:n] = Phi[:n, :n] @ x[:n] + left @ gap
+            Gamma[:n] = left @ change
         return TangentMap(x, Phi, Gamma)
 
     def at_rest(self, x: Vector, closed: Contacts) -> TangentMap:
@@ -271,12 +283,12 @@ class LinearisedSystem:
 
         What parameters change of the projection itself is left out: near such states it is small.
         """
-        n, own = self.family.system.n, list(closed)
-        Z, W = self.moving.phases.projection.jump(closed), self.family.system.W[:, own].T
+        n, (W, gap, change) = self.family.system.n, self.contact_rows(closed)
+        Z = self.moving.phases.projection.jump(closed)
         Phi, Gamma, moved = np.eye(2 * n), np.zeros((2 * n, self.family.size)), x.copy()
-        moved[:n] -= Z @ (W @ x[:n] + self.numbers.gap[own])
+        moved[:n] -= Z @ (W @ x[:n] + gap)
         Phi[:n, :n] -= Z @ W
-        Gamma[:n] = -Z @ self.gap_change[:, own].T
+        Gamma[:n] = -Z @ change
         return TangentMap(moved, Phi, Gamma)
 
     def jump(
@@ -290,11 +302,8 @@ class LinearisedSystem:
         speed as it is, and ``reflects`` what is left of the gap.
         """
         t, x, _, before = at
-        late, shares = 0.0, _NOTHING
-        if self._lasts and end.lasts and not before:
-            (i,) = end.hit
-            late = float(self.numbers.contact_time[i]) / 2
-            shares = np.array([each.effect.contact_time[i] / 2 for each in self.family.parameters])
+        lasts = self._lasts and end.lasts and not before
+        late = float(self.numbers.contact_time[end.hit[0]]) / 2 if lasts else 0.0
         onward = self.flow(t, x, late, before) if late else None
         start = x if onward is None else onward.x
         map_ = self.impact(start, end.pressed, reflects=is_measured and not late)
@@ -305,8 +314,9 @@ class LinearisedSystem:
         if onward is not None:
             back = self.flow(t + late, map_.x, -late, end.held)
             map_, xi = back.preceded_by(map_.preceded_by(onward)), back.Phi @ xi
-        if np.any(shares):
-            map_ = map_._replace(Gamma=map_.Gamma - np.outer(xi, shares))
+        if lasts:
+            times = [each.effect.contact_time[end.hit[0]] for each in self.family.parameters]
+            map_ = map_._replace(Gamma=map_.Gamma - np.outer(xi, times) / 2)
         return map_, xi
 
     def distance(self, j: int) -> float:
@@ -321,29 +331,30 @@ class LinearisedSystem:
         less[j] = max(self.theta[j] - STEP * each.size, each.low)
         return LinearisedSystem(self.family, more), LinearisedSystem(self.family, less)
 
-    def _driven_by(self, closed: Contacts) -> tuple[Matrix, Vector]:
-        """Generator of ``z`` and its derivatives by each parameter that moves it, and its scales.
+    def _generators_of(self, closed: Contacts) -> list[tuple[Matrix, Vector]]:
+        """For each parameter that moves ``z``: generator of ``z`` and its derivative, and scales.
 
-        ``z = (q, u, cos w t, sin w t, 1)``; the derivatives are those of (q, u).
+        ``z = (q, u, cos w t, sin w t, 1)``; the derivative is that of (q, u).
         """
         n, numbers, rates = self.family.system.n, self.numbers, self.moving.rates(closed)
         forcing, turned = self.family.system.forcing, np.exp(1j * numbers.phase)
         h, size = forcing.frequency.size, 2 * n + 2 * forcing.frequency.size + 1
-        whole = np.zeros((size + 2 * n * len(self._moves),) * 2)
+        whole, own, found = np.zeros((size + 2 * n,) * 2), slice(size, None), []
         forces = self._waves(numbers.amplitude * turned)
         forces[:, -1] = forcing.constant
         whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n : size] = rates.A, rates.B @ forces
         cos, sin = range(2 * n, 2 * n + h), range(2 * n + h, 2 * n + 2 * h)
         whole[cos, sin], whole[sin, cos] = -forcing.frequency, forcing.frequency
-        for k, effect in enumerate(self.family.parameters[j].effect for j in self._moves):
+        whole[own, own] = rates.A
+        for effect in (self.family.parameters[j].effect for j in self._moves):
             pulled = -effect.M @ whole[n : 2 * n, :size]
             pulled[:, : 2 * n] -= np.hstack([effect.K, effect.C])
             change = effect.amplitude + 1j * numbers.amplitude * effect.phase
             pulled[:, 2 * n :] += self._waves(change * turned)
-            own = slice(size + 2 * n * k, size + 2 * n * (k + 1))
-            whole[own, :size], whole[own, own] = rates.B @ pulled, rates.A
-        balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
-        return balanced, scale
+            whole[own, :size] = rates.B @ pulled
+            balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+            found.append((balanced, scale))
+        return found
 
     def _waves(self, factor: Vector) -> Matrix:
         """Harmonics times complex factors, by (cos w t, sin w t, 1), shape (n, 2h + 1)."""
@@ -352,24 +363,27 @@ class LinearisedSystem:
         of_sin = factor.real * sine - factor.imag * cosine
         return np.hstack([of_cos, of_sin, np.zeros((len(cosine), 1))])
 
-    def _jump_of(self, pressed: Contacts, slopes: tuple[float, ...]) -> Matrix:
-        """``J`` of ``du+ = J du-`` by ``slopes`` of the ``pressed`` contacts' laws, (n, n)."""
-        restitution = np.zeros(self.family.system.m)
-        restitution[list(pressed)] = slopes
-        return self.moving.newton.jump(pressed, restitution)
+    def _contact_rows(self, contacts: Contacts) -> tuple[Matrix, Vector, Matrix]:
+        """Directions of k contacts, gaps of zero coordinates, and their changes by parameters.
 
-    def _stops_of(self, pressed: Contacts) -> tuple[Matrix, np.ndarray, np.ndarray]:
+        Shapes (k, n), (k,) and (k, p).
+        """
+        own = list(contacts)
+        return self.family.system.W[:, own].T, self.numbers.gap[own], self.gap_change[:, own].T
+
+    def _stops_of(self, pressed: Contacts) -> tuple[Matrix, Matrix, np.ndarray, np.ndarray]:
         """``X`` of contacts, and what each parameter changes.
 
         Returns:
-            ``X``, shape (n, c) for c contacts; ``-dX = R dM X``, (p, n, c); the changes of the
-            parameters of the rebound laws, (p, c, most).
+            ``I - X W^T``, shape (n, n); ``X``, shape (n, c) for c contacts; ``-dX = R dM X``,
+            (n, p, c); ``X`` times the changes of the parameters of the rebound laws, (n, p, any).
         """
         stops, most = self.moving.newton.stops(pressed), self.numbers.rebound.shape[1]
-        by_mass = np.zeros((self.family.size, *stops.shape))
-        by_law = np.zeros((self.family.size, len(pressed), most))
+        by_mass = np.zeros((len(stops), self.family.size, len(pressed)))
+        by_law = np.zeros((*by_mass.shape, most))
         for j, each in enumerate(self.family.parameters):
-            by_law[j] = each.effect.rebound[list(pressed)]
+            by_law[:, j] = stops[:, :, None] * each.effect.rebound[list(pressed)]
             if np.any(each.effect.M):
-                by_mass[j] = self.moving.phase(pressed).inverse @ each.effect.M @ stops
-        return stops, by_mass, by_law
+                by_mass[:, j] = self.moving.phase(pressed).inverse @ each.effect.M @ stops
+        stopped = self.moving.newton.jump(pressed, np.zeros(self.family.system.m))
+        return stopped, stops, by_mass, by_law.reshape(*by_mass.shape[:2], len(pressed) * most)
