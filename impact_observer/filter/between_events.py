@@ -168,18 +168,17 @@ class BetweenEvents:
         """The hypotheses of ``paths`` at their ends, with the survival of the dips on the way.
 
         A dip that had begun before counts by how much deeper it has become. Beside each hypothesis
-        stands the logarithm of its probability if the next event explains the dips that go on, or
-        are so late that the event may be theirs.
+        stands the logarithm of its probability if the next event explains the dips that go on.
         """
         for (_, s, h), state, found in zip(paths, self._priors(paths), dips, strict=True):
             weight, chance, survival = h.weight, h.weight, dict[int, float]()
             for dip in found:
                 before = h.survival.get(dip.contact, 0.0) if dip.goes_on else 0.0
-                now, is_late = before, self._is_late(dip, s, h)
-                if dip.over or not is_late:
+                now = before
+                if not self._is_now(dip, s, h):
                     now = min(max(dip.unlikely, _LEAST_SURVIVAL), before)
                 weight += now - before
-                if dip.over and not is_late:
+                if dip.over:
                     chance += now - before
                 elif now:
                     chance -= before
@@ -242,17 +241,14 @@ class BetweenEvents:
         return found
 
     def _is_now(self, dip: Dip, now: float, h: Hypothesis) -> bool:
-        """Whether a dip is left to the event: its gap is negative, and has not been for long."""
-        return not dip.over and self._is_late(dip, now, h)
-
-    def _is_late(self, dip: Dip, now: float, h: Hypothesis) -> bool:
         """Whether an impact comes so late that it may be the event, of which the stamp errs.
 
-        Parameters in doubt leave its instant in doubt: there a dip is late that has just been
-        seen. A gap that is negative at the start of the flight was zero when its speed says.
+        Parameters in doubt leave its instant in doubt: there a dip is now that has just been seen.
+        A gap that is negative at the start of the flight was zero when its speed says.
         """
-        estimates = self.filter.members.family.size > 0
-        began = dip.below if estimates else dip.began
+        if dip.over:
+            return False
+        began = dip.below if self.filter.members.family.size else dip.began
         if dip.goes_on and dip.kind is Kind.IMPACT:
             began = -self.filter.since_root(dip.contact, h.state)
         return now - began <= TUNING.late * h.clock

@@ -31,7 +31,7 @@ from impact_observer.filter.branching import Extent
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
 from impact_observer.filter.gaussian_state import GaussianState
-from impact_observer.filter.hypotheses import Hypothesis, published
+from impact_observer.filter.hypotheses import Hypothesis, Jump, published
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.ledger import Ledger
 from impact_observer.filter.model_error import NO_ERROR, ErrorKind, LearnedError
@@ -357,3 +357,26 @@ def test_a_hundred_spurious_events_at_one_stamp_give_no_nan() -> None:
     checked(watcher, int(whole.stamps[-1]))
     differences = estimates(watcher, whole.stamps[-1:])[0] - whole.states[-1]
     assert np.max(np.abs(differences)) < 1e-6
+
+
+def test_a_negative_gap_is_explained_by_its_event_after_flights_of_any_length() -> None:
+    """A flight that is shorter than the error of a stamp keeps the survival, and its refund."""
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5), ([-1], 9.0, 0.5)])
+    bank, clock = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), (1e-3,)), 1e-3
+    deep = GaussianState.of(np.array([[-1e-2, -1.0]]), 1e-3 * np.eye(2))
+    begun = Hypothesis(deep, clock, -20.0, survival={0: -20.0})
+    found = bank.between.predict([begun], 0.0, 2e-3)
+    (kept,) = (h for h in found if not h.ledger.missed)
+    assert kept.survival[0] <= -20.0
+    assert kept.weight_without((0,)) == pytest.approx(0.0)
+
+
+def test_a_missed_impact_begins_a_new_flight() -> None:
+    """Also where no error of the model is learned: bounces are judged by the flight before."""
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), (1e-9,))
+    state = GaussianState.of(np.array([[0.97, -1.0]]), 1e-9 * np.eye(2))
+    begun = Hypothesis(state, 1e-9, jump=Jump(0.9))
+    found = bank.between.predict([begun], 0.0, 1.5)
+    (after,) = (h for h in found if h.ledger.missed)
+    assert after.jump.ago == pytest.approx(0.53, abs=1e-6)
