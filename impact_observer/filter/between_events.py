@@ -76,6 +76,7 @@ class BetweenEvents:
     Attributes:
         filter: predicts the state of each.
         errors: that a model may have; None where none is learned.
+        missed: probability that the sensor misses a switch.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class BetweenEvents:
         self.filter = filter_
         self.errors = errors
         self._trusts_events = trusts_events
-        self._missed = missed
+        self.missed = missed
         self._dead_time = dead_time
         self._most = most
         self._judges = judges
@@ -271,7 +272,7 @@ class BetweenEvents:
 
         ``dead`` is that with which the sensor could not.
         """
-        missed = dead + (1.0 - dead) * self._missed
+        missed = dead + (1.0 - dead) * self.missed
         return math.log(missed) if missed else -math.inf
 
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:

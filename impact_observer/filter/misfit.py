@@ -19,6 +19,10 @@ MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
     " not the plant's, or the stamps are late or drift; see docs/misfit.md"
 )
+SILENCE = (
+    "predicted impacts in a row were not reported: the sensor or its line may be dead, or the"
+    " plant has stopped; see docs/misfit.md"
+)
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
 
 

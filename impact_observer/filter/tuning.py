@@ -113,6 +113,14 @@ class Tuning:
     """Deviations of a stamp up to which a predicted impact before an event may be the event."""
     dead: float = 0.5
     """Probability of the dead time from which on a missed switch counts as one in it."""
+    log_silent: float = math.log(1e-6)
+    """Logarithm of the probability of so many missed impacts in a row, below which the sensor is
+    dead or the plant has stopped.
+    """
+    silent_prior: float = 10.0
+    """Impacts that the declared probability of a missed impact is worth."""
+    silent_share: float = 0.5
+    """Probability that the plant has stopped and not the sensor, once impacts are silent."""
     most_missed: int = 256
     """Missed switches that one hypothesis may insert before the next event."""
     most_flights: int = 256

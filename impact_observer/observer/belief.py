@@ -211,6 +211,11 @@ class Prediction(ABC):
         del s
         return None
 
+    def silence(self, s: float) -> str:
+        """The warning that predicted impacts have not come for ``s`` seconds; empty if none is."""
+        del s
+        return ""
+
     def closed(self, s: float) -> Contacts | None:
         """Contacts that the estimate holds closed after ``s`` seconds; None for those reported."""
         del s

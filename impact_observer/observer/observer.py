@@ -447,6 +447,15 @@ class Observer:
         self._follow()
         return self._run.estimate(whole_stamp(stamp))
 
+    def silence(self, stamp: int) -> str:
+        """The warning that predicted impacts have not come up to ``stamp`` (ns), or nothing.
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
+        self._follow()
+        return self._run.silence(stamp)
+
     def obstacle(self, stamp: int) -> str:
         """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.
 

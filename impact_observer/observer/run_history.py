@@ -238,7 +238,7 @@ class RunHistory:
         if root is None and law.has_covariance:  # the root after a sample is computed on request
             root = prediction.root(0.0)
         x, root = self._before_jump(entry, s, x, root)
-        closed = prediction.closed(s)
+        closed, silence = prediction.closed(s), prediction.silence(s)
         root = self._with_missed_rests(entry, s, x, root, closed)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
         if self._system.frame is not None:
@@ -252,11 +252,12 @@ class RunHistory:
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
             synchronized=law.uses_events
+            and not silence
             and belief.fit.is_established
             and test.is_synchronized(entry.synchronization, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
-            misfit=belief.misfit,
+            misfit=belief.misfit or silence,
             clock_offset=belief.clock_offset,
             parameters=belief.parameters,
             last_sequence=entry.last[1],
@@ -289,7 +290,14 @@ class RunHistory:
             prediction = self.update.prediction(entry)
             root, x = prediction.root(after), prediction.state(after)
             root = self._with_missed_rests(entry, after, x, root, prediction.closed(after))
+            if prediction.silence(after):
+                return "predicted impacts are not reported"
         return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
+
+    def silence(self, stamp: int) -> str:
+        """See ``Observer.silence``."""
+        entry = self._entry(stamp)
+        return self.update.prediction(entry).silence(seconds_between(entry.since, stamp))
 
     def _before_jump(
         self, entry: Entry, s: float, x: Vector, root: Matrix | None

@@ -358,3 +358,24 @@ def test_events_after_the_true_states_are_warned_of(
     with BagReader(Path("whole")) as reader:
         stamps = reader.observer_states(topic).stamps
     assert stamps[-1] == EPOCH + int(bounces[-1] * 10) * NS_PER_S // 10
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+@pytest.mark.parametrize("reported", [8, 20])
+def test_a_sensor_that_died_before_the_end_is_one_warning(
+    reported: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A ball bounces 20 times; of a sensor that reported all hits nothing is said."""
+    flights = 2 * np.sqrt(2 / 9.81) * 0.9 ** np.arange(1, 20)
+    bounces = 0.451523641 + np.append(0.0, np.cumsum(flights))
+    hits = [f"{each:.9f},floor" for each in bounces[:reported].tolist()]
+    Path("bounces.csv").write_text("\n".join(hits))
+    end = bounces[-1] + 0.01
+    Path("true.csv").write_text(f"time,q_height,u_height\n0,1,0\n{end:.9f},0,0\n")
+    imported = ["import", "bounces.csv", "--model", "bouncing_ball", "--truth", "true.csv"]
+    assert main([*imported, "-o", "bag"]) == 0
+    capsys.readouterr()
+    assert main(["observe", "bag", "--law", "minimum-variance", "-o", "seen"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    line = "predicted impacts in a row were not reported: the sensor or its line may be dead"
+    assert (line in printed) is (reported == 8)

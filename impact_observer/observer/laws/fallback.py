@@ -158,6 +158,9 @@ class MisfitPrediction(Prediction):
     def belief(self, s: float) -> Belief:
         return self._by_filter.belief(s)
 
+    def silence(self, s: float) -> str:
+        return self._by_filter.silence(s)
+
 
 def _part(prediction: Prediction, s: float) -> Part:
     root = prediction.root(s)

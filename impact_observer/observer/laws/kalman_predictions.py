@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.events import Contacts, Kind
+from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.filter.between_events import BetweenEvents
-from impact_observer.filter.forecast import Forecast
+from impact_observer.filter.forecast import Dip, Forecast
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.linear import LinearPrediction
+from impact_observer.filter.misfit import SILENCE
 from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.square_root import triangular
@@ -72,7 +73,9 @@ class _Stretch(NamedTuple):
         forecast: prediction and penetrations of the hypothesis.
         closed: contacts that the hypothesis holds closed.
         spread: the prediction whose covariance is that of the whole mixture.
-        lost: root of the covariance once no more switches are inserted, shape (2n, 2n); else None.
+        largest: magnitude of each component of (q, u) at the starts so far, shape (2n,).
+        silent: predicted impacts that were not reported so far; a row of bounces counts once.
+        is_lost: whether no more switches are inserted: the plant may be anywhere.
     """
 
     since: float
@@ -80,7 +83,9 @@ class _Stretch(NamedTuple):
     forecast: Forecast
     closed: Contacts
     spread: LinearPrediction
-    lost: Matrix | None = None
+    largest: Vector
+    silent: int = 0
+    is_lost: bool = False
 
 
 class MissedSwitchPrediction(MixturePrediction):
@@ -108,7 +113,32 @@ class MissedSwitchPrediction(MixturePrediction):
 
     def root(self, s: float) -> Matrix:
         stretch = self._stretch(s)
-        return stretch.spread.root(s - stretch.start) if stretch.lost is None else stretch.lost
+        if stretch.is_lost:
+            return np.diag(self._filter.phases.scales.sizes(stretch.largest))
+        root = stretch.spread.root(s - stretch.start)
+        if stretch.silent < self._fewest_silent:
+            return root
+        anywhere = np.diag(self._filter.phases.scales.sizes(stretch.largest))
+        return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
+
+    def silence(self, s: float) -> str:
+        silent = self._stretch(s).silent
+        return f"{silent} {SILENCE}" if silent >= self._fewest_silent else ""
+
+    @cached_property
+    def _fewest_silent(self) -> int:
+        """How many impacts in a row are improbable to be missed, at the rate of misses so far.
+
+        The rate is a deviation above its posterior mean; its prior is worth
+        ``Tuning.silent_prior`` impacts.
+        """
+        notes = self._hypotheses[0].ledger.notes
+        missed = sum(note.is_inserted and not note.is_dead for note in notes)
+        reported = sum(note.ruling is Ruling.APPLIED for note in notes)
+        count = TUNING.silent_prior + missed + reported
+        mean = (TUNING.silent_prior * self._between.missed + missed) / count
+        rate = mean + math.sqrt(mean * (1 - mean) / (count + 1))
+        return math.ceil(TUNING.log_silent / math.log(rate)) if 0 < rate < 1 else 1
 
     def closed(self, s: float) -> Contacts:
         return self._stretch(s).closed
@@ -130,14 +160,14 @@ class MissedSwitchPrediction(MixturePrediction):
         if root is not state.root:
             level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
             spread = self._filter.predict(t, state._replace(root=root), level)
-        return _Stretch(since, start, forecast, state.closed, spread)
+        return _Stretch(since, start, forecast, state.closed, spread, np.abs(state.x))
 
     def _search(self) -> None:
         """Search to a missed switch or the end of the window, which then doubles."""
         if len(self._stretches) > TUNING.most_predicted:
             self._give_up()
             return
-        _, start, forecast, _, spread, _ = self._stretches[-1]
+        _, start, forecast, _, spread, largest, silent, _ = self._stretches[-1]
         dips = forecast.dips(self._window)
         confident = (dip for dip in dips if dip.depth >= TUNING.confident_depth)
         for dip in confident:
@@ -163,15 +193,25 @@ class MissedSwitchPrediction(MixturePrediction):
             kicked = level * self._between.errors.kicks(before.x, (dip.contact,))
             parts.append(np.pad(kicked, ((0, len(state.root) - size), (0, 0))))
         root = triangular(np.hstack(parts))
-        self._stretches.append(self._begun(since, start + at, state, root))
+        next_ = self._begun(since, start + at, state, root)
+        largest = np.maximum(largest, next_.largest)
+        silent += self._is_silent(dip, kind, t, at)
+        self._stretches.append(next_._replace(largest=largest, silent=silent))
         self._searched, self._window = since, self._first
+
+    def _is_silent(self, dip: Dip, kind: Kind, t: float, flight: float) -> bool:
+        """Whether a switch at ``t`` (s) that was not reported counts, after a ``flight``, s.
+
+        It does not in the sensor's dead time, nor as a bounce in a row with the switch before.
+        """
+        is_bounce = flight < TUNING.brief_flight * self._filter.phases.scales.timescale
+        dead = self._between.dead(self._hypotheses[0], dip.contact, kind, t)
+        return kind is not Kind.OPEN and not is_bounce and dead <= TUNING.dead
 
     def _give_up(self) -> None:
         """Insert no more switches: the motion passes through stops, the plant may be anywhere.
 
         Deviations stay the largest that the modes of the motion so far can give.
         """
-        starts = [each.forecast.prediction.state(0.0) for each in self._stretches]
-        largest = self._filter.phases.scales.sizes(np.max(np.abs(starts), axis=0))
-        self._stretches[-1] = self._stretches[-1]._replace(lost=np.diag(largest))
+        self._stretches[-1] = self._stretches[-1]._replace(is_lost=True)
         self._searched = math.inf
