@@ -19,6 +19,11 @@ MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
     " not the plant's, or the stamps are late or drift; see docs/misfit.md"
 )
+CONTRADICTION = (
+    "an impact came {:.3g} standard deviations from its prediction, which the declared errors of"
+    " sensor and model exclude: declare larger ones, or leave clock_error, missed, spurious,"
+    " mislabelled and model_error at their defaults; see docs/misfit.md"
+)
 SILENCE = (
     "predicted impacts in a row were not reported: the sensor or its line may be dead, or the"
     " plant has stopped; see docs/misfit.md"
@@ -57,6 +62,8 @@ class Fit(NamedTuple):
             raises by ``Tuning.evidence_step`` at most.
         residuals: at the latest impacts.
         is_refuted: whether other parameters explain the latest impacts better.
+        contradictions: the latest innovations as far as they contradict what is declared, in
+            standard deviations; 0 where they do not.
         was_misfit: whether the model did not explain the impacts up to the event before.
         is_misfit: whether the model does not explain the impacts.
     """
@@ -70,6 +77,7 @@ class Fit(NamedTuple):
     evidence: float = 0.0
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
+    contradictions: tuple[float, ...] = ()
     was_misfit: bool = False
     is_misfit: bool = False
 
@@ -88,6 +96,8 @@ class Fit(NamedTuple):
         """
         evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
         innovations, errors, statistic = self.innovations, self.errors, self.statistic
+        size = abs(innovation or 0.0)
+        far = size if size > TUNING.contradiction else 0.0
         if innovation is None:
             by_clock = self.by_clock
         else:
@@ -104,6 +114,7 @@ class Fit(NamedTuple):
             evidence if len(self.as_reported) >= TUNING.first_events else 0.0,
             self.residuals,
             self.is_refuted,
+            (*self.contradictions[-(TUNING.window - 1) :], far),
             was_misfit=self.is_misfit,
         )
         return _judged(after)
@@ -176,6 +187,8 @@ class Fit(NamedTuple):
         """
         if not self.is_misfit:
             return ""
+        if (far := max(self.contradictions, default=0.0)) and not account:
+            return CONTRADICTION.format(far)
         return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))
 
     @property
@@ -233,7 +246,9 @@ def _judged(fit: Fit) -> Fit:
     is_correlated = fit.statistic > TUNING.largest_statistic
     lasts = fit.was_misfit and fit.is_in_error
     is_improbable = fit.is_in_error and fit.evidence > TUNING.largest_evidence
+    is_contradicted = any(fit.contradictions)
     is_misfit = is_excused or is_correlated or is_improbable or fit.is_refuted or lasts
+    is_misfit = is_misfit or is_contradicted
     return fit if is_misfit is fit.is_misfit else fit._replace(is_misfit=is_misfit)
 
 

@@ -183,6 +183,10 @@ class Tuning:
     """Events in a row without an error of the model, after which it counts as exact again."""
 
     # Misfit
+    contradiction: float = 8.0
+    """Innovation of an event that is applied, in standard deviations, which contradicts what is
+    declared of sensor and model: no normal variable is as far off (1e-15).
+    """
     window: int = 32
     """Latest innovations and events that are tested."""
     fewest: int = 12

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.filter.between_events import BetweenEvents
@@ -20,7 +21,7 @@ from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.misfit import SILENCE
 from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.model_error import ErrorKind
-from impact_observer.filter.square_root import triangular
+from impact_observer.filter.square_root import lengths, triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import FINE
 from impact_observer.observer.belief import Belief, Prediction
@@ -44,6 +45,8 @@ class MixturePrediction(Prediction):
         self._t = t
         self._shown = hypotheses
         self._prior = prior
+        self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
+        self._inside_since: float | None = None
 
     @cached_property
     def _hypotheses(self) -> Sequence[Hypothesis]:
@@ -58,10 +61,39 @@ class MixturePrediction(Prediction):
         return self._linear.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._linear.root(s)
+        root = self._linear.root(s)
+        if not self._is_inside(s):
+            return root
+        anywhere = np.diag(self._filter.phases.scales.sizes(np.abs(self._hypotheses[0].state.x)))
+        return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
 
     def belief(self, s: float) -> Belief:
         return self._prior(s)
+
+    def silence(self, s: float) -> str:
+        return f"1 {SILENCE}" if self._is_inside(s) else ""
+
+    def _is_inside(self, s: float) -> bool:
+        """Whether the estimate was inside a stop within ``s`` seconds, and not for a moment only.
+
+        It contradicts what is declared of the sensor: that no impact is missed.
+        """
+        step = TUNING.brief_flight * self._filter.phases.scales.timescale
+        while self._inside_since is None and (self._looked + 1) * step <= s:
+            self._looked += 1
+            before, self._inside = self._inside, self._contacts_inside(self._looked * step)
+            if np.any(before & self._inside):
+                self._inside_since = self._looked * step
+        return self._inside_since is not None and self._inside_since <= s
+
+    def _contacts_inside(self, s: float) -> NDArray[np.bool_]:
+        """Which open contacts have a gap far below zero after ``s`` seconds, shape (m,)."""
+        system, n = self._filter.system, self._filter.system.n
+        deviations = np.array(lengths(system.W.T @ self._linear.root(s)[:n]))
+        gaps = system.W.T @ self._linear.state(s)[:n] + system.q_r
+        inside = np.asarray(gaps < -TUNING.contradiction * deviations, dtype=np.bool_)
+        inside[list(self._hypotheses[0].state.closed)] = False
+        return inside
 
 
 class _Stretch(NamedTuple):
