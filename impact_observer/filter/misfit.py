@@ -89,15 +89,17 @@ class Fit(NamedTuple):
         by_clock: bool = False,
         as_reported: bool = True,
         exact: float = 1.0,
+        is_trusted: bool = False,
     ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing.
 
-        ``exact`` is the probability that the model has been exact.
+        ``exact`` is the probability that the model has been exact. The event ``is_trusted`` if the
+        sensor is declared without faults.
         """
         evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
         innovations, errors, statistic = self.innovations, self.errors, self.statistic
         size = abs(innovation or 0.0)
-        far = size if size > TUNING.contradiction else 0.0
+        far = size if is_trusted and size > TUNING.contradiction else 0.0
         if innovation is None:
             by_clock = self.by_clock
         else:

@@ -6,6 +6,7 @@ import pytest
 from scipy import stats
 
 from impact_observer.filter.misfit import MISFIT, Fit, Residual
+from impact_observer.filter.tuning import TUNING
 
 
 def fitted(innovations: object, **options: bool) -> Fit:
@@ -57,6 +58,18 @@ def test_single_outliers_do_not_warn() -> None:
     nu = np.random.default_rng(7).normal(size=32)
     nu[10:12] = 500.0
     assert not fitted(nu).is_misfit
+
+
+def test_an_outlier_of_a_sensor_without_faults_warns_for_the_window() -> None:
+    """Such a sensor has none: sensor or model are not what is declared."""
+    fit = Fit().after(9.0, is_trusted=True)
+    assert fit.is_misfit
+    assert "9 standard deviations" in fit.message()
+    for each in np.random.default_rng(7).normal(size=TUNING.window).tolist():
+        assert fit.is_misfit
+        fit = fit.after(each, is_trusted=True)
+    assert not fit.is_misfit
+    assert not Fit().after(9.0).is_misfit
 
 
 def test_events_that_measure_nothing_do_not_count() -> None:

@@ -47,5 +47,6 @@ def fitted(
         in_error=error_share(corrected) > TUNING.established_error,
         as_reported=likeliest.ledger.is_as_reported((change.stamp, change.sequence)),
         exact=exact_share(corrected),
+        is_trusted=bank.trusts_events,
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),
     )
