@@ -20,12 +20,12 @@ MISFIT = (
     " not the plant's, or the stamps are late or drift; see docs/misfit.md"
 )
 CONTRADICTION = (
-    "an impact came {:.3g} standard deviations from its prediction, which the declared errors of"
-    " sensor and model exclude: declare larger ones, or leave clock_error, missed, spurious,"
-    " mislabelled and model_error at their defaults; see docs/misfit.md"
+    "an impact came {:.3g} standard deviations or more from its prediction, which the declared"
+    " errors of sensor and model exclude: declare larger ones, or leave clock_error, missed,"
+    " spurious, mislabelled and model_error at their defaults; see docs/misfit.md"
 )
 SILENCE = (
-    "predicted impacts in a row were not reported: the sensor or its line may be dead, or the"
+    "not reported: the sensor or its line may be dead, or the"
     " plant has stopped; see docs/misfit.md"
 )
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
@@ -120,6 +120,11 @@ class Fit(NamedTuple):
             was_misfit=self.is_misfit,
         )
         return _judged(after)
+
+    def contradicted(self) -> "Fit":
+        """The same after an impact that was missed, of a sensor that is declared to miss none."""
+        latest = self.contradictions[-(TUNING.window - 1) :]
+        return _judged(self._replace(contradictions=(*latest, TUNING.contradiction)))
 
     def compared(self, latest: Residual) -> "Fit":
         """The same with the ``latest`` residual."""

@@ -64,7 +64,7 @@ def test_an_outlier_of_a_sensor_without_faults_warns_for_the_window() -> None:
     """Such a sensor has none: sensor or model are not what is declared."""
     fit = Fit().after(9.0, is_trusted=True)
     assert fit.is_misfit
-    assert "9 standard deviations" in fit.message()
+    assert "9 standard deviations or more" in fit.message()
     for each in np.random.default_rng(7).normal(size=TUNING.window).tolist():
         assert fit.is_misfit
         fit = fit.after(each, is_trusted=True)

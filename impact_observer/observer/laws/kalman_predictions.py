@@ -47,6 +47,7 @@ class MixturePrediction(Prediction):
         self._prior = prior
         self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
         self._inside_since: float | None = None
+        self._largest = np.zeros(2 * filter_.system.n)
 
     @cached_property
     def _hypotheses(self) -> Sequence[Hypothesis]:
@@ -64,14 +65,15 @@ class MixturePrediction(Prediction):
         root = self._linear.root(s)
         if not self._is_inside(s):
             return root
-        anywhere = np.diag(self._filter.phases.scales.sizes(np.abs(self._hypotheses[0].state.x)))
+        anywhere = np.diag(self._filter.phases.scales.sizes(self._largest))
         return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
 
     def belief(self, s: float) -> Belief:
-        return self._prior(s)
+        prior = self._prior(s)
+        return prior._replace(fit=prior.fit.contradicted()) if self._is_inside(s) else prior
 
     def silence(self, s: float) -> str:
-        return f"1 {SILENCE}" if self._is_inside(s) else ""
+        return f"a predicted impact was {SILENCE}" if self._is_inside(s) else ""
 
     def _is_inside(self, s: float) -> bool:
         """Whether the estimate was inside a stop within ``s`` seconds, and not for a moment only.
@@ -82,6 +84,8 @@ class MixturePrediction(Prediction):
         while self._inside_since is None and (self._looked + 1) * step <= s:
             self._looked += 1
             before, self._inside = self._inside, self._contacts_inside(self._looked * step)
+            x = np.abs(self._linear.state(self._looked * step))
+            self._largest = np.maximum(self._largest, x)
             if np.any(before & self._inside):
                 self._inside_since = self._looked * step
         return self._inside_since is not None and self._inside_since <= s
@@ -148,14 +152,19 @@ class MissedSwitchPrediction(MixturePrediction):
         if stretch.is_lost:
             return np.diag(self._filter.phases.scales.sizes(stretch.largest))
         root = stretch.spread.root(s - stretch.start)
-        if stretch.silent < self._fewest_silent:
+        if not self.silence(s):
             return root
         anywhere = np.diag(self._filter.phases.scales.sizes(stretch.largest))
         return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
 
     def silence(self, s: float) -> str:
-        silent = self._stretch(s).silent
-        return f"{silent} {SILENCE}" if silent >= self._fewest_silent else ""
+        late = TUNING.late * self._hypotheses[0].clock
+        silent = self._stretch(max(s - late, 0.0)).silent
+        is_silent = silent >= self._fewest_silent
+        return f"{silent} predicted impacts in a row were {SILENCE}" if is_silent else ""
+
+    def belief(self, s: float) -> Belief:
+        return self._prior(s)
 
     @cached_property
     def _fewest_silent(self) -> int:
@@ -170,7 +179,7 @@ class MissedSwitchPrediction(MixturePrediction):
         count = TUNING.silent_prior + missed + reported
         mean = (TUNING.silent_prior * self._between.missed + missed) / count
         rate = mean + math.sqrt(mean * (1 - mean) / (count + 1))
-        return math.ceil(TUNING.log_silent / math.log(rate)) if 0 < rate < 1 else 1
+        return max(math.ceil(TUNING.log_silent / math.log(rate)), 2) if 0 < rate < 1 else 2
 
     def closed(self, s: float) -> Contacts:
         return self._stretch(s).closed
