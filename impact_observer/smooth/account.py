@@ -180,7 +180,7 @@ class TracedLaw(MinimumVariance):
         best = posterior.hypotheses[0] if posterior.hypotheses else None
         event = change.stamp, change.sequence
         self.unexplained.discard(event)
-        if posterior.fit.is_misfit:
+        if posterior.fit.uncontradicted.is_misfit:
             self.unexplained.add(event)
         self.traces[event] = (
             _Trace(change, (), self.clocks[0], NO_ERROR)

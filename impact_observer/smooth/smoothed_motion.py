@@ -328,14 +328,22 @@ class SmoothedMotion:
             )
         if self.smoothed.arc.filter.system.guides and self.smoothed.chance < _ONE_MOTION_IN:
             return _IMPLAUSIBLE
-        return self._law.last.misfit if self._law.last else ""
+        return self._filter_misfit
+
+    @property
+    def _filter_misfit(self) -> str:
+        """The filter's warning, without contradictions by single events: these are smoothed."""
+        if (last := self._law.last) is None:
+            return ""
+        fit = last.fit.uncontradicted
+        return last.misfit if fit is last.fit else fit.message()
 
     @property
     def model_doubt(self) -> str:
         """The filter's doubt of the model, in words; empty without a doubt."""
         last, count = self._law.last, len(self._law.unexplained)
         if count:
-            return f"at {count} events {(last and last.misfit) or MISFIT}"
+            return f"at {count} events {self._filter_misfit or MISFIT}"
         return _DOUBTED if last and last.fit.is_doubted else ""
 
     @property
