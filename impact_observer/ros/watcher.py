@@ -63,6 +63,8 @@ _DISCOVERY_PERIOD = 0.25
 """How often the graph is searched for new topics, s."""
 _SETTLING_TIME = 1.0
 """Time without a new topic after which the topics are complete, s."""
+_HEALTH_TIME = 2.5
+"""Time after all else that a single view waits for the health of observers, s of wall time."""
 _NARROWEST = 58
 """Least columns of an observer beside another one."""
 _BLOCKS, _ASCII = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
@@ -680,7 +682,7 @@ def watch(
         rate: rate of views, Hz.
         duration: how long, s of wall time.
         once: whether to end as soon as every topic has brought a message and every observer has
-            an estimate.
+            an estimate, and its health if that comes within seconds.
 
     Returns:
         The last view.
@@ -688,6 +690,7 @@ def watch(
     with Stop() as stop, ros_node("watch") as (node, _):
         watcher = Watcher(node, listener)
         begin = due = search = time.monotonic()
+        given_up = math.inf
         while not stop.requested and (now := time.monotonic()) < begin + duration:
             if now >= search:
                 search = now + _DISCOVERY_PERIOD
@@ -699,6 +702,8 @@ def watch(
                 show(view)
                 complete = view.observers and all(each.lines for each in view.observers)
                 if once and complete and watcher.has_all():
-                    break
+                    given_up = min(given_up, now + _HEALTH_TIME)
+                    if now >= given_up or all(each.health for each in view.observers):
+                        break
             time.sleep(_TAKING_PERIOD)
         return listener.view(time.time_ns())
