@@ -88,7 +88,7 @@ class BetweenEvents:
         missed: float,
         dead_time: float,
         most: int,
-        judges: bool,
+        keeps_exact: bool,
     ) -> None:
         """For the hypotheses of a bank.
 
@@ -99,7 +99,7 @@ class BetweenEvents:
             missed: probability that the sensor misses a switch.
             dead_time: after an event, in which it reports no other hit of the contact, s.
             most: hypotheses of which twice as many are kept.
-            judges: whether hypotheses with an exact model are kept for the sake of comparison.
+            keeps_exact: whether hypotheses with an exact model are kept for comparison.
         """
         self.filter = filter_
         self.errors = errors
@@ -107,7 +107,7 @@ class BetweenEvents:
         self.missed = missed
         self._dead_time = dead_time
         self._most = most
-        self._judges = judges
+        self._keeps_exact = keeps_exact
         self._flight = Flight if filter_.system.live else lru_cache(_KEPT_FLIGHTS)(Flight)
 
     def predict(
@@ -149,7 +149,7 @@ class BetweenEvents:
 
     def _least(self, h: Hypothesis) -> float:
         """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
-        return TUNING.log_forlorn if self._judges and h.is_exact else TUNING.log_unlikely
+        return TUNING.log_forlorn if self._keeps_exact and h.is_exact else TUNING.log_unlikely
 
     def _dips(self, paths: Sequence[_Path]) -> list[list[Dip]]:
         """Of each path its dips."""

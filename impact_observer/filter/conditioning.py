@@ -68,10 +68,6 @@ class Conditioning:
         self.longest = MOST_STEPS / max(moving.rate, SLOWEST)
         self._scales = moving.phases.scales
 
-    def likelihood(self, change: ContactChange, state: GaussianState, clock: float) -> Likelihood:
-        """The likelihood of an event at a stamp with the standard deviation ``clock``, s."""
-        return self.joint_likelihood(change, self.joint_prior(change, state, clock))
-
     def posterior(
         self,
         change: ContactChange,
@@ -98,12 +94,13 @@ class Conditioning:
         joint = Joint.of(change.t, state.offset, state, root, Joint.differences_of(state))
         return self._at_estimated_instant(change, joint) if state.offset else joint
 
-    def joint_likelihood(self, change: ContactChange, prior: Joint) -> Likelihood:
-        """The likelihood of an event, if it is what it is reported to be."""
+    def likelihood(self, change: ContactChange, state: GaussianState, clock: float) -> Likelihood:
+        """The likelihood of an event at a stamp with the standard deviation ``clock``, s."""
         contacts = self.measured_contacts(change)
         if not contacts:
             # The instant of each switch is as likely as any in the model's time scale.
             return Likelihood(-len(change.contacts) * math.log(self._scales.timescale), {})
+        prior = self.joint_prior(change, state, clock)
         member = self.members.of_estimate(prior)
         expected = self._expected(member, change, contacts, prior, prior)
         return likelihood_of(contacts, expected, prior)

@@ -64,7 +64,7 @@ class FilterBank:
             missed=uncertainty.missed,
             dead_time=uncertainty.dead_time,
             most=self.pruning.most,
-            judges=keeps_exact,
+            keeps_exact=keeps_exact,
         )
         self.branching = Branching(
             filter_, uncertainty, clocks, self.errors, keeps_exact=keeps_exact

@@ -122,11 +122,8 @@ class ImpactFilter:
 
     def since_root(self, contact: int, state: GaussianState) -> float:
         """How long ago a negative gap was zero, to first order, s; 0 for an opening contact."""
-        w, n = self.system.W[:, contact], self.system.n
-        gap, speed = (
-            float(w.dot(state.x[:n]) + self.system.q_r[contact]),
-            self.speed(contact, state),
-        )
+        gap = float(self.system.gap(state.x[: self.system.n])[contact])
+        speed = self.speed(contact, state)
         return min(gap / speed, self.conditioning.longest) if gap < 0 and speed < 0 else 0.0
 
     def speed_deviation(self, contact: int, state: GaussianState) -> float:

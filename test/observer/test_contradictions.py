@@ -5,68 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import EPOCH, sample
+from systems import run, sample
 
-from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import events_in, model_of
+from benchmarks.silence import FAR, FAULTY, Judged
 from impact_observer.observer import make_observer
-from impact_observer.observer.replay import replay
 from impact_observer.options import Options
-from impact_observer.plant import Plant, simulate
-from impact_observer.resources import shared
-from impact_observer.stamps import NS_PER_S, grid
-from impact_observer.states import Estimate
-
-FAULTLESS = {
-    "clock_error": 0.0,
-    "missed": 0.0,
-    "spurious": 0.0,
-    "mislabelled": 0.0,
-    "model_error": 0.0,
-}
 
 
-class Judged:
-    """The estimates of a bag with true states, by an observer that trusts everything.
-
-    Attributes:
-        distances: largest error of any component of each estimate, m or m/s.
-        errors: largest error of any component of each estimate, in standard deviations.
-        synchronized: whether each estimate is.
-        misfit: the warning of each estimate.
-    """
-
-    def __init__(self, name: str) -> None:
-        """Observe the sample bag ``name``."""
-        with BagReader(shared("bags") / name) as reader:
-            model, events = model_of(reader, None), events_in(reader)
-            topic = reader.truth_topic()
-            assert topic is not None, "true states"
-            truth = reader.joint_states(topic)
-        law = Options(law="minimum-variance", **FAULTLESS)  # type: ignore[arg-type]
-        observer = make_observer(model.system, law, model.elements)
-        states = dict(zip(truth.stamps.tolist(), np.hstack([truth.q, truth.u]), strict=True))
-        replayed = replay(observer, events, np.array(sorted(states)))
-        estimates = [each for each in replayed if isinstance(each, Estimate)]
-        size = 2 * model.system.n
-        deviations = [np.sqrt(np.diag(np.reshape(e.covariance, (size,) * 2))) for e in estimates]
-        errors = [np.abs(np.concatenate([e.q, e.u]) - states[e.stamp]) for e in estimates]
-        self.distances = np.array([each.max() for each in errors])
-        pairs = zip(errors, deviations, strict=True)
-        self.errors = np.array([np.max(e / np.maximum(d, 1e-300)) for e, d in pairs])
-        self.synchronized = np.array([each.synchronized for each in estimates])
-        self.misfit = [each.misfit for each in estimates]
-
-
-@pytest.mark.parametrize(
-    "bag", ["jitter", "missed", "spurious", "missed_and_spurious", "mislabelled"]
-)
+@pytest.mark.parametrize("bag", FAULTY)
 def test_faults_that_are_excluded_end_certainty(bag: str) -> None:
     """From the first contradiction on four errors of five are within three deviations."""
     judged = Judged(bag)
     first = next(k for k, each in enumerate(judged.misfit) if each)
     assert np.mean(judged.errors[first:] > 3) <= 0.2
-    assert not np.any(judged.synchronized[judged.distances > 0.05])
+    assert not np.any(judged.synchronized[judged.distances > FAR])
     assert "declare larger ones" in judged.misfit[-1] or "not reported" in judged.misfit[-1]
 
 
@@ -81,11 +33,10 @@ def test_a_sensor_without_faults_is_trusted() -> None:
 def test_a_missed_impact_is_remembered_after_the_next_event() -> None:
     """The clock and the model are not declared; the warning lasts for 32 events or so."""
     model = sample("two_mass")
-    stamps = grid(EPOCH, EPOCH + 120 * NS_PER_S, 1.0)
-    run = simulate(Plant(model.system, *model.initial_state(), epoch=EPOCH), stamps)
+    whole = run(model.system, *model.initial_state(), seconds=120.0, rate=1.0)
     trusting = Options(law="minimum-variance", missed=0.0, spurious=0.0, mislabelled=0.0)
     observer, warned = make_observer(model.system, trusting, model.elements), []
-    for k, each in enumerate(run.events):
+    for k, each in enumerate(whole.events):
         if k != 30:
             observer.receive(each)
             warned.append(bool(observer.estimate(each.stamp).misfit))
@@ -97,12 +48,11 @@ def test_a_missed_impact_is_remembered_after_the_next_event() -> None:
 def test_late_stamps_are_no_missed_impacts() -> None:
     """All impacts are reported, with 1 ms of jitter, and none may be missed as declared."""
     model, random = sample("two_mass"), np.random.default_rng(1)
-    stamps = grid(EPOCH, EPOCH + 60 * NS_PER_S, 1.0)
-    run = simulate(Plant(model.system, *model.initial_state(), epoch=EPOCH), stamps)
+    whole = run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
     late = Options(law="minimum-variance", missed=0.0, clock_error=1e-3)
     observer = make_observer(model.system, late, model.elements)
     said = []
-    for k, each in enumerate(run.events):
+    for k, each in enumerate(whole.events):
         stamp = each.stamp + round(1e6 * random.normal())
         said.append(k and observer.silence(stamp - 1))
         observer.receive(replace(each, stamp=stamp))

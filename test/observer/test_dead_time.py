@@ -70,7 +70,7 @@ def between(missed: float, dead_time: float) -> BetweenEvents:
         missed=missed,
         dead_time=dead_time,
         most=64,
-        judges=False,
+        keeps_exact=False,
     )
 
 

@@ -45,9 +45,6 @@ class MixturePrediction(Prediction):
         self._t = t
         self._shown = hypotheses
         self._prior = prior
-        self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
-        self._inside_since: float | None = None
-        self._largest = np.zeros(2 * filter_.system.n)
 
     @cached_property
     def _hypotheses(self) -> Sequence[Hypothesis]:
@@ -62,41 +59,74 @@ class MixturePrediction(Prediction):
         return self._linear.state(s)
 
     def root(self, s: float) -> Matrix:
-        root = self._linear.root(s)
-        if not self._is_inside(s):
-            return root
-        anywhere = np.diag(self._filter.phases.scales.sizes(self._largest))
-        return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
+        return self._linear.root(s)
 
     def belief(self, s: float) -> Belief:
-        prior = self._prior(s)
+        return self._prior(s)
+
+    def _with_stopped(self, root: Matrix, largest: Vector) -> Matrix:
+        """``root`` with a plant that has stopped anywhere within its motion so far.
+
+        ``largest`` is the magnitude of each component of (q, u) in that motion, shape (2n,).
+        """
+        return np.hstack([root, math.sqrt(TUNING.silent_share) * self._anywhere(largest)])
+
+    def _anywhere(self, largest: Vector) -> Matrix:
+        """A root of the covariance of a plant that is anywhere within a motion, (2n, 2n)."""
+        return np.diag(self._filter.phases.scales.sizes(largest))
+
+
+class TrustedPrediction(MixturePrediction):
+    """The prediction of a sensor that is declared without faults, so that none is inserted.
+
+    An estimate that was inside a stop, and not for a moment only, contradicts the declaration.
+    """
+
+    def __init__(
+        self,
+        filter_: ImpactFilter,
+        t: float,
+        hypotheses: Callable[[], Sequence[Hypothesis]],
+        prior: Callable[[float], Belief],
+    ) -> None:
+        super().__init__(filter_, t, hypotheses, prior)
+        self._step = TUNING.brief_flight * filter_.phases.scales.timescale
+        self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
+        self._inside_since = math.inf
+        self._largest = np.zeros(2 * filter_.system.n)
+
+    def root(self, s: float) -> Matrix:
+        root = super().root(s)
+        return self._with_stopped(root, self._largest) if self._is_inside(s) else root
+
+    def belief(self, s: float) -> Belief:
+        prior = super().belief(s)
         return prior._replace(fit=prior.fit.contradicted()) if self._is_inside(s) else prior
 
     def silence(self, s: float) -> str:
         return f"a predicted impact was {SILENCE}" if self._is_inside(s) else ""
 
     def _is_inside(self, s: float) -> bool:
-        """Whether the estimate was inside a stop within ``s`` seconds, and not for a moment only.
-
-        It contradicts what is declared of the sensor: that no impact is missed.
-        """
-        step = TUNING.brief_flight * self._filter.phases.scales.timescale
-        while self._inside_since is None and (self._looked + 1) * step <= s:
+        """Whether the estimate was inside a stop at two steps in a row within ``s`` seconds."""
+        while self._inside_since == math.inf and (self._looked + 1) * self._step <= s:
             self._looked += 1
-            before, self._inside = self._inside, self._contacts_inside(self._looked * step)
-            x = np.abs(self._linear.state(self._looked * step))
-            self._largest = np.maximum(self._largest, x)
+            at, before = self._looked * self._step, self._inside
+            x = self.state(at)
+            self._largest = np.maximum(self._largest, np.abs(x))
+            self._inside = self._contacts_inside(at, x)
             if np.any(before & self._inside):
-                self._inside_since = self._looked * step
-        return self._inside_since is not None and self._inside_since <= s
+                self._inside_since = at
+        return self._inside_since <= s
 
-    def _contacts_inside(self, s: float) -> NDArray[np.bool_]:
-        """Which open contacts have a gap far below zero after ``s`` seconds, shape (m,)."""
+    def _contacts_inside(self, s: float, x: Vector) -> NDArray[np.bool_]:
+        """Which open contacts have a gap far below zero at ``x`` after ``s`` seconds, (m,)."""
         system, n = self._filter.system, self._filter.system.n
-        deviations = np.array(lengths(system.W.T @ self._linear.root(s)[:n]))
-        gaps = system.W.T @ self._linear.state(s)[:n] + system.q_r
-        inside = np.asarray(gaps < -TUNING.contradiction * deviations, dtype=np.bool_)
+        gaps = system.gap(x[:n])
+        inside = np.asarray(gaps < 0, dtype=np.bool_)
         inside[list(self._hypotheses[0].state.closed)] = False
+        if inside.any():
+            deviations = lengths(system.W.T @ self._linear.root(s)[:n])
+            inside &= gaps < -TUNING.contradiction * np.array(deviations)
         return inside
 
 
@@ -150,21 +180,15 @@ class MissedSwitchPrediction(MixturePrediction):
     def root(self, s: float) -> Matrix:
         stretch = self._stretch(s)
         if stretch.is_lost:
-            return np.diag(self._filter.phases.scales.sizes(stretch.largest))
+            return self._anywhere(stretch.largest)
         root = stretch.spread.root(s - stretch.start)
-        if not self.silence(s):
-            return root
-        anywhere = np.diag(self._filter.phases.scales.sizes(stretch.largest))
-        return np.hstack([root, math.sqrt(TUNING.silent_share) * anywhere])
+        return self._with_stopped(root, stretch.largest) if self.silence(s) else root
 
     def silence(self, s: float) -> str:
         late = TUNING.late * self._hypotheses[0].clock
         silent = self._stretch(max(s - late, 0.0)).silent
         is_silent = silent >= self._fewest_silent
         return f"{silent} predicted impacts in a row were {SILENCE}" if is_silent else ""
-
-    def belief(self, s: float) -> Belief:
-        return self._prior(s)
 
     @cached_property
     def _fewest_silent(self) -> int:

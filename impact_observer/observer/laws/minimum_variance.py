@@ -49,7 +49,7 @@ from impact_observer.observer.laws.fallback import (
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
-    MixturePrediction,
+    TrustedPrediction,
 )
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
@@ -275,7 +275,7 @@ class MinimumVariance(Law):
 
         shown = partial(_shown, hypotheses, belief.fit)
         found: Prediction = (
-            MixturePrediction(self._bank.filter, t, shown, prior)
+            TrustedPrediction(self._bank.filter, t, shown, prior)
             if self.uncertainty.trusts_events
             else MissedSwitchPrediction(self._bank.between, t, shown, prior)
         )

@@ -31,7 +31,7 @@ from impact_observer.observer.belief import Account, Belief, Fallback, Predictio
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
-    MixturePrediction,
+    TrustedPrediction,
 )
 from impact_observer.observer.laws.starts import Starts
 from impact_observer.states import Vector
@@ -202,5 +202,5 @@ class ParameterAccounts:
         ``prior`` finds the whole belief some seconds later.
         """
         if self._trusts_events:
-            return MixturePrediction(self._bank.filter, t, lambda: account.published, prior)
+            return TrustedPrediction(self._bank.filter, t, lambda: account.published, prior)
         return MissedSwitchPrediction(self._bank.between, t, lambda: account.published, prior)
