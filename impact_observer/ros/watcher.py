@@ -61,8 +61,11 @@ _VERDICTS = 8
 """Verdicts kept and shown of each observer."""
 _DISCOVERY_PERIOD = 0.25
 """How often the graph is searched for new topics, s."""
-_SETTLING_TIME = 1.0
-"""Time without a new topic after which the topics are complete, s."""
+_SETTLING_TIME = 3.5
+"""Time without a new topic after which the topics are complete, s.
+
+Fast DDS announces a node every 3 s, should the first announcements be lost.
+"""
 _HEALTH_TIME = 2.5
 """Time after all else that a single view waits for the health of observers, s of wall time."""
 _NARROWEST = 58
