@@ -3,6 +3,15 @@
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.model_file import Model, parse_model, read_model
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.system import Contact, System
 
-__all__ = ["Contact", "Forcing", "Model", "System", "parse_model", "read_model"]
+__all__ = [
+    "Contact",
+    "Forcing",
+    "Model",
+    "ParameterUncertainty",
+    "System",
+    "parse_model",
+    "read_model",
+]

@@ -26,6 +26,7 @@ from impact_observer.model.ground_keys import (
     read_turning,
 )
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.system import (
     LARGEST_STATE,
@@ -45,7 +46,7 @@ _MATRIX_KEYS = (
 )
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """Exceptions of ruamel: its own errors, and others for values such as ``2020-13-45``."""
-_COMMON_KEYS = ("name", "unit", "initial_state", "provenance")
+_COMMON_KEYS = ("name", "unit", "initial_state", "uncertainty", "provenance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +62,7 @@ class Model:
         elements: the elements of the system; empty for a file with matrices.
         element_form: the bodies, springs and so on of the file, by key; empty for a file with
             matrices.
+        uncertainty: how well the parameters are known; None if the file says nothing.
     """
 
     system: System
@@ -70,6 +72,7 @@ class Model:
     source: str = ""
     elements: tuple[Element, ...] = ()
     element_form: Mapping[str, Value] = field(default_factory=dict)
+    uncertainty: ParameterUncertainty | None = None
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -103,6 +106,8 @@ class Model:
                 "position": self.position.tolist(),
                 "velocity": self.velocity.tolist(),
             }
+        if self.uncertainty is not None:
+            document["uncertainty"] = self.uncertainty.document
         if provenance or self.provenance:
             document["provenance"] = dict(provenance or self.provenance)
         stream = io.StringIO()
@@ -324,7 +329,15 @@ def _model(document: Value, folder: Path | None) -> Model:
     if not isinstance(provenance, Mapping):
         raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
     provenance = {str(key): value for key, value in provenance.items()}
-    return Model(system, position, velocity, provenance, elements=parts, element_form=written)
+    return Model(
+        system,
+        position,
+        velocity,
+        provenance,
+        elements=parts,
+        element_form=written,
+        uncertainty=read_uncertainty(section, system, parts),
+    )
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well the parameters of a model are known: the covariance of their values."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model.document import Section, Value, finite
+from impact_observer.model.elements import Element
+from impact_observer.model.free_parameters import OFFSET, parametric_family
+from impact_observer.model.system import System
+from impact_observer.states import Matrix, Vector, frozen
+
+KEY = "uncertainty"
+_ROUNDING = 1e-9
+"""Largest error of a covariance that counts as rounding, relative to the deviations."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParameterUncertainty:
+    """Gaussian errors of the values that a model file gives to p parameters.
+
+    Attributes:
+        names: of the parameters, as ``identify --free`` has them, such as ``restitution.stop``.
+        covariance: of their errors, shape (p, p), squares of SI units; zero for exact values.
+        fitted_to: first and last stamp of the impacts from which the values were fitted, ns;
+            None for other values.
+
+    Raises:
+        ModelError: a value is wrong; the error names the key of the model file.
+    """
+
+    names: tuple[str, ...]
+    covariance: Matrix
+    fitted_to: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        """Copy, freeze and check all fields."""
+        p, names = len(self.names), f"{KEY}.names"
+        for i, name in enumerate(self.names):
+            if name in self.names[:i]:
+                raise ModelError(f"{names}[{i}]", f"{name!r} found twice; name it once")
+        covariance = _checked_covariance(self.covariance, p)
+        object.__setattr__(self, "covariance", covariance)
+        if self.fitted_to is None:
+            return
+        first, last = self.fitted_to
+        if not 0 <= first <= last:
+            raise ModelError(
+                f"{KEY}.fitted_to",
+                f"{first} to {last} found; expected the first and the last stamp of a recording,"
+                " ns",
+            )
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations of the values, shape (p,), SI units."""
+        return frozen(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def document(self) -> dict[str, Value]:
+        """The value of the key ``uncertainty`` in a model file."""
+        found: dict[str, Value] = {
+            "names": list(self.names),
+            "covariance": self.covariance.tolist(),
+        }
+        if self.fitted_to is not None:
+            found["fitted_to"] = dict(zip(("first", "last"), self.fitted_to, strict=True))
+        return found
+
+
+def read_uncertainty(
+    document: Section, system: System, elements: Sequence[Element]
+) -> ParameterUncertainty | None:
+    """The key ``uncertainty`` of a model file; None where the file has no such key.
+
+    Raises:
+        ModelError: a value is wrong, or a name is no single parameter of the model.
+    """
+    if KEY not in document:
+        return None
+    section = Section(KEY, document.value(KEY), ("names", "covariance", "fitted_to"))
+    section.value("names")
+    names = tuple(str(value) for _, value in section.items("names"))
+    check_names(f"{KEY}.names", names, system, elements)
+    covariance = section.matrix("covariance", len(names), None)
+    fitted_to = None
+    if "fitted_to" in section:
+        ends = Section(section.key("fitted_to"), section.value("fitted_to"), ("first", "last"))
+        fitted_to = _stamp(ends, "first"), _stamp(ends, "last")
+    return ParameterUncertainty(names, covariance, fitted_to)
+
+
+def check_names(
+    key: str, names: Sequence[str], system: System, elements: Sequence[Element]
+) -> None:
+    """Check that each of ``names`` is one parameter of the model, and none excludes another.
+
+    Raises:
+        ModelError: at ``key``, naming what was found and what is expected.
+    """
+    if not names:
+        raise ModelError(key, "is empty; expected names of parameters, such as restitution.stop")
+    if OFFSET in names:
+        raise ModelError(key, f"{OFFSET} found; expected parameters of the model, not of a clock")
+    try:
+        found = parametric_family(system, names, elements).names
+    except UsageError as error:
+        raise ModelError(key, str(error)) from None
+    for name in names:
+        if name not in found:
+            own = ", ".join(each for each in found if each.startswith(f"{name}."))
+            raise ModelError(key, f"{name} found, a kind; expected single parameters: {own}")
+
+
+def _stamp(section: Section, name: str) -> int:
+    value = section.value(name)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ModelError(section.key(name), f"{value!r} found; expected a stamp, whole ns")
+    return value
+
+
+def _checked_covariance(covariance: Matrix, p: int) -> Matrix:
+    """The covariance of ``p`` parameters, frozen and exactly symmetric.
+
+    Raises:
+        ModelError: not finite, not symmetric or not positive semidefinite.
+    """
+    key = f"{KEY}.covariance"
+    given = finite(key, covariance, (p, p), f"{p} x {p} numbers, one row a name")
+    for i in np.flatnonzero(np.diag(given) < 0):
+        raise ModelError(f"{key}[{i}][{i}]", f"is {given[i, i]:g}; expected a variance, >= 0")
+    deviations = np.sqrt(np.diag(given))
+    sizes = np.outer(deviations, deviations)
+    scale = np.where(sizes > 0, sizes, 1.0)
+    if np.any(wrong := np.abs(given - given.T) > _ROUNDING * sizes):
+        i, j = np.argwhere(wrong)[0]
+        raise ModelError(
+            key,
+            f"is not symmetric: [{i}][{j}] is {given[i, j]:g} but [{j}][{i}] is {given[j, i]:g};"
+            " make them equal",
+        )
+    correlated = np.any(np.abs(given) > (1 + _ROUNDING) * sizes)
+    if correlated or np.linalg.eigvalsh(given / scale).min(initial=0.0) < -_ROUNDING * p:
+        raise ModelError(
+            key, "is not positive semidefinite; expected correlations that are possible together"
+        )
+    return frozen((given + given.T) / 2)
