@@ -89,6 +89,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only check whether the model fits the times",
     )
     parser.add_argument(
+        "--accept",
+        action="store_true",
+        help="end with exit code 0 also if the model does not fit (default: 1)",
+    )
+    parser.add_argument(
         "-o",
         "--output",
         metavar="FILE",
@@ -110,8 +115,8 @@ def run(args: argparse.Namespace) -> int:
     """Fit a model to the impacts in a bag, and to samples if any, and print the result.
 
     Returns:
-        0; 1 if a parameter is not determined or ends at its bound, the fit does not converge or
-        the model does not fit.
+        0; 1 if a parameter is not determined or ends at its bound, no motion explains the impacts,
+        or the model does not fit and is not accepted.
     """
     from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
@@ -165,13 +170,13 @@ def run(args: argparse.Namespace) -> int:
     checked = check_fit(fit)
     _print(args, fit, checked)
     good = fit.converged and not (fit.undetermined or fit.bounded)
-    good = good and (checked.fits or not args.check)
     if args.output is not None and good:
         left_out = fit_report.write_model(
             fit, given, args.bag, args.output, initial=args.initial_state
         )
         say(", ".join(filter(None, [f"model: {args.output}", left_out])), file=lines)
         good = not left_out
+    good = good and (checked.fits or args.accept)
     if args.plot is not None:
         title = f"{fit.family.system.name}: instants of the model minus stamps"
         save(fit_picture(fit, title=title), args.plot)

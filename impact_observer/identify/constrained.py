@@ -13,7 +13,7 @@ def constrained_least_squares(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, 
     Args:
         A: of full column rank, shape (r, k).
         B: shape (r, c).
-        d: shape (r,).
+        d: shape (r,), or (r, any) to solve for each column.
 
     Returns:
         ``x``, ``e``, and how far each of ``e`` moves ``x``, shape (k, c): a root of the covariance

@@ -26,6 +26,7 @@ class FitCheck:
         by_contact: by name: impacts, mean and rms of their shifts, s.
         worst: the contact of the largest rms.
         odd: names of the sensors whose errors are too large, or correlated.
+        missed: names of parameters that were not free and explain more than chance does.
     """
 
     size: float | None
@@ -34,12 +35,13 @@ class FitCheck:
     by_contact: dict[str, tuple[int, float, float]]
     worst: str
     odd: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()
 
     @property
     def fits(self) -> bool:
         """Whether no test rejects the model, of stamps or of sensors."""
         size = 1.0 if self.size is None else self.size
-        return min(self.white, size) >= REJECTED and not self.odd
+        return min(self.white, size) >= REJECTED and not (self.odd or self.missed)
 
 
 def check_fit(fitted: Identification) -> FitCheck:
@@ -63,4 +65,5 @@ def check_fit(fitted: Identification) -> FitCheck:
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
         odd=tuple(each.name for each in fitted.sensors if not each.fits),
+        missed=fitted.missed,
     )

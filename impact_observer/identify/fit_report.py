@@ -44,6 +44,11 @@ _LARGEST_CLOCK = 0.1
 """Shifts above which no clock makes them, s."""
 _OF_INTERVALS = 0.02
 """Shifts over the median time between impacts above which no clock makes them."""
+_NO_OTHER = (
+    " No other parameter alone makes the model fit: look at --plot, declare the clock's error as"
+    " --clock-error if it is larger, or change the model (docs/misfit.md)."
+)
+"""What follows where no parameter is found that would make a model fit."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
@@ -117,6 +122,8 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "held_back": fitted.held_back
         and {**fitted.held_back._asdict(), "carries_over": fitted.held_back.carries_over},
         "fits": check.fits and fitted.converged,
+        "missed": list(fitted.missed),
+        "others": [{**each._asdict(), "values": each.values.tolist()} for each in fitted.others],
         "parameters": {
             each.name: {
                 "given": each.value,
@@ -171,6 +178,7 @@ def print_parameters(fitted: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
     _print(
         fitted,
+        check,
         _parameter_table(fitted),
         [
             _about_start(fitted),
@@ -188,12 +196,14 @@ def print_check(fitted: Identification, check: FitCheck) -> None:
         for name, (count, mean, rms) in check.by_contact.items()
     ]
     table = TextTable(("contact", "impacts", "mean [s]", "rms [s]"), rows)
-    _print(fitted, table, [*_about_fit(fitted), *_about_check(fitted, check)])
+    _print(fitted, check, table, [*_about_fit(fitted), *_about_check(fitted, check)])
 
 
-def _print(fitted: Identification, table: TextTable, remarks: Iterable[ReportLine]) -> None:
+def _print(
+    fitted: Identification, check: FitCheck, table: TextTable, remarks: Iterable[ReportLine]
+) -> None:
     """Print what speaks against the model, a table, and remarks."""
-    if verdict := [*_verdict(fitted)]:
+    if verdict := [*_verdict(fitted, check)]:
         print_facts(verdict)
         say("")
     print_table(table)
@@ -201,14 +211,33 @@ def _print(fitted: Identification, table: TextTable, remarks: Iterable[ReportLin
     print_facts(remarks)
 
 
-def _verdict(fitted: Identification) -> Iterator[ReportLine]:
+def _about_others(fitted: Identification) -> str:
+    """The parameters with which the model fits; empty for none."""
+    fits = [
+        f"{each.name} ({figure(each.value, each.unit)}; then {figure(each.rms, 's')} rms)"
+        for each in fitted.others
+        if each.fits
+    ]
+    return f" The model fits if one of these is free, too: {listed(fits)}." if fits else ""
+
+
+def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     """Reasons not to use the values; none where the model may be right."""
     if not fitted.converged:
         yield ReportLine(
             "error",
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, or free other"
-            f" parameters (docs/misfit.md).{_about_time(fitted.family.system)}",
+            f" parameters (docs/misfit.md).{_about_time(fitted.family.system)}"
+            f"{_about_others(fitted)}",
+        )
+    elif not check.fits:
+        stamps = counted(len(fitted.shifts), "stamp")
+        yield ReportLine(
+            "error",
+            f"The model does not fit: {stamps} differ from its impacts by"
+            f" {figure(fitted.rms, 's')} rms{_declared(fitted)}:"
+            f" {'; '.join(_reasons(fitted, check))}.{_about_others(fitted) or _NO_OTHER}",
         )
     if fitted.declared and fitted.rms > _OTHER * fitted.clock and not _may_be_a_clock(fitted):
         yield ReportLine(
@@ -359,7 +388,9 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
     if check.size is not None and check.size < REJECTED:
         yield f"shifts are {fitted.rms / fitted.clock:.3g} times the declared clock error"
     if check.white < REJECTED:
-        yield "neighbouring shifts are correlated"
+        yield f"neighbouring shifts are correlated (probability {check.white:.2g})"
+    if check.missed:
+        yield f"the shifts are those of another {listed(check.missed, _SHOWN, ' or ')}"
     for fit in fitted.sensors:
         if fit.size < REJECTED:
             ratio = fit.rms / fit.deviation
@@ -403,7 +434,7 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
 
 
 def _about_check(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
-    """The tests of size and whiteness, and their verdict."""
+    """The tests of size and whiteness, and whether the model fits."""
     if check.size is not None:
         yield ReportLine(
             "note",

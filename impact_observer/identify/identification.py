@@ -15,10 +15,15 @@ from impact_observer.events import ImpactEvent
 from impact_observer.identify.first_guess import directions
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import usual_size
+from impact_observer.identify.other_parameters import (
+    OtherParameter,
+    fits_with_others,
+    missed_parameters,
+)
 from impact_observer.identify.outliers import outliers_by_observer
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
-from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
+from impact_observer.identify.residuals import ROUNDED, HeldBack, explained, widening
 from impact_observer.identify.search import (
     combinations_of,
     fit,
@@ -30,7 +35,7 @@ from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
 from impact_observer.identify.sensor_rows import used_samples
 from impact_observer.identify.smoothed_start import is_crowded, smoothed_start
 from impact_observer.model import System
-from impact_observer.model.free_parameters import OFFSET
+from impact_observer.model.free_parameters import OFFSET, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
@@ -83,6 +88,10 @@ class Identification:
         doubted: most impacts that were rejected and inserted in any search for outliers.
         accepted: standard deviation of a stamp estimated with all impacts accepted, s.
         sensors: how samples of what is measured beside the impacts fit.
+        missed: names of parameters that were not free, each of which explains more of the shifts
+            than chance does; none of a fit that did not converge.
+        others: fits with one of these free, too, or with any other where the fit did not converge;
+            none where the model fits.
     """
 
     family: ParametricFamily
@@ -105,6 +114,8 @@ class Identification:
     doubted: int = 0
     accepted: float = 0.0
     sensors: tuple[SensorFit, ...] = ()
+    missed: tuple[str, ...] = ()
+    others: tuple[OtherParameter, ...] = ()
 
     @property
     def errors(self) -> Vector:
@@ -199,10 +210,10 @@ def identify(
     whole = Recording(episode, state=state, report=report, dead_time=dead_time)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
-    identification, problem, solution = search.explaining_fit()
+    identification, problem, solution = found = search.explaining_fit()
     is_checked = identification.converged or trust_events
     checked = last_impacts(problem, solution, held_back) if is_checked else None
-    return replace(identification, held_back=checked)
+    return search.with_others(_Fitted(replace(identification, held_back=checked), *found[1:]))
 
 
 class _Report:
@@ -258,6 +269,28 @@ class _Search(NamedTuple):
             if smoothed and smoothed.identification.converged:
                 return smoothed
         return self._without_outliers(_Fitted(first, problem, solution))
+
+    def with_others(self, fitted: _Fitted) -> Identification:
+        """The identification with the fits of other parameters, if the model does not fit.
+
+        The standard errors become at least the changes of the values by these fits.
+        """
+        own, problem, solution = fitted
+        missed = missed_parameters(problem, solution, self.clock) if own.converged else ()
+        own = replace(own, missed=tuple(each.name for each in missed))
+        sensors_fit = all(each.fits for each in own.sensors)
+        if own.converged and not missed and sensors_fit and explained(solution, self.clock):
+            return own
+        self.report.stage("other parameters")
+        problems = [self.whole.problem(self.family)] if own.recording.outliers else []
+        if own.converged or not problems:
+            problems.append(problem)
+        tried = missed if own.converged else parameters_beside(self.family)
+        others = fits_with_others(tried, problems, solution, self.clock)
+        moved = [np.abs(each.values - own.values) / own.errors for each in others if own.converged]
+        more = max((float(np.max(each, initial=1.0)) for each in moved), default=1.0)
+        covariance, widened = frozen(own.covariance * more**2), own.widened * more
+        return replace(own, others=others, covariance=covariance, widened=widened)
 
     def _explains(self, problem: Problem, solution: Solution) -> bool:
         """Whether a fit is good enough to need no search for outliers."""

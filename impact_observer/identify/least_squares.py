@@ -29,6 +29,7 @@ from impact_observer.identify.first_guess import directions
 from impact_observer.identify.problem import LEAST, Problem, Solution, deviation
 from impact_observer.identify.sensor_rows import Rows
 from impact_observer.identify.shooting import Shot
+from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.states import Matrix, Vector
 
 _STEPS = 40
@@ -94,6 +95,25 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     cost = float(np.sum(now.shifts**2)) + now.squares
     motion = now.y, now.t, now.shot, now.shifts
     return Solution(*motion, counted, step.freedom, step.root, converged, errors, cost)
+
+
+def savings(
+    problem: Problem, solution: Solution, others: Sequence[ModelParameter]
+) -> tuple[Vector, Vector]:
+    """By how much each of ``others`` would lower the cost of a solution if free, linearised.
+
+    Returns:
+        What each would save, s^2, and its change from its value, in its unit, shape (others,)
+        each.
+    """
+    family = problem.family.extended(others)
+    wider = problem._replace(family=family)
+    y = np.concatenate([solution.y, family.nominal[-len(others) :]])
+    ones = np.ones(solution.counted.size)
+    shot = wider.shot(y, solution.t)
+    now = _Iterate(wider, solution.counted, y, solution.t, shot, ones)
+    basis = directions(problem, solution.shot).determined
+    return now.saved_by_last(np.pad(basis, ((0, len(others)), (0, 0))), len(others))
 
 
 def usual_size(shifts: Vector, freedom: float) -> float:
@@ -175,23 +195,14 @@ class _Iterate(NamedTuple):
     def step(self, basis: Matrix) -> _Step:
         """The Gauss-Newton step in the directions ``basis`` and the instants."""
         problem, shot = self.problem, self.shot
-        inserted = [k for k, m in enumerate(problem.moments) if m.hit and not m.measured]
-        A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
-        B = shot.by_instant[:, self.counted]
-        d = -(shot.gaps - B @ self.shifts)
-        sampled = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
-        whole = np.vstack([A, *(each.A for each in sampled)])
+        inserted, A, B, sampled = self._gap_rows(basis)
+        whole, weighed, d = self._stacked(A, B, sampled)
         if len(whole) < whole.shape[1]:
             raise IdentificationError(
                 f"{len(whole)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
             )
-        count, noises = self.counted.size, sum(each.d.size for each in sampled)
-        weighed = np.zeros((len(whole), count + noises))
-        weighed[:, :count] = np.vstack([B, *(each.B for each in sampled)]) / self.weights
-        weighed[len(A) :, count:] = np.eye(noises)
-        x, errors, root = constrained_least_squares(
-            whole, weighed, np.concatenate([d, *(each.d for each in sampled)])
-        )
+        count = self.counted.size
+        x, errors, root = constrained_least_squares(whole, weighed, d)
         e = errors[:count] / self.weights
         r = basis.shape[1]
         t = self.t.copy()
@@ -212,6 +223,38 @@ class _Iterate(NamedTuple):
             )
         return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty, of_sensors)
 
+    def _gap_rows(self, basis: Matrix) -> tuple[list[int], Matrix, Matrix, list["_GapRows"]]:
+        """Moments that were missed, ``A`` and ``B`` of the gaps, and the rows of samples."""
+        moments, shot = self.problem.moments, self.shot
+        inserted = [k for k, m in enumerate(moments) if m.hit and not m.measured]
+        A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
+        sampled = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
+        return inserted, A, shot.by_instant[:, self.counted], sampled
+
+    def _stacked(
+        self, A: Matrix, B: Matrix, sampled: Sequence["_GapRows"]
+    ) -> tuple[Matrix, Matrix, Vector]:
+        """``A``, ``B`` and ``d`` of gaps and samples, with the weights of the shifts."""
+        d = -(self.shot.gaps - B @ self.shifts)
+        whole = np.vstack([A, *(each.A for each in sampled)])
+        count, noises = self.counted.size, sum(each.d.size for each in sampled)
+        weighed = np.zeros((len(whole), count + noises))
+        weighed[:, :count] = np.vstack([B, *(each.B for each in sampled)]) / self.weights
+        weighed[len(A) :, count:] = np.eye(noises)
+        return whole, weighed, np.concatenate([d, *(each.d for each in sampled)])
+
+    def saved_by_last(self, basis: Matrix, count: int) -> tuple[Vector, Vector]:
+        """``savings`` of the last ``count`` parameters; ``basis`` moves the others."""
+        whole, weighed, d = self._stacked(*self._gap_rows(basis)[1:])
+        last = np.eye(self.y.size)[:, -count:]
+        _, A, B, sampled = self._gap_rows(last)
+        columns = self._stacked(A, B, sampled)[0][:, :count]
+        _, errors, _ = constrained_least_squares(whole, weighed, np.column_stack([d, columns]))
+        e, moved = errors[:, 0], errors[:, 1:]
+        squares = np.sum(moved**2, axis=0)
+        changes = moved.T @ e / np.where(squares > 0, squares, np.inf)
+        return changes**2 * squares, changes
+
     def towards(self, step: _Step) -> tuple["_Iterate", float]:
         """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which."""
         before = self.merit(step.penalty)
@@ -221,7 +264,11 @@ class _Iterate(NamedTuple):
         for _ in range(_HALVINGS):
             y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
             y[n2:] = np.clip(y[n2:], low, high)
-            trial = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
+            try:
+                trial = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
+            except ValueError:  # the trial motion overflows
+                length /= 2
+                continue
             if trial.merit(step.penalty) <= before * (1 + 1e-6) + 1e-22:
                 return trial, length
             length /= 2

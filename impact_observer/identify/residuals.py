@@ -79,8 +79,46 @@ def independence(shifts: Vector) -> float:
 
     The rounding of a periodic motion repeats itself, and says nothing against the model.
     """
-    is_rounding = np.sum(shifts**2) <= shifts.size * (2.0 * ROUNDED) ** 2
-    return 1.0 if is_rounding else whiteness(shifts)
+    return 1.0 if is_rounding(shifts) else whiteness(shifts)
+
+
+def is_rounding(shifts: Vector) -> bool:
+    """Whether shifts, s, are as small as the rounding of stamps to 1 ns."""
+    return bool(np.sum(shifts**2) <= shifts.size * (2.0 * ROUNDED) ** 2)
+
+
+def explained(solution: Solution, clock: float | None) -> bool:
+    """Whether white errors of a clock explain the shifts.
+
+    ``clock`` is the declared standard deviation of a stamp, s; None allows errors of any size.
+    """
+    shifts, size = solution.shifts, 1.0
+    if clock is not None:
+        size = probability_of_size(shifts, max(clock, ROUNDED), solution.freedom)
+    return solution.converged and min(size, independence(shifts)) >= REJECTED
+
+
+def probabilities_of_savings(solution: Solution, saved: Vector, clock: float | None) -> Vector:
+    """Probabilities that a parameter which is right saves as much by chance, shape (others,).
+
+    Rao's score test (Large sample tests of statistical hypotheses concerning several parameters,
+    1948): ``saved`` are squares of shifts, s^2, by one degree of freedom each. Bonferroni's factor
+    allows for the number of parameters.
+
+    Args:
+        solution: the fit.
+        saved: from ``savings``.
+        clock: declared standard deviation of a stamp, s; None to take it from the shifts.
+    """
+    if is_rounding(solution.shifts):
+        return np.ones(saved.size)
+    freedom = max(solution.freedom - 1, 1)
+    if clock is None:
+        left = np.maximum(solution.cost - saved, solution.freedom * ROUNDED**2)
+        chances = stats.f.sf(saved / left * freedom, 1, freedom)
+    else:
+        chances = stats.chi2.sf(saved / max(clock, ROUNDED) ** 2, 1)
+    return np.asarray(np.minimum(chances * saved.size, 1.0))
 
 
 def widening(solution: Solution, clock: float | None) -> float:
@@ -88,7 +126,9 @@ def widening(solution: Solution, clock: float | None) -> float:
 
     Otherwise errors of the model are among them. These need not average out, and no formula for
     independent errors applies. The standard errors become those of a jackknife: each fifth of the
-    impacts is left out in turn, and the combination of unknowns that changes most counts.
+    impacts is left out in turn, and the combination of unknowns that changes most counts. Where
+    neighbouring shifts are correlated, the factor is at least that of a mean of shifts whose
+    autocorrelations all add up.
 
     Args:
         solution: the fit.
@@ -100,7 +140,15 @@ def widening(solution: Solution, clock: float | None) -> float:
         return 1.0
     rms = max(solution.rms, ROUNDED)
     excess = 1.0 if clock is None else max(rms / least, 1.0)
-    return float(excess * max(_jackknife(solution) / rms, 1.0))
+    correlated = _correlated(shifts) if independence(shifts) < REJECTED else 1.0
+    return float(excess * max(_jackknife(solution) / rms, correlated))
+
+
+def _correlated(shifts: Vector) -> float:
+    """Largest standard deviation of a mean of ``shifts``, over that of independent ones."""
+    lags = range(1, lags_of(shifts) + 1)
+    sums = [abs(float(shifts[k:] @ shifts[:-k])) for k in lags]
+    return float(np.sqrt(1 + 2 * sum(sums) / np.sum(shifts**2)))
 
 
 def _jackknife(solution: Solution) -> float:

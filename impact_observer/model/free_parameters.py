@@ -93,6 +93,23 @@ def parametric_family(
     return ParametricFamily(system, tuple(available[name] for name in names))
 
 
+def parameters_beside(family: ParametricFamily) -> tuple[ModelParameter, ...]:
+    """What could be free beside the parameters of ``family``, elements apart.
+
+    A ``contact-time`` of 0 is none. A scale does not stand beside the parts of its matrix.
+    """
+    kinds = {name.partition(".")[0] for name in family.names}
+    is_framed, is_sampled = family.system.frame is not None, family.system.forcing.sampled
+    return tuple(
+        each
+        for each in _all(family.system, ())
+        if each.name not in family.names
+        and not (each.name.startswith(CONTACT_TIME) and not each.value)
+        and not (each.name.endswith("-scale") and (is_framed or each.name[:-6] in kinds))
+        and not (each.name == OFFSET and is_sampled is not None)
+    )
+
+
 def _unknown(name: str, available: Collection[str], elements: Sequence[Element]) -> str:
     """The error text for a ``name`` that no parameter of the model has."""
     kinds = dict.fromkeys(each.partition(".")[0] for each in available)

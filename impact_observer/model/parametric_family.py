@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A family of systems that differ by a few parameters, with exact derivatives."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -159,6 +160,10 @@ class ParametricFamily:
             frozen([each.low for each in self.parameters]),
             frozen([each.high for each in self.parameters]),
         )
+
+    def extended(self, others: Iterable[ModelParameter]) -> "ParametricFamily":
+        """The family with ``others`` free, too."""
+        return ParametricFamily(self.system, (*self.parameters, *others))
 
     @property
     def gap_changes(self) -> Matrix:

@@ -127,8 +127,9 @@ def test_a_clock_error_that_makes_outliers_is_named(
     A millisecond may well be the error of a clock, so nothing else is doubted.
     """
     words = ["identify", bag(ROUGH), "--model", str(model), "--free", "restitution"]
-    assert main([*words, "--clock-error", "1e-6"]) == 0
+    assert main([*words, "--clock-error", "1e-6"]) == 1
     said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("error The model does not fit: ")
     assert "warning --clock-error 1e-06 makes outliers: up to " in said
     assert "times the declared clock error" in said
     assert "are no errors of a clock" not in said
@@ -280,6 +281,29 @@ def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
     of_s = clock * np.sqrt(np.linalg.inv(A.T @ A)[1, 1])
     assert height == pytest.approx(g * s**2 / 2, rel=1e-6)
     assert error == pytest.approx(g * s * of_s, rel=1e-3)
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_model_that_does_not_fit_is_said_first_and_written(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The stamps are 4 ms late. With the offset of the clock free the same command ends with 0."""
+    assert main(["simulate", "two_mass", "--duration", "30", "--delay", "0.004", "-o", "bag"]) == 0
+    capsys.readouterr()
+    words = ["identify", "bag", "--clock-error", "0.001"]
+    assert main([*words, "--free", "restitution", "-o", "late.yaml"]) == 1
+    said = capsys.readouterr()
+    first = said.out.splitlines()[0]
+    assert first.startswith("error  The model does not fit: ")
+    assert "clock-offset (0.004 s; then" in first
+    assert "Standard errors are widened by a factor of" in said.out
+    assert "model: late.yaml" in said.out
+    assert said.err == ""
+    assert read_model("late.yaml").provenance is not None
+    assert main([*words, "--free", "restitution", "--accept"]) == 0
+    assert capsys.readouterr().out.startswith(first)
+    assert main([*words, "--free", "restitution,clock-offset"]) == 0
+    assert "does not fit" not in capsys.readouterr().out
 
 
 @pytest.mark.slow

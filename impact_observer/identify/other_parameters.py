@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameters that were not free would explain what a fitted model does not."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.errors import IdentificationError
+from impact_observer.identify.least_squares import savings
+from impact_observer.identify.problem import Problem, Solution
+from impact_observer.identify.residuals import (
+    REJECTED,
+    explained,
+    probabilities_of_savings,
+)
+from impact_observer.identify.search import fit, gated
+from impact_observer.identify.sensor_fit import sensor_fits
+from impact_observer.model.free_parameters import parameters_beside
+from impact_observer.model.parametric_family import ModelParameter
+from impact_observer.states import Vector
+
+_ALIKE = 2.0
+"""Shifts over those of the best fit, up to which another parameter explains the stamps, too."""
+
+
+class OtherParameter(NamedTuple):
+    """A fit with one more free parameter.
+
+    Attributes:
+        name: of the parameter that was not free.
+        value: fitted, in its unit.
+        unit: SI unit; empty for a ratio.
+        rms: of the shifts, s.
+        fits: whether the model fits with the parameter free.
+        values: of the parameters that were free before, shape (p,), SI units.
+    """
+
+    name: str
+    value: float
+    unit: str
+    rms: float
+    fits: bool
+    values: Vector
+
+
+def missed_parameters(
+    problem: Problem, solution: Solution, clock: float | None
+) -> tuple[ModelParameter, ...]:
+    """The parameters that the shifts ask for: each explains more of them than chance does.
+
+    ``clock`` is the declared standard deviation of a stamp, s; None if unknown.
+    """
+    others = parameters_beside(problem.family)
+    if not others or solution.freedom <= 1:
+        return ()
+    saved, changes = savings(problem, solution, others)
+    chances = probabilities_of_savings(solution, saved, clock)
+    rows = zip(others, chances.tolist(), changes.tolist(), strict=True)
+    return tuple(
+        each
+        for each, chance, change in rows
+        # beyond the size of a parameter the derivative says nothing
+        if chance < REJECTED and abs(change) <= each.size and _is_within(each, change)
+    )
+
+
+def _is_within(parameter: ModelParameter, change: float) -> bool:
+    return parameter.low < parameter.value + change < parameter.high
+
+
+def fits_with_others(
+    others: Iterable[ModelParameter],
+    problems: Sequence[Problem],
+    solution: Solution,
+    clock: float | None,
+) -> tuple[OtherParameter, ...]:
+    """The fits with each of ``others`` free, those first whose shifts are smallest.
+
+    Args:
+        others: parameters that were not free.
+        problems: what is fitted, until one fits: a recording with all impacts, and without
+            outliers.
+        solution: the fit without these parameters; the fits begin there.
+        clock: declared standard deviation of a stamp, s; None if unknown.
+    """
+    found = [
+        best
+        for each in others
+        if (best := min(_fits(each, problems, solution, clock), key=_rank, default=None))
+    ]
+    least = min((each.rms for each in found if each.fits), default=0.0)
+    alike = [each._replace(fits=each.fits and each.rms <= _ALIKE * least) for each in found]
+    return tuple(sorted(alike, key=_rank))
+
+
+def _rank(other: OtherParameter) -> tuple[bool, float]:
+    return not other.fits, other.rms
+
+
+def _fits(
+    parameter: ModelParameter,
+    problems: Sequence[Problem],
+    solution: Solution,
+    clock: float | None,
+) -> Iterator[OtherParameter]:
+    """The fits of the problems with the parameter free, up to the first that fits."""
+    for problem in problems:
+        wider = problem._replace(family=problem.family.extended([parameter]), near=None)
+        try:
+            wider, found = gated(*fit(wider, np.append(solution.y, parameter.value)))
+        except (IdentificationError, ValueError):
+            continue  # too few impacts, or motions that overflow
+        if not found.converged:
+            continue
+        fits = found.rms < solution.rms and explained(found, clock)
+        fits = fits and all(each.fits for each in sensor_fits(wider, found))
+        values, value = found.y[2 * problem.family.system.n : -1], float(found.y[-1])
+        yield OtherParameter(parameter.name, value, parameter.unit, found.rms, fits, values)
+        if fits:
+            return
