@@ -122,8 +122,16 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "held_back": fitted.held_back
         and {**fitted.held_back._asdict(), "carries_over": fitted.held_back.carries_over},
         "fits": check.fits and fitted.converged,
-        "missed": list(fitted.missed),
-        "others": [{**each._asdict(), "values": each.values.tolist()} for each in fitted.others],
+        "others": {
+            each.name: {
+                "value": each.value,
+                "unit": each.unit,
+                "residual": each.rms,
+                "fits": each.fits,
+                "parameters": dict(zip(family.names, each.values.tolist(), strict=True)),
+            }
+            for each in fitted.others
+        },
         "parameters": {
             each.name: {
                 "given": each.value,
@@ -390,7 +398,7 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
     if check.white < REJECTED:
         yield f"neighbouring shifts are correlated (probability {check.white:.2g})"
     if check.missed:
-        yield f"the shifts are those of another {listed(check.missed, _SHOWN, ' or ')}"
+        yield f"another {listed(check.missed, _SHOWN, ' or ')} explains a part of the shifts"
     for fit in fitted.sensors:
         if fit.size < REJECTED:
             ratio = fit.rms / fit.deviation

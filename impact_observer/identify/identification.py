@@ -286,7 +286,8 @@ class _Search(NamedTuple):
         if own.converged or not problems:
             problems.append(problem)
         tried = missed if own.converged else parameters_beside(self.family)
-        others = fits_with_others(tried, problems, solution, self.clock)
+        lost = not own.converged
+        others = fits_with_others(tried, problems, solution, self.clock, is_lost=lost)
         moved = [np.abs(each.values - own.values) / own.errors for each in others if own.converged]
         more = max((float(np.max(each, initial=1.0)) for each in moved), default=1.0)
         covariance, widened = frozen(own.covariance * more**2), own.widened * more

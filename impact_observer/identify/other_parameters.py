@@ -24,6 +24,10 @@ _ALIKE = 2.0
 """Shifts over those of the best fit, up to which another parameter explains the stamps, too."""
 
 
+_FIRST = 24
+"""Moments that a fit begins with where the fit without the parameter is lost."""
+
+
 class OtherParameter(NamedTuple):
     """A fit with one more free parameter.
 
@@ -74,6 +78,8 @@ def fits_with_others(
     problems: Sequence[Problem],
     solution: Solution,
     clock: float | None,
+    *,
+    is_lost: bool,
 ) -> tuple[OtherParameter, ...]:
     """The fits with each of ``others`` free, those first whose shifts are smallest.
 
@@ -81,14 +87,14 @@ def fits_with_others(
         others: parameters that were not free.
         problems: what is fitted, until one fits: a recording with all impacts, and without
             outliers.
-        solution: the fit without these parameters; the fits begin there.
+        solution: the fit without these parameters; the fits begin there unless it is lost.
         clock: declared standard deviation of a stamp, s; None if unknown.
+        is_lost: whether the solution explains nothing, so that the fits begin with a few moments.
     """
-    found = [
-        best
-        for each in others
-        if (best := min(_fits(each, problems, solution, clock), key=_rank, default=None))
-    ]
+    found = []
+    for each in others:
+        tried = [*_fits(each, problems, solution, clock, is_lost=is_lost)]
+        found += sorted(tried, key=_rank)[:1]
     least = min((each.rms for each in found if each.fits), default=0.0)
     alike = [each._replace(fits=each.fits and each.rms <= _ALIKE * least) for each in found]
     return tuple(sorted(alike, key=_rank))
@@ -103,12 +109,21 @@ def _fits(
     problems: Sequence[Problem],
     solution: Solution,
     clock: float | None,
+    *,
+    is_lost: bool,
 ) -> Iterator[OtherParameter]:
     """The fits of the problems with the parameter free, up to the first that fits."""
+    near = np.append(solution.y, parameter.value)
     for problem in problems:
         wider = problem._replace(family=problem.family.extended([parameter]), near=None)
         try:
-            wider, found = gated(*fit(wider, np.append(solution.y, parameter.value)))
+            if is_lost:
+                first = wider._replace(moments=wider.moments[:_FIRST])
+                begun = fit(first)[1]
+                if not explained(begun, clock):
+                    continue
+                near = begun.y
+            wider, found = gated(*fit(wider, near))
         except (IdentificationError, ValueError):
             continue  # too few impacts, or motions that overflow
         if not found.converged:

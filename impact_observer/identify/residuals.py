@@ -108,16 +108,17 @@ def probabilities_of_savings(solution: Solution, saved: Vector, clock: float | N
     Args:
         solution: the fit.
         saved: from ``savings``.
-        clock: declared standard deviation of a stamp, s; None to take it from the shifts.
+        clock: declared standard deviation of a stamp, s; None for none. The shifts show another,
+            and the larger one counts.
     """
     if is_rounding(solution.shifts):
         return np.ones(saved.size)
     freedom = max(solution.freedom - 1, 1)
-    if clock is None:
-        left = np.maximum(solution.cost - saved, solution.freedom * ROUNDED**2)
-        chances = stats.f.sf(saved / left * freedom, 1, freedom)
-    else:
-        chances = stats.chi2.sf(saved / max(clock, ROUNDED) ** 2, 1)
+    left = np.maximum(solution.cost - saved, solution.freedom * ROUNDED**2)
+    chances = stats.f.sf(saved / left * freedom, 1, freedom)
+    if clock is not None:
+        declared = stats.chi2.sf(saved / max(clock, ROUNDED) ** 2, 1)
+        chances = np.maximum(chances, declared)
     return np.asarray(np.minimum(chances * saved.size, 1.0))
 
 
