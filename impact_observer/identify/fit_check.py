@@ -20,6 +20,7 @@ class FitCheck:
 
     Attributes:
         size: probability of shifts this large under the declared clock error; None without one.
+        large: whether shifts are large and no clock error is declared.
         white: probability of autocorrelations this large of independent shifts (Ljung and Box,
             On a measure of lack of fit in time series models, 1978).
         lags: of the autocorrelations.
@@ -30,6 +31,7 @@ class FitCheck:
     """
 
     size: float | None
+    large: bool
     white: float
     lags: int
     by_contact: dict[str, tuple[int, float, float]]
@@ -41,7 +43,8 @@ class FitCheck:
     def fits(self) -> bool:
         """Whether no test rejects the model, of stamps or of sensors."""
         size = 1.0 if self.size is None else self.size
-        return min(self.white, size) >= REJECTED and not (self.odd or self.missed)
+        odd = self.large or self.odd or self.missed
+        return min(self.white, size) >= REJECTED and not odd
 
 
 def check_fit(fitted: Identification) -> FitCheck:
@@ -60,6 +63,7 @@ def check_fit(fitted: Identification) -> FitCheck:
         size = probability_of_size(shifts, fitted.clock, fitted.freedom)
     return FitCheck(
         size=size,
+        large=fitted.large,
         white=independence(shifts),
         lags=lags_of(shifts),
         by_contact=by_contact,

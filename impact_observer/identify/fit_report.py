@@ -23,7 +23,7 @@ from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
-from impact_observer.identify.residuals import REJECTED
+from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
 from impact_observer.model import System, parse_model
@@ -226,7 +226,9 @@ def _about_others(fitted: Identification) -> str:
         for each in fitted.others
         if each.fits
     ]
-    return f" The model fits if one of these is free, too: {listed(fits)}." if fits else ""
+    and_clock = ", and --clock-error declared" if fitted.large else ""
+    text = f" The model fits if one of these is free, too{and_clock}: {listed(fits)}."
+    return text if fits else ""
 
 
 def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
@@ -393,19 +395,22 @@ def _about_errors(fitted: Identification, check: FitCheck) -> Iterator[ReportLin
 
 def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
     """Reasons why the shifts are not white errors of the clock."""
-    if check.size is not None and check.size < REJECTED:
+    if check.size is not None and check.size < DOUBTED:
         yield f"shifts are {fitted.rms / fitted.clock:.3g} times the declared clock error"
-    if check.white < REJECTED:
+    if check.large:
+        times = fitted.rms / UNDECLARED * 1e6
+        yield f"shifts are {times:.2g} times the rounding of stamps; no --clock-error is declared"
+    if check.white < DOUBTED:
         yield f"neighbouring shifts are correlated (probability {check.white:.2g})"
     if check.missed:
         yield f"another {listed(check.missed, _SHOWN, ' or ')} explains a part of the shifts"
     for fit in fitted.sensors:
-        if fit.size < REJECTED:
+        if fit.size < DOUBTED:
             ratio = fit.rms / fit.deviation
             yield f"errors of {fit.name} are {ratio:.3g} times the declared deviation"
-        if fit.white < REJECTED:
+        if fit.white < DOUBTED:
             yield f"neighbouring errors of {fit.name} are correlated"
-    if not fitted.declared:
+    if not (fitted.declared or check.large):
         yield "without --clock-error an error of the model looks like one of the clock"
 
 

@@ -23,7 +23,15 @@ from impact_observer.identify.other_parameters import (
 from impact_observer.identify.outliers import outliers_by_observer
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
-from impact_observer.identify.residuals import ROUNDED, HeldBack, explained, widening
+from impact_observer.identify.residuals import (
+    DOUBTED,
+    REJECTED,
+    ROUNDED,
+    UNDECLARED,
+    HeldBack,
+    explained,
+    widening,
+)
 from impact_observer.identify.search import (
     combinations_of,
     fit,
@@ -116,6 +124,11 @@ class Identification:
     sensors: tuple[SensorFit, ...] = ()
     missed: tuple[str, ...] = ()
     others: tuple[OtherParameter, ...] = ()
+
+    @property
+    def large(self) -> bool:
+        """Whether shifts are above ``UNDECLARED`` and no clock error is declared."""
+        return not self.declared and self.rms > UNDECLARED
 
     @property
     def errors(self) -> Vector:
@@ -276,16 +289,18 @@ class _Search(NamedTuple):
         The standard errors become at least the changes of the values by these fits.
         """
         own, problem, solution = fitted
-        missed = missed_parameters(problem, solution, self.clock) if own.converged else ()
+        rows, tried = (problem, solution, self.clock), parameters_beside(self.family)
+        missed = missed_parameters(*rows, REJECTED) if own.converged else ()
         own = replace(own, missed=tuple(each.name for each in missed))
-        sensors_fit = all(each.fits for each in own.sensors)
-        if own.converged and not missed and sensors_fit and explained(solution, self.clock):
+        odd = missed or own.large or not all(each.fits for each in own.sensors)
+        if own.converged and not odd and explained(solution, self.clock):
             return own
         self.report.stage("other parameters")
         problems = [self.whole.problem(self.family)] if own.recording.outliers else []
         if own.converged or not problems:
             problems.append(problem)
-        tried = missed if own.converged else parameters_beside(self.family)
+        if own.converged:
+            tried = missed_parameters(*rows, DOUBTED)
         lost = not own.converged
         others = fits_with_others(tried, problems, solution, self.clock, is_lost=lost)
         moved = [np.abs(each.values - own.values) / own.errors for each in others if own.converged]

@@ -10,7 +10,6 @@ from impact_observer.errors import IdentificationError
 from impact_observer.identify.least_squares import savings
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.residuals import (
-    REJECTED,
     explained,
     probabilities_of_savings,
 )
@@ -22,8 +21,6 @@ from impact_observer.states import Vector
 
 _ALIKE = 2.0
 """Shifts over those of the best fit, up to which another parameter explains the stamps, too."""
-
-
 _FIRST = 24
 """Moments that a fit begins with where the fit without the parameter is lost."""
 
@@ -49,11 +46,12 @@ class OtherParameter(NamedTuple):
 
 
 def missed_parameters(
-    problem: Problem, solution: Solution, clock: float | None
+    problem: Problem, solution: Solution, clock: float | None, limit: float
 ) -> tuple[ModelParameter, ...]:
     """The parameters that the shifts ask for: each explains more of them than chance does.
 
-    ``clock`` is the declared standard deviation of a stamp, s; None if unknown.
+    ``clock`` is the declared standard deviation of a stamp, s; None if unknown. Below ``limit`` a
+    probability is no chance.
     """
     others = parameters_beside(problem.family)
     if not others or solution.freedom <= 1:
@@ -65,7 +63,7 @@ def missed_parameters(
         each
         for each, chance, change in rows
         # beyond the size of a parameter the derivative says nothing
-        if chance < REJECTED and abs(change) <= each.size and _is_within(each, change)
+        if chance < limit and abs(change) <= each.size and _is_within(each, change)
     )
 
 

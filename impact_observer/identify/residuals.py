@@ -9,8 +9,14 @@ from scipy import linalg, stats
 from impact_observer.identify.problem import Solution
 from impact_observer.states import Vector
 
-REJECTED = 1e-3
+REJECTED = 1e-6
 """Probability of the shifts under the model below which the model is rejected."""
+DOUBTED = 1e-3
+"""Probability of the shifts under the model below which standard errors are widened."""
+UNDECLARED = 1e-3
+"""Size above which shifts are no errors of a clock of which none is declared, s: a million times
+the rounding of stamps.
+"""
 ROUNDED = 1e-9 / np.sqrt(12)
 """Standard deviation of a stamp that is wrong by its rounding only, s."""
 _PARTS = 5
@@ -41,7 +47,7 @@ class HeldBack(NamedTuple):
     @property
     def carries_over(self) -> bool:
         """Whether the predictions are as good as the fit."""
-        return self.probability >= REJECTED
+        return self.probability >= DOUBTED
 
     @staticmethod
     def between(first: Solution, every: Solution) -> "HeldBack":
@@ -137,11 +143,11 @@ def widening(solution: Solution, clock: float | None) -> float:
     """
     shifts, least = solution.shifts, max(clock or 0.0, ROUNDED)
     size = probability_of_size(shifts, least, solution.freedom)
-    if size >= REJECTED and independence(shifts) >= REJECTED:
+    if size >= DOUBTED and independence(shifts) >= DOUBTED:
         return 1.0
     rms = max(solution.rms, ROUNDED)
     excess = 1.0 if clock is None else max(rms / least, 1.0)
-    correlated = _correlated(shifts) if independence(shifts) < REJECTED else 1.0
+    correlated = _correlated(shifts) if independence(shifts) < DOUBTED else 1.0
     return float(excess * max(_jackknife(solution) / rms, correlated))
 
 

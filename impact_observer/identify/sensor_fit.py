@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from impact_observer.identify.problem import Problem, Solution
-from impact_observer.identify.residuals import REJECTED, whiteness
+from impact_observer.identify.residuals import DOUBTED, REJECTED, whiteness
 from impact_observer.states import Vector
 
 _LAGS = 4.0
@@ -50,8 +50,8 @@ class SensorFit:
     @property
     def widening(self) -> float:
         """Factor of the standard errors: 1 where white noise of its size explains the errors."""
-        larger = self.rms / self.deviation if self.size < REJECTED else 1.0
-        return larger * (self.correlated if self.white < REJECTED else 1.0)
+        larger = self.rms / self.deviation if self.size < DOUBTED else 1.0
+        return larger * (self.correlated if self.white < DOUBTED else 1.0)
 
 
 def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:

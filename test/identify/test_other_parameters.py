@@ -107,7 +107,7 @@ def test_stamps_that_are_late_by_strength_do_not_fit(clock: float | None) -> Non
         ({}, None),
         ({}, 1e-4),
         ({"jitter": 1e-3}, 1e-3),
-        ({"jitter": 1e-3}, None),
+        ({"jitter": 5e-4}, None),
         pytest.param({"jitter": 1e-3, "missed": 0.2}, 1e-3, marks=pytest.mark.slow),
         pytest.param({"jitter": 1e-3, "spurious": 0.04}, 1e-3, marks=pytest.mark.slow),
     ],
@@ -127,6 +127,18 @@ def test_the_right_model_fits(faults: dict[str, float], clock: float | None, see
     assert check_fit(found).fits
     assert found.others == ()
     assert np.all(np.abs(found.values - found.family.nominal) < 4 * found.errors)
+
+
+@pytest.mark.parametrize(("clock", "fits"), [(None, False), (3e-3, True)])
+def test_shifts_of_milliseconds_fit_only_a_clock_that_is_declared(
+    clock: float | None, fits: bool
+) -> None:
+    """A jitter of 3 ms is nine million times the rounding of stamps."""
+    rng = np.random.default_rng(0)
+    late = rng.normal(0.0, 3e-3, len(shaken().events))
+    found = fitted(SHAKER, late_by([from_seconds(each) for each in late]), clock)
+    assert found.converged
+    assert check_fit(found).fits == fits
 
 
 @lru_cache
