@@ -4,6 +4,7 @@
 import argparse
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 
 if TYPE_CHECKING:
-    from impact_observer.io.csv_file import CsvForm
+    from impact_observer.io.table_layout import TableForm
 
 CONVERGENCE = ("ensemble", "agreed")
 """Options on whether an estimate has converged; only ``observe`` offers them."""
@@ -199,7 +200,7 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     """Add the form of a table of times, which ``table_form`` returns."""
     parser.add_argument(
         "--time-unit",
-        choices=("s", "ms", "us", "ns"),
+        choices=("s", "ms", "us", "ns", "min", "h"),
         help="of the times (default: that in the header, else s)",
     )
     parser.add_argument(
@@ -211,13 +212,39 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     column = "name of the column of time (default: time, or time with its unit)"
     parser.add_argument("--time-column", metavar="NAME", help=column)
     parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
+    parser.add_argument(
+        "--separator",
+        choices=("tab", "semicolon", "comma", "blank"),
+        help="of columns (default: the one that fits)",
+    )
+    parser.add_argument(
+        "--skip-rows",
+        metavar="N",
+        type=seed,
+        default=0,
+        help="lines at the beginning that are not read (default: those above the header)",
+    )
+    parser.add_argument(
+        "--frame-rate",
+        metavar="HZ",
+        type=rate,
+        help="makes times of a column of frames or samples, such as 240 or 30000/1001; without"
+        " such a column and without times the rows of a signal are counted",
+    )
 
 
-def table_form(args: argparse.Namespace) -> "CsvForm":
+def table_form(args: argparse.Namespace) -> "TableForm":
     """The form of a table."""
-    from impact_observer.io.csv_file import CsvForm
+    from impact_observer.io.table_layout import TableForm
 
-    return CsvForm(args.time_unit, args.time_column, args.sort)
+    return TableForm(
+        unit=args.time_unit,
+        time_column=args.time_column,
+        sort=args.sort,
+        separator=args.separator,
+        skip_rows=args.skip_rows,
+        frame_rate=args.frame_rate,
+    )
 
 
 def _start(text: str) -> int:
@@ -264,6 +291,17 @@ def positive(text: str) -> float:
     value = number(text)
     if not value > 0:
         raise argparse.ArgumentTypeError(f"{text} found; expected a number above 0")
+    return value
+
+
+def rate(text: str) -> Fraction:
+    """An exact number of Hz above zero, as a decimal or a fraction."""
+    try:
+        value = Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        value = Fraction(0)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text} found; expected a number of Hz above 0")
     return value
 
 

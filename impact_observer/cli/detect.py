@@ -91,10 +91,10 @@ def _in_bag(
     """Detect in a bag."""
     from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.errors import UsageError
-    from impact_observer.io.csv_file import CsvForm
     from impact_observer.io.reader import BagReader
+    from impact_observer.io.table_layout import TableForm
 
-    if table_form(args) != CsvForm() or args.start is not None:
+    if table_form(args) != TableForm() or args.start is not None:
         raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")
     sources = _sources(args, model)
     with BagReader(args.bag) as reader:
@@ -137,6 +137,7 @@ def _in_signal(
     rows = f"{result.rows} rows in {result.seconds:.6g} s"
     if result.seconds:
         rows += f" ({(result.rows - 1) / result.seconds:.4g} Hz)"
+    rows += f", {signal.times}" if signal.times else ""
     progress.line(f"{args.bag}: {rows}; time 0 is stamp {text(signal.start)} s, {known}")
     return result
 

@@ -60,9 +60,11 @@ def run(args: argparse.Namespace) -> int:
             each=hits.add_event,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
+        lines = imported.remarks
         if model is not None:
-            for line in doubts(args.output, hits, model.system, has_covariance=False):
-                progress.line(f"warning: {line}")
+            lines += doubts(args.output, hits, model.system, has_covariance=False)
+        for line in lines:
+            progress.line(f"warning: {line}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0
@@ -79,6 +81,6 @@ def _summary(imported: "Imported") -> str:
     if not (imported.epoch or imported.start):
         epoch += ", as a stamp of 0 is none (--start 1 makes time 0 a stamp)"
     events = f"{counted(imported.events, 'event')} of {counted(imported.rows, 'row')}"
-    events += f", times in {imported.unit}"
+    events += f", {imported.times}"
     states = f", {imported.states} true states" if imported.states else ""
     return f"{events}{states}, {span}; {zero}, {epoch}"

@@ -72,6 +72,7 @@ def detect_signal(
         writer.declare(interfaces.IMPACTS.topic)
         result.rows, last = _run(signal, writer, detector, progress)
         result.seconds = seconds_between(signal.first, last)
+        result.doubts += signal.remarks()
         result.finish(signal.path, detector, model)
     return result
 

@@ -14,10 +14,11 @@ from impact_observer import __version__
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import interfaces
-from impact_observer.io.csv_file import CsvForm, start_of
 from impact_observer.io.csv_tables import FORM, ImpactRow, ImpactTable, StateRow, StateTable
 from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
+from impact_observer.io.table_file import start_of
+from impact_observer.io.table_layout import TableForm
 from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
 from impact_observer.stamps import MAX_STAMP, text
@@ -38,8 +39,9 @@ class Imported:
         epoch: stamp of ``t = 0`` that the events carry, ns; 0 for unknown.
         first: stamp of the first event, ns.
         last: stamp of the last event, ns.
-        unit: in which the file's times were read: s, ms, us or ns.
+        times: words for the form of the file's times, such as ``times in ms``.
         ignored: names of the columns of impacts that were not read.
+        remarks: what was left out, a line each.
     """
 
     events: int
@@ -49,8 +51,9 @@ class Imported:
     epoch: int
     first: int
     last: int
-    unit: str
+    times: str
     ignored: tuple[str, ...]
+    remarks: list[str]
 
 
 def import_csv(
@@ -59,7 +62,7 @@ def import_csv(
     *,
     model: Model | None = None,
     truth: Path | None = None,
-    form: CsvForm | None = None,
+    form: TableForm | None = None,
     start: int | None = None,
     epoch: int | None = None,
     flush: float = FLUSH,
@@ -88,7 +91,7 @@ def import_csv(
             without a model.
         BagError: the bag cannot be written.
     """
-    form = form or CsvForm()
+    form = form or TableForm()
     table = ImpactTable(path, form, None if model is None else model.system.contact_names)
     numbers = count(1)
 
@@ -127,8 +130,9 @@ def import_csv(
         epoch=zero,
         first=start + first.time,
         last=last,
-        unit=table.unit,
+        times=table.times,
         ignored=table.ignored,
+        remarks=table.remarks(),
     )
 
 
@@ -173,7 +177,7 @@ def _events(
 
 
 def _states(
-    path: Path, form: CsvForm, model: Model | None, start: int, read: Callable[[], object]
+    path: Path, form: TableForm, model: Model | None, start: int, read: Callable[[], object]
 ) -> Iterator[tuple[int, str, AnyMessage]]:
     """Stamps (ns), topic and messages of the true states."""
     if model is None:
@@ -204,6 +208,7 @@ def _switches(path: Path, rows: Sequence[ImpactRow]) -> tuple[Switch, ...]:
             kind = row.switch.kind.name.lower()
             raise UsageError(
                 f"{path}, line {row.line}: {kind} of {row.switch.contact!r} stands in line"
-                f" {other.line} already, at the same time; remove one"
+                f" {other.line} already, at the same time; remove one, or write times with more"
+                " digits"
             )
     return tuple(rows_by_switch)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impact times and true states in CSV files, row by row."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from impact_observer.events import Kind, Switch
-from impact_observer.io.csv_file import CsvFile, CsvForm
+from impact_observer.io.table_file import TableFile
+from impact_observer.io.table_layout import TableForm
 from impact_observer.states import Vector, frozen
 
 FORM = "time[, contact[, kind]]"
@@ -51,32 +52,33 @@ class ImpactTable:
     def __init__(
         self,
         path: Path,
-        form: CsvForm,
+        form: TableForm,
         contacts: Sequence[str] | None = None,
     ) -> None:
         """Read ``path``; ``contacts`` are those of the model, None without a model."""
-        self._file = CsvFile(path, form, _COLUMNS, what="impact", expected=FORM, bare=True)
+        self._file = TableFile(path, form, _COLUMNS, what="impact", expected=FORM, bare=True)
         self._contacts = contacts
-        self._first: Mapping[str, str] = {}
 
     @property
     def ignored(self) -> tuple[str, ...]:
-        """Names of the columns that are not read; complete after the first row."""
+        """Names of the columns that are not read."""
         return tuple(name for name in self._file.columns if name not in _COLUMNS)
 
     @property
-    def unit(self) -> str:
-        """Unit of time: s, ms, us or ns; known with the first row."""
-        return self._file.unit
+    def times(self) -> str:
+        """Words for the form of the times, such as ``times in ms``."""
+        return self._file.times
+
+    def remarks(self) -> list[str]:
+        """What was left out, a line each; complete after the last row."""
+        return self._file.remarks()
 
     @property
     def signal(self) -> str:
         """Name of an unread column of numbers in a table without contacts; else empty."""
         if "contact" in self._file.columns:
             return ""
-        numbers = (
-            n for n in self.ignored if self._file.number(self._first.get(n, "")) is not None
-        )
+        numbers = (name for name in self.ignored if name in self._file.columns_of_numbers())
         return next(numbers, "")
 
     def rows(self, read: Callable[[], object] = lambda: None) -> Iterator[ImpactRow]:
@@ -86,7 +88,6 @@ class ImpactTable:
             UsageError: names the file, the line, what was found and what is expected.
         """
         for line, time, cells in self._file.in_order(read):
-            self._first = self._first or cells
             contact = self._contact(line, cells.get("contact", ""))
             yield ImpactRow(line, time, Switch(contact, self._kind(line, cells.get("kind", ""))))
 
@@ -119,13 +120,13 @@ class StateTable:
     ``u_x1``.
     """
 
-    def __init__(self, path: Path, form: CsvForm, coordinates: Sequence[str]) -> None:
+    def __init__(self, path: Path, form: TableForm, coordinates: Sequence[str]) -> None:
         """Read ``path``; ``coordinates`` are those of the model."""
         positions = [[f"q_{each}", each] for each in coordinates]
         self._names = positions + [[f"u_{each}"] for each in coordinates]
         wanted = [name for names in self._names for name in names]
         expected = ", ".join(["time", *(names[0] for names in self._names)])
-        self._file = CsvFile(path, form, wanted, what="state", expected=expected)
+        self._file = TableFile(path, form, wanted, what="state", expected=expected)
 
     def rows(self, read: Callable[[], object] = lambda: None) -> Iterator[StateRow]:
         """The rows, one by one; ``read`` is called whenever one was read.
@@ -133,10 +134,8 @@ class StateTable:
         Raises:
             UsageError: names the file, the line, what was found and what is expected.
         """
-        columns: list[str] = []
-        n = len(self._names) // 2
+        columns, n = self._columns(), len(self._names) // 2
         for line, time, cells in self._file.in_order(read):
-            columns = columns or self._columns()
             x = [self._value(line, name, cells.get(name, "")) for name in columns]
             yield StateRow(line, time, frozen(x[:n]), frozen(x[n:]))
 

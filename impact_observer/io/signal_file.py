@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from impact_observer.errors import UsageError
-from impact_observer.io.csv_file import CsvFile, CsvForm, CsvRecord, start_of
+from impact_observer.io.table_file import TableFile, start_of
+from impact_observer.io.table_layout import TableForm
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Matrix
 
@@ -33,9 +34,14 @@ class SignalFile:
         topics: by the name of a column of numbers, the topic that it is taken for.
         start: stamp of the file's time zero, ns.
         first: stamp of the first row, ns.
+        times: words for the form of the times, such as ``times in ms``; empty of a sound.
     """
 
-    def __init__(self, path: Path, form: CsvForm | None = None, start: int | None = None) -> None:
+    times = ""
+
+    def __init__(
+        self, path: Path, form: TableForm | None = None, start: int | None = None
+    ) -> None:
         """Open ``path``.
 
         Args:
@@ -50,8 +56,8 @@ class SignalFile:
         self.path = path
         self._is_table = path.suffix.lower() != _SOUND
         if self._is_table:
-            self._open_table(form or CsvForm(), start)
-        elif form not in (None, CsvForm()):
+            self._open_table(form or TableForm(), start)
+        elif form not in (None, TableForm()):
             raise UsageError(f"{path}: a sound has its times itself; leave out options of a table")
         else:
             self._open_sound(NS_PER_S if start is None else start)
@@ -69,40 +75,43 @@ class SignalFile:
         """
         return self._table_rows(columns) if self._is_table else self._sound_rows(columns)
 
-    def _open_table(self, form: CsvForm, start: int | None) -> None:
+    def _open_table(self, form: TableForm, start: int | None) -> None:
         what = "row of a signal"
-        self._file = CsvFile(self.path, form, (_BARE,), what=what, expected=_FORM, bare=True)
-        self._records = self._file.in_order()
-        if (first := next(self._records, None)) is None:
+        self._table = TableFile(
+            self.path, form, (_BARE,), what=what, expected=_FORM, bare=True, strict=False
+        )
+        if form.frame_rate is not None and not self._table.is_grid:
+            self._table.wrong_header("has a column of time; leave out --frame-rate, or the column")
+        self._rows = self._table.in_order()
+        if (first := next(self._rows, None)) is None:
+            self.remarks()
             raise UsageError(f"{self.path}: holds no row; expected {_FORM} below the header")
-        numbers = [
-            name
-            for name in self._file.columns or first.cells
-            if not first.cells.get(name) or self._file.number(first.cells[name]) is not None
-        ]
+        numbers = self._table.columns_of_numbers()
         if not numbers:
-            self._file.wrong(first.line, f"no number beside the time; expected {_FORM}")
+            self._table.wrong(first.line, f"no number beside the time; expected {_FORM}")
         self.topics = {name: topic_of(name) for name in numbers}
         if len({*self.topics.values()}) < len(numbers):
             problem = f"two columns of one name in {', '.join(numbers)}; rename one"
-            self._file.wrong_header(f"{problem}: only letters and digits count")
+            self._table.wrong_header(f"{problem}: only letters and digits count")
         self.start = start_of(first.time, start)
         self.first = self.start + first.time
-        self._records = chain([first], self._records)
+        self.times = self._table.times
+        self._rows = chain([first], self._rows)
 
     def _table_rows(
         self, columns: Sequence[str]
     ) -> Iterator[tuple[int, tuple[float | None, ...]]]:
-        for record in self._records:
-            yield self.start + record.time, tuple(self._number(record, name) for name in columns)
+        for row in self._rows:
+            numbers = tuple(self._table.value(row, name) for name in columns)
+            yield self.start + row.time, numbers
 
-    def _number(self, record: CsvRecord, column: str) -> float | None:
-        cell = record.cells.get(column, "")
-        number = self._file.number(cell)
-        if cell and number is None:
-            problem = f"{column} is {cell!r}; expected a finite number, or nothing"
-            self._file.wrong(record.line, problem)
-        return None if number is None else float(number)
+    def remarks(self) -> list[str]:
+        """What was left out or is doubtful, a line each; complete after the last row.
+
+        Raises:
+            UsageError: most rows cannot be read, or their times have lost their digits.
+        """
+        return self._table.remarks() if self._is_table else []
 
     def _open_sound(self, start: int) -> None:
         try:

@@ -12,9 +12,9 @@ from systems import examples
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader
-from impact_observer.io.csv_file import CsvForm
 from impact_observer.io.csv_tables import ImpactRow, ImpactTable
 from impact_observer.io.recordings import model_of
+from impact_observer.io.table_layout import TableForm
 
 STOP = (Switch("stop"),)
 EPOCH = 1_000_000_000
@@ -102,7 +102,7 @@ def test_times_are_exact_to_the_nanosecond(
     decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     text = format(Decimal(stamp).scaleb(-decimals), "f")
     path = written(tmp_path_factory.mktemp("csv"), f"time,contact\n{text},stop\n")
-    rows = ImpactTable(path, CsvForm(unit)).rows()
+    rows = ImpactTable(path, TableForm(unit)).rows()
     assert list(rows) == [ImpactRow(2, stamp, Switch("stop"))]
 
 
@@ -159,7 +159,11 @@ def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("0.5,stop\n\n0.6x,stop\n", (), ", line 3: '0.6x' found; expected a time as a decimal"),
         ("0.5,stop\nnan,stop\n", (), ", line 2: 'nan' found; expected a time"),
         ("time,contact\n,stop\n", (), ", line 2: '' found; expected a time"),
-        ("0.5,stop\n1e12,stop\n", (), ", line 2: time 1e12 is too large in s; stamps end at"),
+        (
+            "0.5,stop\n1e12,stop\n",
+            (),
+            ", line 2: time 1e12 is too large for times in s; stamps end at",
+        ),
         ("# x\n0.5\n", (), ", line 2: names no contact; expected a column contact, or a --model"),
         ("time,contact\n0.5,\n", ("--model", "three_mass"), "no contact; expected one of right,"),
         ("0.5,anvil\n", ("--model", "two_mass"), ", line 1: contact 'anvil' is none of the model"),
@@ -321,9 +325,9 @@ def test_a_column_that_may_be_the_time_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The error names the option that reads the column."""
-    said = refused(tmp_path, "az,t\n1,2\n", capsys)
+    said = refused(tmp_path, "az,when [s]\n1,2\n", capsys)
     assert "'az' found; expected a header with a column time" in said
-    assert "--time-column t" in said
+    assert "--time-column 'when [s]'" in said
 
 
 def test_a_column_of_time_that_is_not_there_is_one_line(
