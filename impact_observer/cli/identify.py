@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="what to identify, with commas: restitution, restitution-exponent, gap,"
         " contact-time, friction, stiffness-scale, damping-scale, mass-scale, forcing-amplitude,"
-        " forcing-phase, clock-offset, and of elements stiffness, damping, mass; or one of a kind,"
-        " such as gap.stop or stiffness.ground-x1",
+        " forcing-phase, forcing-frequency, constant-force, clock-offset, and of elements"
+        " stiffness, damping, mass; or one of a kind, such as gap.stop or stiffness.ground-x1",
     )
     parser.add_argument(
         "--clock-error",
@@ -125,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.identify.fit_check import check_fit
     from impact_observer.identify.fit_picture import fit_picture
     from impact_observer.identify.identification import identify
+    from impact_observer.identify.written_uncertainty import refuse_scales_of_parts
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from
@@ -151,6 +152,7 @@ def run(args: argparse.Namespace) -> int:
             say(f"warning: {line}", file=lines)
     # Live signals are known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)
+    refuse_scales_of_parts(family.names, parsed.uncertainty)
     with Progress() as progress:
         try:
             fit = identify(

@@ -26,8 +26,11 @@ from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
-from impact_observer.model import System, parse_model
+from impact_observer.identify.written_uncertainty import written_uncertainty
+from impact_observer.model import ParameterUncertainty, System, parse_model
+from impact_observer.model.declared_deviations import without_deviations
 from impact_observer.model.model_file import ModelText, edited, load_yaml
+from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Vector
@@ -483,7 +486,7 @@ def write_model(
 def model_text(
     fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
 ) -> str:
-    """The given model file with the fitted values, in its own form, with provenance.
+    """The given model file with the fitted values, in its own form, with covariance and origin.
 
     Args:
         fitted: the fitted model.
@@ -506,7 +509,12 @@ def model_text(
     }
     if "provenance" in document:
         provenance["before"] = document["provenance"]
-    entries = changes(document, fitted.family, fitted.values)
+    plain = without_deviations(document).document
+    entries = changes(plain, fitted.family, fitted.values)
+    before = document.get(KEY)
+    known = before and ParameterUncertainty(tuple(before["names"]), before["covariance"])
+    if uncertainty := written_uncertainty(fitted, known):
+        entries[KEY,] = uncertainty.document
     if initial:
         q, u = np.split(_initial_state(fitted), 2)
         entries["initial_state",] = {"position": q.tolist(), "velocity": u.tolist()}

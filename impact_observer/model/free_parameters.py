@@ -3,12 +3,15 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from difflib import get_close_matches
+from functools import partial
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
+from impact_observer.model.live_samples import LiveSamples
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
 from impact_observer.model.system import LONGEST_CONTACT, System
@@ -28,21 +31,26 @@ UNITS = {
     "mass": "kg",
     "forcing-amplitude": "",
     "forcing-phase": "rad",
+    "forcing-frequency": "rad/s",
+    "constant-force": "N",
     "ground-amplitude": "",
     "ground-phase": "rad",
+    "ground-frequency": "rad/s",
     OFFSET: "s",
     CONTACT_TIME: "s",
 }
 """Kinds of free parameters and their SI units; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
-_ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase"}
+_ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
 """Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale; the least value is the inverse."""
 _LONGEST = 0.1
 """Largest offset of a clock, s."""
+_WRONG_FREQUENCY = 0.1
+"""Error that makes a frequency useless, relative to the frequency."""
 
 
 def is_observed(name: str) -> bool:
@@ -89,7 +97,7 @@ def parametric_family(
                 )
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":
-            raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
+            raise UsageError(f"parameter {other!r}: stands beside {one}; name one of them")
     return ParametricFamily(system, tuple(available[name] for name in names))
 
 
@@ -130,15 +138,24 @@ def with_unit(name: str) -> str:
     return f"{words} [{unit}]" if unit else words
 
 
+_RATIO, _FREE = (1 / _LARGEST_RATIO, _LARGEST_RATIO), (-np.inf, np.inf)
+"""Bounds of a ratio, and of a number of any size."""
+
+
+def _parameter(
+    system: System,
+    name: str,
+    value: float,
+    bounds: tuple[float, float],
+    size: float,
+    **change: Matrix,
+) -> ModelParameter:
+    unit, effect = UNITS[name.partition(".")[0]], Coefficients.change(system, **change)
+    return ModelParameter(name, value, *bounds, size, unit, effect)
+
+
 def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter]:
-    ratio, free = (1 / _LARGEST_RATIO, _LARGEST_RATIO), (-np.inf, np.inf)
-
-    def parameter(
-        name: str, value: float, bounds: tuple[float, float], size: float, **change: Matrix
-    ) -> ModelParameter:
-        unit, effect = UNITS[name.partition(".")[0]], Coefficients.change(system, **change)
-        return ModelParameter(name, value, *bounds, size, unit, effect)
-
+    parameter = partial(_parameter, system)
     columns = np.eye(Coefficients.of_system(system).rebound.shape[1])
     for contact, law, one in zip(system.contacts, system.rebounds, np.eye(system.m), strict=True):
         name, gap = contact.name, contact.gap
@@ -146,14 +163,14 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
             own, bounds = f"{each.kind}.{name}", (each.low, each.high)
             change = np.outer(one, column)
             yield parameter(own, each.value, bounds, each.size, rebound=change)
-        yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
+        yield parameter(f"gap.{name}", gap, _FREE, abs(gap) or 1.0, gap=one)
         if law.drives:
             continue
         most, lasts = (0.0, LONGEST_CONTACT), contact.contact_time
         yield parameter(f"{CONTACT_TIME}.{name}", lasts, most, LONGEST_CONTACT, contact_time=one)
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
-            yield parameter(f"{kind}-scale", 1.0, ratio, 1.0, **{part: whole})
+            yield parameter(f"{kind}-scale", 1.0, _RATIO, 1.0, **{part: whole})
     for guide, one in zip(system.guides, np.eye(len(system.guides)), strict=True):
         least = guide.force / _LARGEST_RATIO
         yield parameter(
@@ -164,13 +181,48 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         least = value / _LARGEST_RATIO if kind == "mass" else 0.0
         effect = {_SCALES[kind]: element.matrix}
         yield parameter(f"{kind}.{element.label}", value, (least, np.inf), value, **effect)
-    for label, one in zip(_harmonics(system), np.eye(system.forcing.frequency.size), strict=True):
-        kind, _, number = label.partition(".")
-        yield parameter(f"{kind}-amplitude.{number}", 1.0, ratio, 1.0, amplitude=one)
-        yield parameter(f"{kind}-phase.{number}", 0.0, free, np.pi, phase=one)
+    yield from _of_forcing(system)
     # Stamps that are late by an offset have the effect of a forcing that lags by the offset.
     lag = -system.forcing.frequency
     yield parameter(OFFSET, 0.0, (-_LONGEST, _LONGEST), _LONGEST, phase=lag)
+
+
+def _of_forcing(system: System) -> Iterator[ModelParameter]:
+    """The constant force on each coordinate, and what changes each harmonic."""
+    force, parameter = _usual_force(system), partial(_parameter, system)
+    for name, value, one in zip(
+        system.coordinates, system.forcing.constant.tolist(), np.eye(system.n), strict=True
+    ):
+        yield parameter(f"constant-force.{name}", value, _FREE, force, constant=one)
+    frequencies, turning = system.forcing.frequency.tolist(), _turning(system)
+    for k, (label, one) in enumerate(zip(_harmonics(system), np.eye(turning.size), strict=True)):
+        kind, _, number = label.partition(".")
+        yield parameter(f"{kind}-amplitude.{number}", 1.0, _RATIO, 1.0, amplitude=one)
+        yield parameter(f"{kind}-phase.{number}", 0.0, _FREE, np.pi, phase=one)
+        if turning[k]:
+            continue
+        own, omega = f"{kind}-frequency.{number}", frequencies[k]
+        bounds = omega * _RATIO[0], omega * _RATIO[1]
+        yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
+
+
+def _usual_force(system: System) -> float:
+    """The largest force of the forcing, or of springs that reach a stop, N; 1 without any."""
+    forcing, W = system.forcing, system.W
+    swing = np.sum(np.abs(forcing.cosine) + np.abs(forcing.sine), axis=0)
+    at_stops = system.K @ (W * system.q_r / np.sum(W**2, axis=0))
+    sizes = np.concatenate([np.abs(forcing.constant), swing, np.abs(at_stops).ravel()])
+    return float(np.max(sizes)) or 1.0
+
+
+def _turning(system: System) -> NDArray[np.bool_]:
+    """Whether each harmonic turns with a drive, whose pulses tell its frequency, shape (h,)."""
+    sampled, turning = system.forcing.sampled, np.zeros(system.forcing.frequency.size, dtype=bool)
+    if isinstance(sampled, LiveSamples):
+        return np.asarray(sampled.orders > 0)
+    if system.live is not None:
+        turning[: len(system.live.orders)] = np.array(system.live.orders) > 0
+    return turning
 
 
 def _harmonics(system: System) -> Iterator[str]:

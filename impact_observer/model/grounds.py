@@ -142,6 +142,16 @@ class MovingFrame:
         stiffness, damping = grounds.stiffness - K @ E, grounds.damping - C @ E
         return self.forcing.added(grounds.motion.responded(stiffness, damping, -M @ E))
 
+    def by_frequency(self, M: Matrix, C: Matrix) -> NDArray[np.complex128]:
+        """Derivatives of the complex amplitudes of the grounds' harmonics in ``total``, (h, n).
+
+        Each is by the frequency of its harmonic.
+        """
+        motion, E = self.grounds.motion, self.shift
+        amplitude, damping = motion.cosine - 1j * motion.sine, self.grounds.damping - C @ E
+        by_inertia = 2 * motion.frequency[:, None] * (amplitude @ (M @ E).T)
+        return np.asarray(1j * (amplitude @ damping.T) + by_inertia)
+
     def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
         """``s`` and ``ds/dt`` at instants, ns since the epoch, shape (samples, k) each."""
         motion, angles = self.grounds.motion, self.angles.at_stamps(ns)

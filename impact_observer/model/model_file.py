@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.representer import SafeRepresenter
 
 from impact_observer.errors import ModelError
 from impact_observer.model import elements, sampled_files
+from impact_observer.model.declared_deviations import with_deviations, without_deviations
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
@@ -283,7 +285,8 @@ def load_yaml(text: str) -> Value:
 def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
     """The ``text`` of a model file with changed values; comments and layout stay.
 
-    The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``.
+    The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``. The index
+    behind the last member of a list appends one. A deviation beside a changed value goes.
     """
     yaml = YAML()
     yaml.width = 1_000_000  # ruamel breaks longer lines
@@ -291,14 +294,31 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
     if re.search(r"^ +- ", text, re.MULTILINE):
         yaml.indent(sequence=4, offset=2)
     document = yaml.load(text)
-    for (*path, last), value in changes.items():
-        place = document
+    for (*path, last), found in changes.items():
+        place, value = document, _with_rows(found)
         for part in path:
             place = place[part]
+        if isinstance(place, list) and last == len(place):
+            place.append(value)
+            continue
         place[last] = value
+        if last == "value":
+            place.pop("deviation", None)
     stream = io.StringIO()
     yaml.dump(document, stream)
     return stream.getvalue()
+
+
+def _with_rows(value: Value) -> Value:
+    """``value`` with each list of numbers in one line."""
+    if isinstance(value, Mapping):
+        return {key: _with_rows(each) for key, each in value.items()}
+    if not isinstance(value, list):
+        return value
+    row = CommentedSeq(map(_with_rows, value))
+    if not any(isinstance(each, list | Mapping) for each in value):
+        row.fa.set_flow_style()
+    return row
 
 
 def _model(document: Value, folder: Path | None) -> Model:
@@ -310,13 +330,14 @@ def _model(document: Value, folder: Path | None) -> Model:
         raise ModelError(
             other[0], f"does not go with {form[0]}; write matrices or elements, not both"
         )
-    section = Section("", document, (*_COMMON_KEYS, *form))
+    plain = without_deviations(document)
+    section = Section("", plain.document, (*_COMMON_KEYS, *form))
     name = section.text("name")
     parts: tuple[Element, ...] = ()
     written: dict[str, Value] = {}
     if form is elements.KEYS:
         system, parts = elements.assembled_system(name, section, folder)
-        written = {key: document[key] for key in form if key in document}
+        written = {key: plain.document[key] for key in form if key in document}
         written.pop("grounds", None)
     else:
         system = _system_of_matrices(name, section, folder)
@@ -329,6 +350,7 @@ def _model(document: Value, folder: Path | None) -> Model:
     if not isinstance(provenance, Mapping):
         raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
     provenance = {str(key): value for key, value in provenance.items()}
+    known = read_uncertainty(section, system, parts)
     return Model(
         system,
         position,
@@ -336,7 +358,7 @@ def _model(document: Value, folder: Path | None) -> Model:
         provenance,
         elements=parts,
         element_form=written,
-        uncertainty=read_uncertainty(section, system, parts),
+        uncertainty=with_deviations(known, plain, system, parts),
     )
 
 

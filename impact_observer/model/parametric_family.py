@@ -6,12 +6,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import Contact, Guide, System
 from impact_observer.states import Matrix, Vector, frozen
+
+_OF_FORCING = {"amplitude", "phase", "frequency", "constant"}
+"""Coefficients on which the forcing depends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +31,8 @@ class Coefficients:
             (m, most), at least one column.
         amplitude: amplitudes of the harmonics relative to those of the model, shape (h,).
         phase: lead of the harmonics over those of the model, shape (h,), rad.
+        frequency: angular frequencies of the harmonics, shape (h,), rad/s.
+        constant: constant force, shape (n,), N.
         friction: largest forces of the guides, shape (guides,), N.
         contact_time: duration of an impact, shape (m,), s.
     """
@@ -38,21 +44,22 @@ class Coefficients:
     rebound: Matrix
     amplitude: Vector
     phase: Vector
+    frequency: Vector
+    constant: Vector
     friction: Vector
     contact_time: Vector
 
     @classmethod
     def of_system(cls, system: System) -> "Coefficients":
         """The coefficients of ``system``."""
-        h, lasts = system.forcing.frequency.size, system.contact_time
-        harmonics = np.ones(h), np.zeros(h)
+        frequency, constant = system.forcing.frequency, system.forcing.constant
+        harmonics = np.ones(frequency.size), np.zeros(frequency.size), frequency, constant
         numbers = [[each.value for each in law.parameters] for law in system.rebounds]
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
             row[: len(own)] = own
-        return cls(
-            system.M, system.C, system.K, system.q_r, rebound, *harmonics, system.friction, lasts
-        )
+        last = system.friction, system.contact_time
+        return cls(system.M, system.C, system.K, system.q_r, rebound, *harmonics, *last)
 
     @property
     def parts(self) -> dict[str, Matrix]:
@@ -108,7 +115,7 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on the parameter."""
-        motion = {"M", "C", "K", "amplitude", "phase", "friction"}
+        motion = {"M", "C", "K", "amplitude", "phase", "frequency", "constant", "friction"}
         return not motion.isdisjoint(self.effect.parts)
 
 
@@ -183,14 +190,37 @@ class ParametricFamily:
     def force_changes(self, values: Vector, t: float) -> Matrix:
         """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
         changes = np.zeros((self.size, self.system.n))
-        if all(parts.keys().isdisjoint({"amplitude", "phase"}) for _, parts in self._effects):
+        if all(parts.keys().isdisjoint(_OF_FORCING) for _, parts in self._effects):
             return changes
-        coefficients, forcing = self.coefficients_at(values), self.system.forcing
-        wave = np.exp(1j * (forcing.frequency * t + coefficients.phase))
-        for j, each in enumerate(self.parameters):
-            turn = (each.effect.amplitude + 1j * coefficients.amplitude * each.effect.phase) * wave
-            changes[j] = turn.real @ forcing.cosine + turn.imag @ forcing.sine
+        coefficients = self.coefficients_at(values)
+        amplitudes, by_parameter = self.harmonics(coefficients)
+        wave = np.exp(1j * coefficients.frequency * t)
+        for j, effect in enumerate(each.effect for each in self.parameters):
+            late = wave * (1j * t * effect.frequency)
+            changes[j] = (wave @ by_parameter[j] + late @ amplitudes).real + effect.constant
         return changes
+
+    def harmonics(
+        self, coefficients: Coefficients
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """``A`` of the harmonic force ``Re sum_k A_k exp(i w_k t)``, and its derivatives, N.
+
+        Returns:
+            ``A``, shape (h, n), and its derivatives by the parameters, shape (p, h, n).
+        """
+        forcing, frame = self._unturned(coefficients)
+        given = forcing.cosine - 1j * forcing.sine
+        turn = np.exp(1j * coefficients.phase)[:, None]
+        factor = coefficients.amplitude[:, None] * turn
+        by_frequency = np.zeros_like(given)
+        if frame is not None:
+            own = frame.forcing.frequency.size
+            by_frequency[own:] = frame.by_frequency(coefficients.M, coefficients.C)
+        changes = np.zeros((self.size, *given.shape), dtype=np.complex128)
+        for j, effect in enumerate(each.effect for each in self.parameters):
+            ahead = 1j * effect.phase[:, None] * given + effect.frequency[:, None] * by_frequency
+            changes[j] = effect.amplitude[:, None] * turn * given + factor * ahead
+        return factor * given, changes
 
     def system_at(self, values: Vector) -> System:
         """The system for parameter ``values``, shape (p,).
@@ -224,30 +254,44 @@ class ParametricFamily:
             Guide(each.name, each.direction, force)
             for each, force in zip(self.system.guides, coefficients.friction.tolist(), strict=True)
         )
+        forcing, frame = self._unturned(coefficients)
+        amplitude, phase = coefficients.amplitude, coefficients.phase
+        if frame is not None:
+            own, grounds = frame.forcing.frequency.size, frame.grounds
+            motion = _turned(grounds.motion, amplitude[own:], phase[own:])
+            frame = replace(
+                frame,
+                grounds=replace(grounds, motion=motion),
+                forcing=_turned(frame.forcing, amplitude[:own], phase[:own]),
+            )
         return {
             "M": coefficients.M,
             "C": coefficients.C,
             "K": coefficients.K,
-            "forcing": _turned(self.system.forcing, coefficients.amplitude, coefficients.phase),
+            "forcing": _turned(forcing, amplitude, phase),
             "contacts": contacts,
-            "frame": self._frame_at(coefficients),
+            "frame": frame,
             "guides": guides,
         }
 
-    def _frame_at(self, coefficients: Coefficients) -> MovingFrame | None:
-        """The moving frame for these ``coefficients``; harmonics of the forcing come first."""
-        frame = self.system.frame
+    def _unturned(self, coefficients: Coefficients) -> tuple[Forcing, MovingFrame | None]:
+        """The forcing and the moving frame with these constants and frequencies.
+
+        Amplitudes and phases are those of the model. Harmonics of the forcing come before those
+        of the grounds.
+        """
+        given, frame = self.system.forcing, self.system.frame
+        constant, frequency = coefficients.constant, coefficients.frequency
+        if np.array_equal(constant, given.constant) and np.array_equal(frequency, given.frequency):
+            return given, frame
         if frame is None:
-            return None
-        own = frame.forcing.frequency.size
-        motion = _turned(
-            frame.grounds.motion, coefficients.amplitude[own:], coefficients.phase[own:]
-        )
-        return replace(
-            frame,
-            grounds=replace(frame.grounds, motion=motion),
-            forcing=_turned(frame.forcing, coefficients.amplitude[:own], coefficients.phase[:own]),
-        )
+            return replace(given, constant=constant, frequency=frequency), None
+        own, grounds = frame.forcing.frequency.size, frame.grounds
+        motion = replace(grounds.motion, frequency=frequency[own:])
+        forcing = replace(frame.forcing, constant=constant, frequency=frequency[:own])
+        frame = replace(frame, grounds=replace(grounds, motion=motion), forcing=forcing)
+        total = frame.total(coefficients.M, coefficients.C, coefficients.K)
+        return replace(total, sampled=given.sampled), frame
 
 
 def _turned(forcing: Forcing, amplitude: Vector, phase: Vector) -> Forcing:

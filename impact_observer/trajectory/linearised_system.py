@@ -146,6 +146,8 @@ class LinearisedSystem:
         effects = [each.effect for each in family.parameters]
         self._laws = self.numbers.laws(family.system)
         self._moves = [j for j, each in enumerate(family.parameters) if each.moves]
+        tuned = [each.frequency for each in effects]
+        self._tuned = np.reshape(tuned, (family.size, self.numbers.frequency.size))
         own = family.near(theta) if family.size else family.system
         inverse = linalg.inv(self.numbers.M) if self._moves else None
         self.moving = moving or MovingSystem(own, inverse)
@@ -171,11 +173,12 @@ class LinearisedSystem:
         for closed, duration in flights if self._is_driven else ():
             durations.setdefault(closed, []).append(duration)
         d, p = 2 * self.family.system.n, self.family.size
+        size = d + 2 * self.numbers.frequency.size + 1
         for closed, each in durations.items():
             s, generators = np.array(each)[:, None, None], self._generators(closed)
-            maps = np.zeros((len(each), 1 + p, d, len(generators[0][1]) - d))
+            maps = np.zeros((len(each), 1 + p, d, size))
             for j, (generator, scale) in zip(self._moves, generators, strict=True):
-                blocks = linalg.expm(generator * s)[..., :-d] * (scale[:, None] / scale[:-d])
+                blocks = linalg.expm(generator * s)[..., :size] * (scale[:, None] / scale[:size])
                 maps[:, 0], maps[:, 1 + j] = blocks[:, :d], blocks[:, -d:]
             self._flight_maps.update(zip([(closed, one) for one in each], maps, strict=True))
 
@@ -228,9 +231,14 @@ class LinearisedSystem:
         if self._is_driven:
             if (closed, s) not in self._flight_maps:
                 self.prepare([(closed, s)])
-            maps, angle = self._flight_maps[closed, s], self.family.system.forcing.frequency * t
-            after = maps.dot(np.concatenate([x, np.cos(angle), np.sin(angle), _ONE]))
-            return TangentMap(after[0], maps[0, :, : x.size], after[1:].T)
+            maps, angle = self._flight_maps[closed, s], self.numbers.frequency * t
+            cos, sin = np.cos(angle), np.sin(angle)
+            after = maps.dot(np.concatenate([x, cos, sin, _ONE]))
+            Gamma = after[1:].T
+            if self._tuned.any():  # at t the harmonics have turned for t seconds already
+                turned = t * np.hstack([-sin * self._tuned, cos * self._tuned])
+                Gamma = Gamma + maps[0, :, x.size : -1] @ turned.T
+            return TangentMap(after[0], maps[0, :, : x.size], Gamma)
         moved, Phi = self.moving.moved(t, x, s, closed)
         Gamma = np.zeros((x.size, self.family.size))
         if s:
@@ -334,34 +342,41 @@ class LinearisedSystem:
     def _generators_of(self, closed: Contacts) -> list[tuple[Matrix, Vector]]:
         """For each parameter that moves ``z``: generator of ``z`` and its derivative, and scales.
 
-        ``z = (q, u, cos w t, sin w t, 1)``; the derivative is that of (q, u).
+        ``z = (q, u, cos w t, sin w t, 1)``; the derivative is that of (q, u), after those of the
+        harmonics by a frequency. A derivative is zero at the start.
         """
         n, numbers, rates = self.family.system.n, self.numbers, self.moving.rates(closed)
-        forcing, turned = self.family.system.forcing, np.exp(1j * numbers.phase)
-        h, size = forcing.frequency.size, 2 * n + 2 * forcing.frequency.size + 1
-        whole, own, found = np.zeros((size + 2 * n,) * 2), slice(size, None), []
-        forces = self._waves(numbers.amplitude * turned)
-        forces[:, -1] = forcing.constant
-        whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n : size] = rates.A, rates.B @ forces
-        cos, sin = range(2 * n, 2 * n + h), range(2 * n + h, 2 * n + 2 * h)
-        whole[cos, sin], whole[sin, cos] = -forcing.frequency, forcing.frequency
-        whole[own, own] = rates.A
-        for effect in (self.family.parameters[j].effect for j in self._moves):
-            pulled = -effect.M @ whole[n : 2 * n, :size]
+        h, amplitudes = numbers.frequency.size, self.family.harmonics(numbers)
+        forces, size, found = _by_wave(amplitudes[0]), 2 * n + 2 * h + 1, []
+        forces[:, -1] = numbers.constant
+        own = np.zeros((size, size))
+        own[: 2 * n, : 2 * n], own[: 2 * n, 2 * n :] = rates.A, rates.B @ forces
+        turning = np.zeros((2, h, 2, h))
+        turning[0, :, 1], turning[1, :, 0] = (
+            -np.diag(numbers.frequency),
+            np.diag(numbers.frequency),
+        )
+        waves = slice(2 * n, 2 * n + 2 * h)
+        own[waves, waves] = turning.reshape(2 * h, 2 * h)
+        for j in self._moves:
+            effect = self.family.parameters[j].effect
+            pulled = -effect.M @ own[n : 2 * n]
             pulled[:, : 2 * n] -= np.hstack([effect.K, effect.C])
-            change = effect.amplitude + 1j * numbers.amplitude * effect.phase
-            pulled[:, 2 * n :] += self._waves(change * turned)
-            whole[own, :size] = rates.B @ pulled
+            pulled[:, 2 * n :] += _by_wave(amplitudes[1][j])
+            pulled[:, -1] += effect.constant
+            tuned = 2 * h if np.any(effect.frequency) else 0
+            whole = np.zeros((size + tuned + 2 * n,) * 2)
+            whole[:size, :size] = own
+            if tuned:
+                late, share = slice(size, size + tuned), effect.frequency / numbers.frequency
+                whole[late, waves] = np.tile(share, 2)[:, None] * own[waves, waves]
+                whole[late, late] = own[waves, waves]
+                whole[-2 * n :, late] = own[: 2 * n, waves]
+            whole[-2 * n :, :size] = rates.B @ pulled
+            whole[-2 * n :, -2 * n :] = rates.A
             balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
             found.append((balanced, scale))
         return found
-
-    def _waves(self, factor: Vector) -> Matrix:
-        """Harmonics times complex factors, by (cos w t, sin w t, 1), shape (n, 2h + 1)."""
-        cosine, sine = self.family.system.forcing.cosine.T, self.family.system.forcing.sine.T
-        of_cos = factor.real * cosine + factor.imag * sine
-        of_sin = factor.real * sine - factor.imag * cosine
-        return np.hstack([of_cos, of_sin, np.zeros((len(cosine), 1))])
 
     def _contact_rows(self, contacts: Contacts) -> tuple[Matrix, Vector, Matrix]:
         """Directions of k contacts, gaps of zero coordinates, and their changes by parameters.
@@ -387,3 +402,9 @@ class LinearisedSystem:
                 by_mass[:, j] = self.moving.phase(pressed).inverse @ each.effect.M @ stops
         stopped = self.moving.newton.jump(pressed, np.zeros(self.family.system.m))
         return stopped, stops, by_mass, by_law.reshape(*by_mass.shape[:2], len(pressed) * most)
+
+
+def _by_wave(amplitudes: np.ndarray) -> Matrix:
+    """Harmonic forces of complex ``amplitudes``, (h, n), by (cos w t, sin w t, 1), (n, 2h + 1)."""
+    zero = np.zeros((1, amplitudes.shape[1]))
+    return np.asarray(np.vstack([amplitudes.real, -amplitudes.imag, zero]).T)

@@ -322,6 +322,13 @@ contacts: [{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]   # the
         (ELEMENTS, ("forcing-amplitude", "gap.below", "stiffness.x1-x2")),
         (MATRICES, ("restitution", "gap", "stiffness-scale", "damping-scale", "mass-scale")),
         (MATRICES, ("forcing-amplitude", "forcing-phase")),
+        (MATRICES, ("forcing-frequency", "constant-force")),
+        (MATRICES.replace("forcing: {", "forcing: {constant: [0, 1], "), ("constant-force.x1",)),
+        (MATRICES.replace("forcing: {", "# forcing: {"), ("constant-force",)),
+        (ELEMENTS, ("forcing-frequency", "constant-force")),
+        (ELEMENTS.replace("forces:", "# forces:"), ("constant-force",)),
+        (ELEMENTS.replace("forces: [", "forces: [{body: x2, constant: 2}, "), ("constant-force",)),
+        (ELEMENTS.replace("forces: [", "forces: [{body: x2, input: a}, "), ("forcing-phase",)),
     ],
 )
 def test_a_written_model_reads_as_the_identified_one(text: str, free: tuple[str, ...]) -> None:
@@ -337,6 +344,8 @@ def test_a_written_model_reads_as_the_identified_one(text: str, free: tuple[str,
         np.testing.assert_allclose(getattr(found, part), getattr(wanted, part), rtol=1e-12)
     np.testing.assert_allclose(found.forcing.cosine, wanted.forcing.cosine, atol=1e-12)
     np.testing.assert_allclose(found.forcing.sine, wanted.forcing.sine, atol=1e-12)
+    np.testing.assert_allclose(found.forcing.constant, wanted.forcing.constant, atol=1e-12)
+    np.testing.assert_allclose(found.forcing.frequency, wanted.forcing.frequency, rtol=1e-12)
     assert text.count("#") == written.count("#")
 
 

@@ -26,7 +26,7 @@ from impact_observer.trajectory.linearised_system import FlightEnd
 Array = NDArray[np.float64]
 SCALES = ("stiffness-scale", "damping-scale", "mass-scale")
 EVERYTHING = ("restitution", "gap", "contact-time", *SCALES)
-OF_FORCING = ("forcing-amplitude", "forcing-phase", "clock-offset")
+OF_FORCING = ("forcing-amplitude", "forcing-phase", "forcing-frequency", "clock-offset")
 
 
 def moments_of(model: System, x: Array, seconds: float) -> list[FlightEnd]:
@@ -74,7 +74,7 @@ def test_derivatives_are_those_of_differences(model: System, data: st.DataObject
     """Of any system with any parameters, switched anyhow, also with contacts that stay closed."""
     kinds = [k for k in EVERYTHING if k != "damping-scale" or np.any(model.C)]
     kinds = [k for k in kinds if k != "stiffness-scale" or np.any(model.K)]
-    kinds += OF_FORCING[:2] if model.forcing.frequency.size else ()
+    kinds += ["constant-force", *(OF_FORCING[:3] if model.forcing.frequency.size else ())]
     family = parametric_family(model, kinds)
     m, phases = model.m, Phases(model)
     some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))

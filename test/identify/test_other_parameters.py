@@ -159,5 +159,8 @@ def test_what_cannot_stand_beside_the_free_parameters_is_not_tried() -> None:
         "mass-scale",
         "forcing-amplitude.1",
         "forcing-phase.1",
+        "forcing-frequency.1",
+        "constant-force.x1",
+        "constant-force.x2",
         "clock-offset",
     }

@@ -57,7 +57,7 @@ def test_a_model_that_says_nothing_has_no_uncertainty_and_exact_values_have_a_ze
         ("restitution.stop,", "restitution,", "a kind; expected single parameters: restitution."),
         ("restitution.stop,", "clock-offset,", "expected parameters of the model, not of a clock"),
         ("restitution.stop,", "stiffness-scale,", "found twice; name it once"),
-        ("restitution.stop,", "stiffness.ground-a,", "stands beside stiffness; free one of them"),
+        ("restitution.stop,", "stiffness.ground-a,", "stands beside stiffness; name one of them"),
         ("[1.0e-4, 2.0e-6]", "[1.0e-4, 3.0e-6]", "uncertainty.covariance: is not symmetric: [0]"),
         ("[[1.0e-4, 2.0e-6], [2.0e-6,", "[[1.0e-4, 3.0e-5], [3.0e-5,", "positive semidefinite"),
         ("[1.0e-4, 2.0e-6]", "[-1.0e-4, 2.0e-6]", "uncertainty.covariance[0][0]: is -0.0001"),
@@ -84,3 +84,191 @@ def test_rounding_of_printed_digits_is_no_mistake() -> None:
     printed = [[float(f"{each:.10g}") for each in row] for row in (root @ root.T).tolist()]
     known = ParameterUncertainty(("gap.a", "stiffness.b"), np.array(printed))
     np.testing.assert_array_equal(known.covariance, known.covariance.T)
+
+
+EVERY_NUMBER = """\
+name: every_number
+bodies: [{name: a, mass: MASS}, {name: b, mass: 1}]
+grounds: [{name: table, motion: {harmonics: [{amplitude: GROUND, frequency: 9, phase: 0.1}]}}]
+springs: [{between: [ground, a], stiffness: SPRING, damping: DAMPER}]
+forces:
+  - {body: b, input: motor}
+  - {body: b, amplitude: FORCE, frequency: FREQUENCY, phase: PHASE}
+  - {body: a, constant: CONSTANT}
+friction: [{name: guide, between: [a, b], force: RUB}]
+stops:
+  - {name: up, body: b, limit: LIMIT, side: above, restitution: RESTITUTION, contact_time: TIME}
+  - {name: low, body: b, limit: -0.4, side: below, restitution: LOW}
+"""
+NUMBERS = {
+    "MASS": ("mass.a", 2.0, 0.1, 0.1),
+    "GROUND": ("ground-amplitude.table.1", 0.004, 0.001, 0.25),
+    "SPRING": ("stiffness.ground-a", 30.0, 0.5, 0.5),
+    "DAMPER": ("damping.ground-a", 0.2, 0.01, 0.01),
+    "FORCE": ("forcing-amplitude.1", -4.0, 0.2, 0.05),
+    "FREQUENCY": ("forcing-frequency.1", 2.5, 0.02, 0.02),
+    "PHASE": ("forcing-phase.1", 0.3, 0.05, 0.05),
+    "CONSTANT": ("constant-force.a", -1.5, 0.3, 0.3),
+    "RUB": ("friction.guide", 0.2, 0.01, 0.01),
+    "LIMIT": ("gap.up", 0.5, 0.002, 0.002),
+    "RESTITUTION": ("restitution.up", 0.7, 0.01, 0.01),
+    "TIME": ("contact-time.up", 0.002, 0.0005, 0.0005),
+}
+"""By the word that stands for it: parameter, number, its deviation, that of the parameter."""
+LOW = "{value: 0.6, speed: 1, exponent: -0.1}"
+
+
+def with_numbers(text: str, uncertain: str = "") -> str:
+    """The text with its numbers, the one of the word ``uncertain`` with a deviation."""
+    for word, (_, value, deviation, _) in NUMBERS.items():
+        given = f"{{value: {value}, deviation: {deviation}}}" if word == uncertain else str(value)
+        text = text.replace(word, given)
+    return text.replace("LOW", LOW)
+
+
+@pytest.mark.parametrize("word", NUMBERS)
+def test_a_deviation_may_stand_beside_any_number(word: str) -> None:
+    """The system is that of the number alone, and the parameter of its name has the deviation."""
+    name, _, _, deviation = NUMBERS[word]
+    text = EVERY_NUMBER if word == "GROUND" else EVERY_NUMBER.replace("grounds:", "# grounds:")
+    model, plain = (parse_model(with_numbers(text, each), "m") for each in (word, ""))
+    assert plain.uncertainty is None
+    known = model.uncertainty
+    assert known is not None
+    assert known.names == (name,)
+    np.testing.assert_allclose(known.deviations, [deviation], rtol=1e-12)
+    assert model.text().startswith(plain.text())
+    again = parse_model(model.text(), "again").uncertainty
+    assert again is not None
+    assert again.names == known.names
+    np.testing.assert_array_equal(again.covariance, known.covariance)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "names"),
+    [
+        ("{value: 0.6, deviation: 0.02, speed: 1, exponent: -0.1}", ["restitution.low"]),
+        (
+            "{value: 0.6, deviation: 0.02, speed: 1, exponent: {value: -0.1, deviation: 0.02}}",
+            ["restitution.low", "restitution-exponent.low"],
+        ),
+        ("{value: {value: 0.6, deviation: 0.02}, speed: 1, exponent: -0.1}", ["restitution.low"]),
+    ],
+)
+def test_a_restitution_by_speed_takes_a_deviation_as_a_further_key(
+    restitution: str, names: list[str]
+) -> None:
+    """Also the exponent has one."""
+    text = EVERY_NUMBER.replace("grounds:", "# grounds:").replace("LOW", restitution)
+    model = parse_model(with_numbers(text), "m")
+    assert model.uncertainty is not None
+    assert sorted(model.uncertainty.names) == sorted(names)
+    np.testing.assert_allclose(model.uncertainty.deviations, 0.02, rtol=1e-12)
+    law = model.system.rebounds[1]
+    assert [each.value for each in law.parameters] == [0.6, -0.1]
+
+
+MATRICES = """\
+name: matrices
+coordinates: [x1, x2]
+mass:      [[1, 0], [0, 1]]
+damping:   [[0.2, -0.1], [-0.1, 0.1]]
+stiffness: [[20, -10], [-10, 10]]
+forcing:
+  constant: [0, {value: 1.5, deviation: 0.2}]
+  harmonics: [{frequency: {value: 2.5, deviation: 0.01}, cosine: [0, 4], sine: [0, 0]}]
+contacts: [{name: stop, direction: [0, -1], gap: {value: 0.5, deviation: 0.003}, restitution: 0.7}]
+uncertainty: {names: [mass-scale], covariance: [[0.0001]]}
+"""
+
+
+def test_both_forms_go_together() -> None:
+    """In matrices, with a covariance of another parameter; errors are independent."""
+    model = parse_model(MATRICES, "matrices")
+    known = model.uncertainty
+    assert known is not None
+    deviations = dict(zip(known.names, known.deviations.tolist(), strict=True))
+    assert deviations == pytest.approx(
+        {
+            "mass-scale": 0.01,
+            "gap.stop": 0.003,
+            "constant-force.x2": 0.2,
+            "forcing-frequency.1": 0.01,
+        }
+    )
+    assert np.count_nonzero(known.covariance) == 4
+    again = parse_model(model.text(), "again")
+    assert again.uncertainty is not None
+    np.testing.assert_array_equal(again.uncertainty.covariance, known.covariance)
+    np.testing.assert_array_equal(again.system.forcing.constant, [0, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("[[1, 0],", "[[{value: 1, deviation: 0.1}, 0],", "mass[0][0]: has a deviation; expected"),
+        ("[[20,", "[[{value: 20, deviation: 0.1},", "and stiffness-scale in uncertainty"),
+        ("cosine: [0, 4]", "cosine: [0, {value: 4, deviation: 1}]", "forcing-amplitude.1 or forc"),
+        (
+            "[mass-scale]",
+            "[gap.stop]",
+            "contacts[0].gap: has a deviation, and gap.stop has one in",
+        ),
+        ("deviation: 0.003", "deviation: -1", "contacts[0].gap.deviation: is -1; expected a stan"),
+        ("deviation: 0.003", "deviation: wide", "contacts[0].gap.deviation: 'wide' found; expec"),
+        ("{value: 0.5, deviation", "{deviation", "contacts[0].gap.value: is missing beside devi"),
+        ("value: 0.5", "value: half", "contacts[0].gap: 'half' found; expected a number"),
+        (
+            "direction: [0, -1]",
+            "direction: [0, {value: -1, deviation: 0.1}]",
+            "contacts[0].direction[1]: has a deviation; expected a plain number",
+        ),
+    ],
+)
+def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, line: str) -> None:
+    """The line names the file, the key, and where the deviation belongs."""
+    assert MATRICES.count(old) == 1
+    with pytest.raises(ModelError) as caught:
+        parse_model(MATRICES.replace(old, new), "rig.yaml")
+    assert str(caught.value).startswith("rig.yaml: ")
+    assert line in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "line"),
+    [
+        (
+            ELEMENTS.replace("stiffness: 10", "stiffness: {value: 10, deviation: 1}")
+            + "uncertainty: {names: [stiffness-scale], covariance: [[0.01]]}\n",
+            "uncertainty: parameter 'stiffness-scale': stands beside stiffness; name one of them",
+        ),
+        (
+            ELEMENTS.replace("amplitude: 4", "amplitude: {value: 0, deviation: 1}"),
+            "forces[0].amplitude: is 0 with a deviation",
+        ),
+        (
+            ELEMENTS.replace("frequency: 2.5", "order: 1, frequency: {value: 2.5, deviation: 1}"),
+            "forces[0].frequency: parameter 'forcing-frequency.1': this model has none",
+        ),
+        (
+            ELEMENTS.replace(
+                "{body: a, constant: 1}",
+                "{body: a, constant: {value: 1, deviation: 0.1}},"
+                " {body: a, constant: {value: 2, deviation: 0.1}}",
+            ),
+            "forces[2].constant: has a deviation, and constant-force.a has one at forces[1].const",
+        ),
+        (
+            ELEMENTS
+            + "initial_state: {position: [{value: 1, deviation: 1}, 0], velocity: [0, 0]}",
+            "initial_state.position[0]: has a deviation; expected a plain number",
+        ),
+    ],
+)
+def test_a_deviation_that_is_not_clear_is_one_line(changed: str, line: str) -> None:
+    """Parts and whole, a ratio of zero, a frequency that pulses tell, and two of one parameter."""
+    with pytest.raises(ModelError) as caught:
+        parse_model(changed, "rig.yaml")
+    assert str(caught.value).startswith(f"rig.yaml: {line}")
+    assert len(str(caught.value).splitlines()) == 1

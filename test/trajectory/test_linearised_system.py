@@ -24,7 +24,7 @@ from impact_observer.trajectory.linearised_system import (
 
 Array = NDArray[np.float64]
 LINEAR = ("restitution", "gap", "stiffness-scale", "damping-scale", "mass-scale")
-OF_FORCES = ("forcing-amplitude", "forcing-phase")
+OF_FORCES = ("forcing-amplitude", "forcing-phase", "forcing-frequency", "constant-force")
 CURVED = """
 name: curved
 bodies: [{name: x1, mass: 1}, {name: x2, mass: 2}]
