@@ -30,13 +30,15 @@ _TEXTS = {
     "kind": "switch, peak or arrival (default: as the type of the topic says)",
     "field": "path in the message, such as wrench.force.z or data[3]",
     "direction": "of peaks: both (default), up or down",
+    "instant": "of peaks, what the stamp is of: top (default), or onset, the first top",
     "stamp": "header or receive (default: the header's where there is one)",
 }
 _NUMBERS = {
     "threshold": "where a switch closes, or a peak begins; in the field's own unit",
     "hysteresis": "how far below that a switch opens, or a peak ends",
     "baseline": "time constant of the mean that is subtracted, s",
-    "dead_time": "time after an event in which there is no other, s",
+    "dead_time": "time after an event in which there is no other, s (default: of a peak 0.02, of a"
+    " switch 0.005, of an arrival 0)",
     "latency": "constant latency, which is subtracted from the stamps, s",
     "min_contact_duration": "least closed time of a switch in persistent contact (default 0.05 s)",
 }
@@ -56,6 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser, "a model file or a sample, to be put into the bag")
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
     add("--epoch", metavar="S", type=stamp, help=epoch)
+    picture = "a picture of the signals with threshold, impacts, dead times and what lay in them"
+    add("--plot", metavar="FILE", type=Path, help=picture)
     add_bag_output(parser)
     add_table(parser.add_argument_group("a signal", "how its table is to be read"))
 
@@ -71,17 +75,32 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.model import read_model
 
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
+    if args.plot is not None:
+        from impact_observer.draw.output import check_output
+
+        check_output(args.plot)
     model = None if args.model is None else read_model(args.model)
     with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
-        for source, counts in zip(result.sources, result.counts, strict=True):
-            detected = _in_words(counts)
-            progress.line(f"{source.contact}: {detected} ({source.topic}, {source.kind})")
+        each = zip(result.sources, result.counts, result.suppressed, strict=True)
+        for source, counts, suppressed in each:
+            what = f"{source.topic}, {source.kind}, dead time {source.dead_time:g} s"
+            if suppressed:
+                what += f", {suppressed} suppressed in it"
+            progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
         progress.line(f"{args.output}: {result.events} events")
         for line in result.doubts:
             progress.line(f"warning: {line}")
         if result.problems:
             progress.line(f"note: {'; '.join(result.problems)}")
+        if args.plot is not None:
+            from impact_observer.draw.detections import detection_picture
+            from impact_observer.draw.pictures import save
+
+            names = [f"{source.contact}: {source.topic}" for source in result.sources]
+            thresholds = [source.threshold for source in result.sources]
+            save(detection_picture(names, thresholds, result.traces), args.plot)
+            progress.line(f"{args.plot}: the signals")
     return 0
 
 
@@ -105,6 +124,7 @@ def _in_bag(
             model=model,
             epoch=args.epoch or 0,
             flush=args.flush,
+            traced=args.plot is not None,
             progress=lambda done, total: progress.step("detecting", done, total),
         )
 
@@ -131,6 +151,7 @@ def _in_signal(
         model=model,
         epoch=epoch,
         flush=args.flush,
+        traced=args.plot is not None,
         progress=show,
     )
     known = f"epoch {text(epoch)} s" if epoch else "epoch unknown"

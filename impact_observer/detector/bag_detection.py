@@ -7,7 +7,7 @@ from pathlib import Path
 
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
-from impact_observer.detector.sensors import MAX_DELAY
+from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import first_pulse
@@ -32,6 +32,8 @@ class BagDetection:
         doubts: doubtful declarations, a line each.
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
+        suppressed: how many peaks, changes or messages of each source lay in dead times.
+        traces: signals of the sources, if they were to be kept.
     """
 
     sources: list[Source]
@@ -41,6 +43,8 @@ class BagDetection:
     doubts: list[str] = field(default_factory=list)
     rows: int = 0
     seconds: float = 0.0
+    suppressed: list[int] = field(default_factory=list)
+    traces: list[SignalTrace] = field(default_factory=list)
 
     def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
         """Count the events that the ``detector`` has detected in ``path``.
@@ -56,6 +60,10 @@ class BagDetection:
                 " needs it; give --epoch, or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
+        for k in range(len(self.sources)):
+            self.doubts += detector.dead_time_doubts(k)
+        self.suppressed = [detector.suppressed(k) for k in range(len(self.sources))]
+        self.traces = detector.traces
         self.problems += [line for k in range(len(self.sources)) if (line := detector.problem(k))]
         if not any(counts.impacts for counts in self.counts):
             why = "; ".join(self.problems + detector.doubts)
@@ -70,6 +78,7 @@ def detect_bag(
     model: Model | None = None,
     epoch: int = 0,
     flush: float = FLUSH,
+    traced: bool = False,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> BagDetection:
     """Write a bag with the impacts detected in another one; all other topics are copied.
@@ -84,6 +93,7 @@ def detect_bag(
         epoch: stamp of the forcing's ``t = 0``, ns. With 0 the first pulse of a drive is the
             epoch; without a pulse the epoch is unknown.
         flush: longest time until a message is on the disk, s.
+        traced: whether to keep the signals, for a picture.
         progress: called with the messages read and how many there are.
 
     Raises:
@@ -96,7 +106,7 @@ def detect_bag(
     if model is not None or reader.model_text() is not None:
         known = model or model_of(reader)
         check_contacts(known, declared)
-    detector = Detector(declared, epoch=epoch or first_pulse(reader))
+    detector = Detector(declared, epoch=epoch or first_pulse(reader), traced=traced)
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)

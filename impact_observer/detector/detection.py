@@ -13,12 +13,13 @@ from impact_observer.detector.sensors import (
     Sample,
     SampleTime,
     Sensor,
+    SignalTrace,
 )
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
-from impact_observer.stamps import MAX_STAMP, from_seconds, odd_epoch
+from impact_observer.stamps import MAX_STAMP, from_seconds, odd_epoch, seconds_between
 
 _SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
@@ -79,13 +80,17 @@ class Detector:
         first_event: stamp of the first event, ns; 0 before it.
     """
 
-    def __init__(self, sources: Iterable[Source] = (), *, epoch: int = 0) -> None:
+    def __init__(
+        self, sources: Iterable[Source] = (), *, epoch: int = 0, traced: bool = False
+    ) -> None:
         """The first event has sequence number 1.
 
         Args:
             sources: as for :meth:`add_source`.
             epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
+            traced: whether to keep the signals, for a picture.
         """
+        self._is_traced = traced
         self.sources: list[Source] = []
         self.counts: list[SensorCounts] = []
         self.episode = 0
@@ -104,6 +109,7 @@ class Detector:
         self.sources.append(source)
         self.counts.append(SensorCounts())
         self._sensors.append(_SENSORS[source.kind or ""](source))
+        self._sensors[-1].trace = SignalTrace() if self._is_traced else None
         self._paths.append(source.path() if source.field else ())
         self._newest.append(0)
         return len(self.sources) - 1
@@ -111,7 +117,10 @@ class Detector:
     def restart(self) -> None:
         """Begin a new episode, for example after the clock has jumped back."""
         self.episode += 1
+        before = self._sensors
         self._sensors = [_SENSORS[source.kind or ""](source) for source in self.sources]
+        for old, new in zip(before, self._sensors, strict=True):
+            new.dead_times, new.trace = old.dead_times, old.trace
         self._newest = [0] * len(self.sources)
         self._sequence = 0
         self._now = 0
@@ -148,6 +157,42 @@ class Detector:
         detections = self._events(sorted(switches, key=lambda pair: pair[0].decided))
         self._now = max(self._now, now)
         return detections
+
+    @property
+    def traces(self) -> list[SignalTrace]:
+        """The signals of the sources, if they are kept."""
+        return [sensor.trace for sensor in self._sensors if sensor.trace is not None]
+
+    def suppressed(self, index: int) -> int:
+        """How many peaks, changes of a switch or messages lay in dead times."""
+        return self._sensors[index].dead_times.suppressed
+
+    def dead_time_doubts(self, index: int) -> list[str]:
+        """What a dead time suppressed, and what shows that it is too short, a line each."""
+        source, dead = self.sources[index], self._sensors[index].dead_times
+        impacts, length = self.counts[index].impacts, f"dead time of {source.dead_time:g} s"
+        lines = []
+        if dead.suppressed and source.kind == PEAK:
+            nearest = seconds_between(0, dead.nearest)
+            lines.append(
+                f"{dead.suppressed} peaks higher than the ringing lay in the {length},"
+                f" {nearest:.3g} s or more after an impact, and are left out; a shorter dead time"
+                " (--dead-time) finds them"
+            )
+        if dead.loud_ends:
+            lines.append(
+                f"{dead.loud_ends} of {impacts} times the signal still rose above the threshold"
+                f" when the {length} ended: what follows may be a tail, not an impact; a longer"
+                " dead time or a higher threshold leaves tails out"
+            )
+        if dead.turned and source.instant != "onset":
+            lines.append(
+                f"{dead.turned} of {impacts} peaks have their top with another sign than their"
+                f" onset, up to {1e-3 * dead.latest:.3g} us later: the signal rings, and stamps"
+                " scatter so much; --instant onset stamps the first top, --direction up or down"
+                " one sign"
+            )
+        return [f"{source.contact}: {line}" for line in lines]
 
     @property
     def epoch_doubt(self) -> str:

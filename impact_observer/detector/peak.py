@@ -2,6 +2,7 @@
 """A signal with a peak at each impact: acceleration, force, sound."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
@@ -13,12 +14,17 @@ Point = tuple[int, float]
 """A stamp (ns) and the signal there."""
 
 
+RINGING = 1.5
+"""A peak in a dead time is no ringing if it is so many times higher than the peaks before it."""
+_RECENT = 4
+"""Peaks with which a peak in a dead time is compared."""
+
+
 @dataclass(slots=True)
-class _Peak:
-    """The signal since it exceeded the threshold.
+class _Top:
+    """The top of a signal, as its samples come.
 
     Attributes:
-        onset: the time at which the signal exceeded the threshold.
         top: the first sample with the largest value.
         last: stamp of the last sample in a row with the largest value, as at the limit of the
             sensor's range.
@@ -26,7 +32,6 @@ class _Peak:
         right: the sample after the top; None before it is received.
     """
 
-    onset: SampleTime
     top: Point
     last: int
     left: Point | None
@@ -42,12 +47,40 @@ class _Peak:
             self.right = point
 
     def instant(self) -> int:
-        """Returns the stamp of the peak, ns."""
+        """Returns the stamp of the top, ns."""
         if self.last > self.top[0]:
             return (self.top[0] + self.last) // 2
         if self.left is None or self.right is None:
             return self.top[0]
         return self.top[0] + vertex(self.left, self.top, self.right)
+
+
+@dataclass(slots=True)
+class _Peak:
+    """The signal since it exceeded the threshold.
+
+    Attributes:
+        begin: the time at which the signal exceeded the threshold.
+        sign: of the field there; 1 for a vector.
+        whole: the top of the whole peak.
+        first: the first top after the begin, of the field times the sign.
+        is_turned: whether the field has another sign at the top of the whole peak.
+    """
+
+    begin: SampleTime
+    sign: float
+    whole: _Top
+    first: _Top
+    is_turned: bool = False
+
+    def extend(self, before: Point, point: Point, field_before: float, field: float) -> None:
+        """Take the next sample ``point`` with the ``field``, whose predecessor was ``before``."""
+        if point[1] > self.whole.top[1]:
+            self.is_turned = field * self.sign < 0
+        self.whole.extend(before, point)
+        if self.first.right is None:
+            left = (before[0], field_before * self.sign)
+            self.first.extend(left, (point[0], field * self.sign))
 
 
 def vertex(left: Point, top: Point, right: Point) -> int:
@@ -71,7 +104,9 @@ class PeakSensor(Sensor):
 
     A peak begins when the signal reaches the threshold after the signal was below
     ``threshold - hysteresis``. The peak ends when the signal is below ``threshold - hysteresis``
-    again, or ``dead_time`` after the onset. No other peak begins within ``dead_time`` of the top.
+    again, or ``dead_time`` after it began. No other peak begins within ``dead_time`` of the top.
+    The stamp is that of the top, or of the onset: the first top after the signal reached the
+    threshold, without a change of sign in between.
     """
 
     def __init__(self, source: Source) -> None:
@@ -83,9 +118,12 @@ class PeakSensor(Sensor):
         self._baseline = source.number("baseline")
         self._mean: tuple[float, ...] = ()
         self._before: Point | None = None
+        self._field_before = 0.0
         self._peak: _Peak | None = None
         self._armed = False
-        self._dead_until = 0
+        self._top = self._dead_until = 0
+        self._recent = deque[float](maxlen=_RECENT)
+        self._is_rising = self._is_suppressing = False
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
         """Returns the switches that a sample decides.
@@ -94,24 +132,60 @@ class PeakSensor(Sensor):
             UsageError: the field is a vector, and the direction is up or down.
         """
         time, switches = sample.time, []
-        point = (time.stamp, self._signal(sample))
+        point, field = (time.stamp, self._signal(sample)), self._field(sample)
+        before = self._before or point
         self.largest_signal = max(self.largest_signal, point[1])
+        if self.trace is not None:
+            self.trace.stamps.append(time.stamp)
+            self.trace.signal.append(point[1])
         if (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches = self._on_deadline(time.received)
+        self._note_ringing(before, point)
         if self._peak is not None:
-            self._peak.extend(self._before or point, point)
+            self._peak.extend(before, point, self._field_before, field)
             if point[1] < self._low:
                 switches += self._on_deadline(time.received)
         elif point[1] >= self._high and self._armed and time.stamp >= self._dead_until:
-            self._peak = _Peak(time, point, time.stamp, self._before)
+            self._peak = self._begin(time, point, field)
         self._armed = point[1] < self._low or (self._armed and point[1] < self._high)
         if self._baseline and self._peak is None:  # a peak would shift the mean
             since = 0 if self._before is None else time.stamp - self._before[0]
             weight = -math.expm1(-seconds_between(0, since) / self._baseline)
             rest = self._without_mean(sample)
             self._mean = tuple(m + weight * r for m, r in zip(self._mean, rest, strict=True))
-        self._before = point
+        self._before, self._field_before = point, field
         return switches
+
+    def _begin(self, time: SampleTime, point: Point, field: float) -> _Peak:
+        """Returns the peak that begins with a sample."""
+        sign = math.copysign(1.0, field)
+        left = None
+        if self._before is not None:
+            left = (self._before[0], self._field_before * sign)
+        first = _Top((time.stamp, field * sign), time.stamp, left)
+        return _Peak(time, sign, _Top(point, time.stamp, self._before), first)
+
+    def _note_ringing(self, before: Point, point: Point) -> None:
+        """Count a peak in the dead time that is higher than the ringing, and a loud end of it."""
+        if self._is_rising and point[1] < before[1]:
+            self._recent.append(before[1])
+        self._is_rising = point[1] > before[1] or (self._is_rising and point[1] == before[1])
+        if self._peak is not None or not before[0] < self._dead_until:
+            return
+        loudest = max(self._recent, default=0.0)
+        if point[0] >= self._dead_until:
+            self.dead_times.loud_ends += loudest >= self._high
+        elif point[1] >= self._high and point[1] > RINGING * loudest and not self._is_suppressing:
+            self._is_suppressing = True
+            self.dead_times.suppress(point[0] - self._top)
+            if self.trace is not None:
+                self.trace.suppressed.append(point[0])
+        self._is_suppressing = self._is_suppressing and point[1] >= self._low
+
+    def _field(self, sample: Sample) -> float:
+        """Returns the number with its sign; of a vector the norm."""
+        values = self._without_mean(sample) if self._baseline else sample.values
+        return values[0] if len(values) == 1 else math.hypot(*values)
 
     def _signal(self, sample: Sample) -> float:
         """Returns the number that is compared with the threshold."""
@@ -134,11 +208,19 @@ class PeakSensor(Sensor):
         """Returns the time at which a peak ends even if the signal stays high."""
         if self._peak is None or self._dead_time == 0:
             return None
-        return self._peak.onset.later_by(self._dead_time)
+        return self._peak.begin.later_by(self._dead_time)
 
     def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
         """End the peak; returns its IMPACT."""
         assert self._peak is not None
-        stamp, self._peak = self._peak.instant(), None
-        self._dead_until = stamp + from_seconds(self._dead_time)
+        peak, self._peak = self._peak, None
+        self._top, onset = peak.whole.instant(), peak.first.instant()
+        self._dead_until = self._top + from_seconds(self._dead_time)
+        if peak.is_turned and self._source.direction == "both":
+            self.dead_times.turned += 1
+            self.dead_times.latest = max(self.dead_times.latest, self._top - onset)
+        stamp = onset if self._source.instant == "onset" else self._top
+        if self.trace is not None:
+            self.trace.impacts.append(stamp)
+            self.trace.dead.append((self._top, self._dead_until))
         return [DetectedSwitch(decided, stamp, Kind.IMPACT)]

@@ -12,7 +12,7 @@ from impact_observer.model.model_file import load_yaml
 from impact_observer.resources import read_file_or_sample
 
 _KEYS = tuple(each.name for each in fields(Source) if each.name != "origin")
-_TEXTS = ("contact", "topic", "kind", "field", "direction", "stamp")
+_TEXTS = ("contact", "topic", "kind", "field", "direction", "instant", "stamp")
 
 
 def read_sources(path: str | Path) -> tuple[Source, ...]:

@@ -2,6 +2,7 @@
 """The base class of all kinds of sensors, and the simplest kind."""
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from impact_observer.detector.source import Source
@@ -59,17 +60,65 @@ class DetectedSwitch(NamedTuple):
     kind: Kind
 
 
+@dataclass(slots=True)
+class DeadTimes:
+    """What lay in the dead times of a sensor, and how its peaks look.
+
+    Attributes:
+        suppressed: peaks, edges or messages in a dead time, which are no impacts. A peak is one
+            that is higher than the ringing before it.
+        nearest: least time from an impact to a suppressed one, ns; 0 without any.
+        loud_ends: dead times of peaks at whose end the signal still exceeded the threshold.
+        turned: peaks whose top has another sign than their onset.
+        latest: largest time from the onset of such a peak to its top, ns.
+    """
+
+    suppressed: int = 0
+    nearest: int = 0
+    loud_ends: int = 0
+    turned: int = 0
+    latest: int = 0
+
+    def suppress(self, since: int) -> None:
+        """Count one that came ``since`` ns after an impact."""
+        self.suppressed += 1
+        self.nearest = min(self.nearest or since, since)
+
+
+@dataclass(slots=True)
+class SignalTrace:
+    """The signal of a sensor as its threshold sees it, kept for a picture.
+
+    Attributes:
+        stamps: of the samples, ns.
+        signal: at these stamps, in the field's own unit.
+        dead: stamps at which dead times begin and end, ns.
+        impacts: stamps of impacts before the latency is subtracted, ns.
+        suppressed: stamps of what was suppressed, ns.
+    """
+
+    stamps: list[int] = field(default_factory=list)
+    signal: list[float] = field(default_factory=list)
+    dead: list[tuple[int, int]] = field(default_factory=list)
+    impacts: list[int] = field(default_factory=list)
+    suppressed: list[int] = field(default_factory=list)
+
+
 class Sensor(ABC):
     """Detects the switches in one stream of samples, whose stamps never go back.
 
     Attributes:
         largest_signal: of all samples; 0 where no signal is compared with a threshold.
+        dead_times: what lay in the dead times.
+        trace: the signal; None where no picture is wanted.
     """
 
     def __init__(self, source: Source) -> None:
         """Make the sensor that ``source`` declares."""
         self._source = source
         self.largest_signal = 0.0
+        self.dead_times = DeadTimes()
+        self.trace: SignalTrace | None = None
 
     @property
     def due(self) -> int | None:
@@ -115,6 +164,7 @@ class ArrivalSensor(Sensor):
         """Returns the IMPACT of a message outside the dead time."""
         time = sample.time
         if time.stamp < self._dead_until:
+            self.dead_times.suppress(time.stamp - self._dead_until + self._dead_time)
             return []
         self._dead_until = time.stamp + self._dead_time
         return [DetectedSwitch(time.received, time.stamp, Kind.IMPACT)]

@@ -39,6 +39,7 @@ def detect_signal(
     model: Model | None = None,
     epoch: int = 0,
     flush: float = FLUSH,
+    traced: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> BagDetection:
     """Write a bag with the impacts in a signal, which is not copied.
@@ -52,6 +53,7 @@ def detect_signal(
         model: the model of the new bag, or None.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
         flush: longest time until a message is on the disk, s.
+        traced: whether to keep the signals, for a picture.
         progress: called with the number of rows read.
 
     Raises:
@@ -64,7 +66,7 @@ def detect_signal(
     )
     if model is not None:
         check_contacts(model, present_sources)
-    detector = Detector(present_sources, epoch=epoch)
+    detector = Detector(present_sources, epoch=epoch, traced=traced)
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         if model is not None:

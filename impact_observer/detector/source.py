@@ -12,7 +12,9 @@ from impact_observer.message_fields import parse_path
 SWITCH, PEAK, ARRIVAL = "switch", "peak", "arrival"
 KINDS = (SWITCH, PEAK, ARRIVAL)
 DIRECTIONS = ("both", "up", "down")
+INSTANTS = ("top", "onset")
 STAMPS = ("header", "receive")
+_CHOICES = {"kind": KINDS, "direction": DIRECTIONS, "instant": INSTANTS, "stamp": STAMPS}
 LONGEST = 10.0
 """The longest time that may be declared, s: the longest ``history`` of an observer."""
 
@@ -44,6 +46,7 @@ _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
         "threshold": None,
         "hysteresis": None,  # half the threshold
         "direction": "both",
+        "instant": "top",
         "baseline": 0.0,
         "dead_time": 0.02,
     },
@@ -67,6 +70,7 @@ class Source:
             own unit.
         hysteresis: a switch opens, or a peak ends, so far below the threshold; same unit.
         direction: of peaks, ``both`` (the magnitude), ``up`` or ``down``.
+        instant: of peaks, the stamp is that of the ``top``, or of the ``onset``.
         baseline: time constant of the running mean that is subtracted, s; 0 for none.
         dead_time: the time after an event without another event, s.
         latency: delay of the stamps, which is subtracted, s.
@@ -84,6 +88,7 @@ class Source:
     threshold: float | None = None
     hysteresis: float | None = None
     direction: str | None = None
+    instant: str | None = None
     baseline: float | None = None
     dead_time: float | None = None
     latency: float = 0.0
@@ -98,7 +103,7 @@ class Source:
                 raise self.wrong(key, "is missing; expected a name")
         if not _TOPIC.fullmatch(self.topic):
             raise self.wrong("topic", f"{self.topic!r} found; expected a name such as /rig/switch")
-        for key, choices in (("kind", KINDS), ("direction", DIRECTIONS), ("stamp", STAMPS)):
+        for key, choices in _CHOICES.items():
             value = getattr(self, key)
             if value is not None and value not in choices:
                 raise self.wrong(key, f"{value!r} found; expected one of {', '.join(choices)}")

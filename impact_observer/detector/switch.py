@@ -42,6 +42,9 @@ class SwitchSensor(Sensor):
         value = self._source.scalar(sample.values)
         while (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches += self._on_deadline(time.received)
+        if self.trace is not None:
+            self.trace.stamps.append(time.stamp)
+            self.trace.signal.append(value)
         self._level = value >= (self._low if self._level else self._high)
         closed = self._level != self._inverted
         if closed != self._input_closed:
@@ -49,7 +52,15 @@ class SwitchSensor(Sensor):
             dead_until = self._edge.later_by(self._dead_time).stamp if self._has_edge else 0
             if time.stamp >= dead_until:
                 switches += self._follow_input(time.received)
+            elif closed == self._closed:
+                self._suppress(time.stamp)
         return switches
+
+    def _suppress(self, stamp: int) -> None:
+        """Count a change that began and ends in the dead time, ns."""
+        self.dead_times.suppress(stamp - self._edge.stamp)
+        if self.trace is not None:
+            self.trace.suppressed.append(stamp)
 
     def _deadline(self) -> SampleTime | None:
         """Returns the end of the dead time, or of the shortest persistent contact."""
@@ -69,6 +80,10 @@ class SwitchSensor(Sensor):
     def _follow_input(self, decided: int) -> list[DetectedSwitch]:
         """Make an edge at the last change of the input."""
         self._closed, self._edge, self._has_edge = self._input_closed, self._input_changed, True
+        if self.trace is not None:
+            end = self._edge.later_by(self._dead_time).stamp
+            self.trace.dead.append((self._edge.stamp, end))
+            self.trace.impacts += [self._edge.stamp] if self._closed else []
         if not self._closed:
             was_persistent, self._persistent = self._persistent, False
             return [DetectedSwitch(decided, self._edge.stamp, Kind.OPEN)] if was_persistent else []

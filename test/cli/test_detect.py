@@ -141,7 +141,10 @@ def test_a_detected_bag_can_be_observed_without_naming_a_model(
     bag, output = tmp_path / "detected", tmp_path / "observed"
     given = ["--contact", "stop", "--topic", "/switch", "--latency", "0.005"]
     events = detected(rig_bag, bag, *given, "--model", "two_mass", "--epoch", "1")
-    assert f"stop: {len(events)} impacts (/switch, switch)" in capsys.readouterr().out
+    assert (
+        f"stop: {len(events)} impacts (/switch, switch, dead time 0.005 s"
+        in capsys.readouterr().out
+    )
     with BagReader(bag) as reader, BagReader(rig_bag) as source:
         assert model_of(reader).system.name == "two_mass"
         assert set(reader.topics) == {*source.topics, "/impacts", "/plant/model"}
@@ -184,8 +187,8 @@ def test_a_file_declares_several_sensors_and_missing_ones_are_one_line(
     lines = capsys.readouterr().out.splitlines()
     weak = "no impact in 2 messages on /weak, at most 0.5 of the threshold 2"
     assert lines == [
-        "floor: 2 impacts, 2 of them persistent (/floor, switch)",
-        "wall: 0 impacts (/weak, peak)",
+        "floor: 2 impacts, 2 of them persistent (/floor, switch, dead time 0.005 s)",
+        "wall: 0 impacts (/weak, peak, dead time 0.02 s)",
         f"{tmp_path / 'out'}: 5 events",
         f"note: roof: no topic /none; wall: {weak}",
     ]

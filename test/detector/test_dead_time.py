@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead times: what they suppress is counted and said, and ringing is told from impacts."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import events_in
+from impact_observer.states import Vector
+
+RATE, RING, DECAY = 10_000, 2300.0, 0.003
+SECOND = 1_000_000_000
+HITS = np.concatenate(
+    [
+        [k / 10, k / 10 + gap]
+        for k, gap in enumerate((0.0136, 0.0151, 0.0174, 0.0142, 0.0363, 0.0411), start=1)
+    ]
+) + 0.00003 * np.arange(12)
+"""Pairs of hits, s; four of six second ones follow within 20 ms."""
+SPEEDS = np.where(np.arange(12) % 2, 110.0, 230.0)
+
+
+def anvil(path: Path) -> Path:
+    """A table of an anvil that rings at 2.3 kHz, m/s^2, as in a recording of a drill."""
+    t = np.arange(0, 0.8, 1 / RATE)
+    since = t[:, None] - HITS
+    rings = SPEEDS * np.exp(-np.abs(since) / DECAY) * np.sin(2 * np.pi * RING * since)
+    a = 9.81 + np.where(since > 0, rings, 0.0).sum(axis=1)
+    a += np.random.default_rng(1).normal(0, 2, len(t))
+    path.write_text("time,az\n" + "\n".join(f"{x:.4f},{y:.3f}" for x, y in zip(t, a, strict=True)))
+    return path
+
+
+def detect(folder: Path, *options: str) -> Vector:
+    """Stamps of the impacts that are found in the ringing anvil, s."""
+    bag = folder / "bag"
+    given = ["--contact", "anvil", "--threshold", "60", "--baseline", "1", "-o", str(bag)]
+    assert main(["detect", str(anvil(folder / "drill.csv")), *given, *options]) == 0
+    with BagReader(bag) as reader:
+        return np.array([event.stamp - SECOND for event in events_in(reader)]) / SECOND
+
+
+def errors(stamps: Vector) -> Vector:
+    """Differences to the nearest hit, s."""
+    nearest = np.argmin(np.abs(stamps[:, None] - HITS), axis=1)
+    return np.asarray(stamps - HITS[nearest])
+
+
+def test_peaks_in_the_dead_time_are_counted_and_found_with_a_shorter_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ringing is not counted; the dead time in use is printed."""
+    (tmp_path / "long").mkdir()
+    assert len(detect(tmp_path / "long")) == 8
+    said = capsys.readouterr().out
+    assert "anvil: 8 impacts (/az, peak, dead time 0.02 s, 4 suppressed in it)" in said
+    assert "warning: anvil: 4 peaks higher than the ringing lay in the dead time of 0.02 s" in said
+    assert "0.0136 s or more after an impact" in said
+    stamps = detect(tmp_path, "--dead-time", "0.008")
+    assert len(stamps) == len(HITS)
+    assert np.abs(errors(stamps)).max() < 0.001
+    said = capsys.readouterr().out
+    assert "(/az, peak, dead time 0.008 s)" in said
+    assert "lay in the dead time" not in said
+
+
+def test_a_dead_time_that_ends_in_the_ringing_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tails that become impacts follow such ends."""
+    tails = len(detect(tmp_path, "--dead-time", "0.002")) - len(HITS)
+    assert tails > 0
+    said = capsys.readouterr().out
+    count = int(said.split("warning: anvil: ")[1].split(" of ")[0])
+    assert count >= tails
+    assert "times the signal still rose above the threshold when the dead time of 0.002 s" in said
+
+
+def test_the_onset_of_a_ringing_signal_does_not_scatter(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Tops of the magnitude jump between half-waves, which is said; the first top does not."""
+    scatter = {}
+    for name, *options in (("top",), ("onset", "--instant", "onset"), ("up", "--direction", "up")):
+        folder = tmp_path / name
+        folder.mkdir()
+        scatter[name] = float(np.std(errors(detect(folder, "--dead-time", "0.008", *options))))
+        rings = "have their top with another sign than their onset" in capsys.readouterr().out
+        assert rings == (name == "top")
+    assert scatter["onset"] < 10e-6
+    assert scatter["up"] < 10e-6
+    assert scatter["top"] > 50e-6
+
+
+def test_the_picture_of_a_detection_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The picture is named; another suffix is refused before anything is read."""
+    picture = tmp_path / "signal.svg"
+    detect(tmp_path, "--plot", str(picture))
+    assert "suppressed" in picture.read_text(encoding="utf-8")
+    assert f"{picture}: the signals" in capsys.readouterr().out
+    assert main(["detect", "none.csv", "--plot", "signal.txt", "-o", str(tmp_path / "new")]) == 2
+    assert "expected a name that ends in .png" in capsys.readouterr().err
