@@ -70,7 +70,7 @@ def reported(model: Model, seconds: float, sensor: SensorModel) -> list[ImpactEv
 
 def false_warnings(model: Model, events: Sequence[ImpactEvent]) -> int:
     """Before how many of ``events`` there is a warning of silence."""
-    observer = make_observer(model.system, Options(law="minimum-variance"), model.elements)
+    observer = make_observer(model, Options(law="minimum-variance"))
     found = 0
     for event in events:
         if observer.start is not None and event.stamp > observer.start:
@@ -86,7 +86,7 @@ def dead_sensor(
 
     Also the seconds until the estimate is synchronized again; infinity where it never is.
     """
-    observer = make_observer(model.system, Options(law="minimum-variance"), model.elements)
+    observer = make_observer(model, Options(law="minimum-variance"))
     dead, warned, returned = 0, 0, 0
     for event in events:
         if since <= event.stamp < until:
@@ -119,7 +119,7 @@ class Judged:
             topic = reader.truth_topic()
             assert topic is not None, "true states"
             truth = reader.joint_states(topic)
-        observer = make_observer(model.system, FAULTLESS, model.elements)
+        observer = make_observer(model, FAULTLESS)
         states = dict(zip(truth.stamps.tolist(), np.hstack([truth.q, truth.u]), strict=True))
         replayed = replay(observer, events, np.array(sorted(states)))
         estimates = [each for each in replayed if isinstance(each, Estimate)]

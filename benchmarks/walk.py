@@ -55,9 +55,7 @@ def calls_of(action: Callable[[], object]) -> list[CodeType]:
 def walk(law: str) -> list[CodeType]:
     """The functions that the impact number ``WHICH`` of two_mass calls under a law."""
     model, rng = read_model("two_mass"), np.random.default_rng(1)
-    observer = make_observer(
-        model.system, Options(law=law, initial_state="random:1", epoch=EPOCH), model.elements
-    )
+    observer = make_observer(model, Options(law=law, initial_state="random:1", epoch=EPOCH))
     events = [
         replace(each, stamp=each.stamp + round(JITTER * NS_PER_S * rng.normal()))
         for each in impacts("two_mass", 30.0)[:WHICH]

@@ -164,7 +164,7 @@ def _compare_one(
         return compare_bag(
             reader,
             read.system,
-            [make_observer(read.system, each, read.elements) for each in alone],
+            [make_observer(read, each) for each in alone],
             truth=args.truth,
             estimates=args.observers,
             settled=args.settled,

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
         sensors = read_measurements(args.measurements)
-        observer = make_observer(read.system, chosen, read.elements, measurements=sensors)
+        observer = make_observer(read, chosen, measurements=sensors)
         measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
         has_covariance = observer.law.has_covariance
         odd = doubts(args.bag, first_times(reader), read.system, has_covariance=has_covariance)

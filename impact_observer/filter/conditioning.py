@@ -117,10 +117,11 @@ class Conditioning:
         contacts = self.measured_contacts(change)
         found, member = prior, self.members.of_estimate(prior)
         first = likelihood and likelihood.expected
+        considered = self.members.considered_rows(prior.of_theta.start)
         for _ in range(ROUNDS if contacts else 0):
             view = self._propagated(member, change.before, prior, found.t - prior.t)
             expected = first or self._expected(member, change, contacts, view, found)
-            first, update = None, expected.correction(view)
+            first, update = None, expected.correction(view, considered)
             found = view.corrected(update, expected.rows(view), expected.innovation)
             settled = expected.settled(found)
             if found.parameters:

@@ -55,7 +55,7 @@ class FilterBank:
         self.trusts_estimate = uncertainty.trusts_estimate
         learns_error = uncertainty.model_error is None and clocks
         self.errors = ErrorAccounts(filter_, clocks) if learns_error else None
-        keeps_exact = self.errors is not None and uncertainty.unknowns is None
+        keeps_exact = self.errors is not None and not uncertainty.estimates_parameters
         self.pruning = Pruning(filter_.system, most, keeps_exact=keeps_exact)
         self.between = BetweenEvents(
             filter_,

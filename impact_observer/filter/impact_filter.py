@@ -57,7 +57,8 @@ class ImpactFilter:
     """Prediction and correction of a state by events that are what they are reported to be.
 
     Unknown parameters of the model are constants between events; gaps, loads and the jump depend
-    on them.
+    on them. Those that are considered keep their values and variances, and the states keep the
+    errors that follow.
 
     Attributes:
         system: the system with the parameters of the model.
@@ -75,12 +76,13 @@ class ImpactFilter:
     ) -> None:
         """Prepare law and phases; ``model_error`` is white noise of accelerations, m/s^1.5."""
         self.system = system
-        unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty(0))
+        unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty((0, 0)))
         self._unknowns = unknowns
-        self.members = Members(unknowns.family)
+        self.members = Members(unknowns.family, unknowns.considered)
         self.phases = self.members.given.moving.phases
         self.conditioning = Conditioning(self.members)
-        declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
+        drift = unknowns.drift * np.where(unknowns.considered, 0.0, unknowns.deviations)
+        declared = ProcessNoise(model_error, drift)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
         self._is_free = self.members.given.moving.is_plain and self.members.is_linear
@@ -300,5 +302,6 @@ class ImpactFilter:
             return state._replace(root=wider)
         bounds = np.zeros((size, len(state.root)))
         bounds.flat[:: len(state.root) + 1] = 1.0 / most
-        limited = correction(wider, bounds, np.zeros((size, 0)), [1.0] * size)
+        nothing, considered = np.zeros((size, 0)), self.members.considered_rows(size)
+        limited = correction(wider, bounds, nothing, [1.0] * size, considered)
         return state._replace(root=limited.root)

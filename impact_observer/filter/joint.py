@@ -2,6 +2,7 @@
 """The instant of an event and the state then, as one normal vector."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -148,9 +149,9 @@ class Expected(NamedTuple):
         """A square root of the covariance of what is not linear, and of rounding, (k, any)."""
         return np.hstack([self.nonlinear, np.diag(self.rounded)])
 
-    def correction(self, view: Joint) -> Correction:
-        """The Kalman correction of ``view`` by this measurement."""
-        return correction(view.root, self.rows(view), self.nonlinear, self.rounded)
+    def correction(self, view: Joint, considered: Sequence[int]) -> Correction:
+        """The Kalman correction of ``view`` by this measurement; see ``square_root``."""
+        return correction(view.root, self.rows(view), self.nonlinear, self.rounded, considered)
 
     def innovation_root(self, view: Joint) -> Matrix:
         """A square root of the innovation's covariance, lower triangular, shape (k, k)."""

@@ -5,6 +5,7 @@ Members that differ only by gaps and restitutions share the motion between impac
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Protocol
@@ -144,12 +145,14 @@ class Members:
             motion between impacts.
         given: the member with the parameters of the model.
         moving: how many of the parameters change the motion between impacts.
+        considered: which of the parameters have an error, but are not estimated.
         parameters: their bounds, and steps of finite differences by them, for the kernel.
     """
 
-    def __init__(self, family: ParametricFamily) -> None:
-        """Prepare the given member."""
+    def __init__(self, family: ParametricFamily, considered: Sequence[bool] = ()) -> None:
+        """Prepare the given member; without ``considered`` all parameters are estimated."""
         self.family = family
+        self.considered = tuple(considered) or (False,) * family.size
         self.moving = sum(each.moves for each in family.parameters)
         assert all(each.moves for each in family.parameters[: self.moving]), (
             "parameters of the motion come first"
@@ -159,7 +162,7 @@ class Members:
         self._still = [bool(np.any(each.rebound)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
         low, high = (np.clip(each, -_LARGEST, _LARGEST) for each in family.bounds)
-        self.parameters = Parameters(low, high, family.sizes, self.moving)
+        self.parameters = Parameters(low, high, family.sizes, self.moving, self.considered)
         self.free_impact = lru_cache(KEPT)(self._free_impact)
         self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
         self._at = lru_cache(KEPT)(self._member)
@@ -185,10 +188,17 @@ class Members:
         """The motion between impacts of the member with ``values``; only these need bounds."""
         return self._moving(tuple(values[: self.moving].tolist()))
 
+    def considered_rows(self, first: int) -> list[int]:
+        """The rows of the considered parameters in a root whose row ``first`` is the first's."""
+        return [first + j for j, each in enumerate(self.considered) if each]
+
     def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
-        effects = [each.effect for each in self.family.parameters]
-        changes = [np.any(each.rebound, axis=1) for each in effects]
+        changes = [
+            np.any(each.effect.rebound, axis=1)
+            for each, considered in zip(self.family.parameters, self.considered, strict=True)
+            if not considered
+        ]
         estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(estimated[list(contacts)], dtype=np.bool_)
 

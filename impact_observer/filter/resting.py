@@ -54,7 +54,8 @@ def rested(
         return state
     size, p = state.x.size, state.parameters
     H, value, floor = rest_measurement(members, state, new, leftover)
-    update = correction(state.root, H, np.empty((len(H), 0)), floor)
+    nothing, considered = np.empty((len(H), 0)), members.considered_rows(size)
+    update = correction(state.root, H, nothing, floor, considered)
     z = np.concatenate([state.x, state.constants]) - update.change(value)
     if p and np.isfinite(z).all() and np.isfinite(update.root).all():
         z = members.parameters.bounded(z, update.root, size)

@@ -98,6 +98,7 @@ class SampleFilter:
         """Samples of the system of ``filter_``."""
         self.filter = filter_
         self._sizes = filter_.phases.scales.sizes
+        self._parameters = filter_.members.parameters
 
     def row(self, reading: Reading, state: GaussianState) -> Row:
         """The measured function near a state."""
@@ -137,7 +138,8 @@ class SampleFilter:
         row, gate = self.row(reading, state), reading.sensor.measurement.gate
         noise = self.noise(row, state, known.variance)
         if not jump:
-            found = measured(*state[:4], row.whole, row.rest, reading.value, noise, gate)
+            about = row.whole, row.rest, reading.value
+            found = measured(*state[:4], *about, noise, gate, self._parameters)
             outcome = _judged(found[4], found[5], gate)
             if outcome.accepted:
                 state = self._corrected(state, *found[:4])
@@ -150,7 +152,8 @@ class SampleFilter:
         if size > gate * math.sqrt(variance):
             return SampleResult(state, _gated(innovation, normalized, gate), density)
         noise += jump * jump
-        found = measured(*state[:4], row.whole, row.rest, reading.value, noise, math.inf)
+        about = row.whole, row.rest, reading.value
+        found = measured(*state[:4], *about, noise, math.inf, self._parameters)
         reason = "in part: an impact is about to happen, or has just happened"
         outcome = SampleOutcome(innovation, normalized, True, reason)
         return SampleResult(self._corrected(state, *found[:4]), outcome, density)
@@ -161,7 +164,7 @@ class SampleFilter:
         """``state`` with other numbers, and parameters within their bounds."""
         if p := state.parameters:
             z = np.concatenate([x, constants])
-            z = self.filter.members.parameters.bounded(z, root, x.size)
+            z = self._parameters.bounded(z, root, x.size)
             x, constants = z[: x.size], z[x.size :]
         return GaussianState(x, constants, root, others, state.closed, p)
 

@@ -71,9 +71,16 @@ def _upper(d: int) -> Matrix:
 
 
 def correction(
-    root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float] = ()
+    root: Matrix,
+    H: Matrix,
+    noise: Matrix,
+    rounded: Sequence[float] = (),
+    considered: Sequence[int] = (),
 ) -> Correction:
     """The correction of ``z`` by measuring ``H z + noise``: the Kalman filter's array form.
+
+    Considered parameters keep their values and variances. The others have the gain of the joint
+    covariance (Schmidt, Application of state-space methods to navigation problems, 1966).
 
     Args:
         root: a square root of the covariance of ``z``, shape (d, any).
@@ -81,12 +88,18 @@ def correction(
         noise: a root of the measurement noise's covariance, with ``rounded`` positive definite,
             shape (k, any).
         rounded: standard deviations of independent noise of each measurement, k or none.
+        considered: rows of ``root`` that have an error, but are not estimated.
     """
     seen, (k, d) = _seen(root, H, noise, rounded), H.shape
     joint = np.zeros((k + d, seen.shape[1]))
     joint[:k], joint[k:, seen.shape[1] - root.shape[1] :] = seen, root
     found = triangular(joint)
-    return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
+    gain, innovation, posterior = found[k:, :k], found[:k, :k], found[k:, k:]
+    if considered:
+        kept, rows = np.zeros((d, k)), list(considered)
+        kept[rows], gain[rows] = gain[rows], 0.0
+        posterior = triangular(np.hstack([posterior, kept]))
+    return Correction(gain, innovation, posterior)
 
 
 def innovation_root(

@@ -53,7 +53,7 @@ class Uncertainty:
         missed: of an impact, that it is not reported.
         spurious: of an event, that nothing has happened.
         mislabelled: of an impact, that it was one of another contact.
-        unknowns: parameters of the model that are estimated; None for none.
+        unknowns: parameters of the model that are estimated or considered; None for none.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
     """
 
@@ -93,9 +93,14 @@ class Uncertainty:
     def trusts_estimate(self) -> bool:
         """Whether nothing makes the covariance of the estimate wrong.
 
-        Parameters that are estimated may make it wrong though every event is true.
+        Uncertain parameters may make it wrong though every event is true.
         """
         return self.trusts_events and self.unknowns is None
+
+    @property
+    def estimates_parameters(self) -> bool:
+        """Whether parameters of the model are estimated with the state."""
+        return self.unknowns is not None and bool(self.unknowns.estimated)
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the model that an observer estimates with the state, as users name them."""
+"""The uncertain parameters of the model: estimated with the state, or considered."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +10,11 @@ from impact_observer.errors import UsageError
 from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.model.elements import Element
-from impact_observer.model.free_parameters import OFFSET, parametric_family
+from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.options import highest
-from impact_observer.states import Vector, frozen
+from impact_observer.states import Matrix, Vector, frozen
 
 _DEVIATION_RANGE = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
@@ -23,19 +24,22 @@ _GAP_FACTOR = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownParameters:
-    """Parameters of the model that are estimated with the state.
+    """Parameters of the model whose values are uncertain.
 
     Attributes:
         family: the system and these parameters; first those that change the motion between
             impacts.
-        deviations: standard deviations of the model's values, shape (p,), in their units.
-        drift: of the random walk of the parameters in a minute, as a share of ``deviations``; 0
-            for constants.
+        covariance: of the model's values, shape (p, p), in their units.
+        drift: of the random walk of the estimated parameters in a minute, as a share of
+            ``deviations``; 0 for constants.
+        considered: which of the parameters are considered (Schmidt), not estimated; none by
+            default.
     """
 
     family: ParametricFamily
-    deviations: Vector
+    covariance: Matrix
     drift: float = 0.0
+    considered: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that the numbers can be used.
@@ -43,13 +47,15 @@ class UnknownParameters:
         Raises:
             UsageError: naming what was found.
         """
-        object.__setattr__(self, "deviations", frozen(self.deviations))
+        object.__setattr__(self, "covariance", frozen(self.covariance))
+        size = self.family.size
+        object.__setattr__(self, "considered", self.considered or (False,) * size)
         most = highest("parameter_drift")
         if not 0 <= self.drift <= most:
             raise UsageError(f"parameter_drift: {self.drift:g} found; expected 0 to {most:g}")
-        if self.deviations.shape != (self.family.size,):
-            found, size = self.deviations.size, self.family.size
-            raise UsageError(f"deviations: {found} found; expected {size}, one a parameter")
+        if self.covariance.shape != (size, size):
+            found = self.covariance.shape
+            raise UsageError(f"covariance: shape {found} found; expected {(size, size)}")
         for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
             least, most = (each.size * share for share in _DEVIATION_RANGE)
             most *= _GAP_FACTOR if np.any(each.effect.gap) else 1.0
@@ -59,6 +65,24 @@ class UnknownParameters:
                     f" {most:g}"
                 )
 
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations of the model's values, shape (p,), in their units."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def root(self) -> Matrix:
+        """A square root of ``covariance``, shape (p, p)."""
+        scale = self.deviations
+        values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated."""
+        each = zip(self.family.names, self.considered, strict=True)
+        return tuple(name for name, considered in each if not considered)
+
     @classmethod
     def named(
         cls,
@@ -66,11 +90,13 @@ class UnknownParameters:
         wanted: Sequence[str],
         elements: Sequence[Element] = (),
         drift: float = 0.0,
+        uncertainty: ParameterUncertainty | None = None,
     ) -> "UnknownParameters":
-        """The parameters that users name.
+        """The parameters that users name are estimated, others that are uncertain considered.
 
         ``wanted`` are names as of ``identify --free``, such as ``restitution`` or ``gap.stop``,
-        each perhaps with a standard deviation, as in ``restitution=0.05``.
+        each perhaps with a standard deviation, as in ``restitution=0.05``. Without one the
+        deviation is that of the model's ``uncertainty``.
 
         Raises:
             UsageError: an unknown name, a name that comes twice, or a deviation that is no number.
@@ -88,25 +114,68 @@ class UnknownParameters:
             if sign:
                 declared[name] = _number(text, number)
         family = parametric_family(system, names, elements, observed=True)
-        return cls.of(family, declared, drift)
+        found = cls.of(family, declared, drift, uncertainty)
+        return found if uncertainty is None else found.considering(uncertainty, elements)
 
     @classmethod
     def of(
-        cls, family: ParametricFamily, declared: Mapping[str, float], drift: float = 0.0
+        cls,
+        family: ParametricFamily,
+        declared: Mapping[str, float],
+        drift: float = 0.0,
+        uncertainty: ParameterUncertainty | None = None,
     ) -> "UnknownParameters":
-        """Those of a family; deviations are ``declared`` by name or kind, others are the usual.
+        """The parameters of a ``family``, all estimated.
+
+        Deviations are ``declared`` by name or kind, or those of the model's ``uncertainty``, or
+        the usual ones.
 
         Raises:
             UsageError: a deviation cannot be used.
         """
         parameters = tuple(sorted(family.parameters, key=lambda each: not each.moves))
+        known = {} if uncertainty is None else uncertainty.deviation_by_name
         deviations = []
         for each in parameters:
             kind = each.name.partition(".")[0]
             usual = TUNING.parameter_deviation * each.size
             usual = TUNING.restitution_deviation if kind == "restitution" else usual
+            usual = known.get(each.name) or usual
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(ParametricFamily(family.system, parameters), np.array(deviations), drift)
+        return cls(ParametricFamily(family.system, parameters), np.diag(deviations) ** 2, drift)
+
+    def considering(
+        self, uncertainty: ParameterUncertainty, elements: Sequence[Element] = ()
+    ) -> "UnknownParameters":
+        """These, and beside them the others with a deviation in ``uncertainty``: considered.
+
+        Parameters that only ``identify`` learns are left out, see ``not_considered``.
+
+        Raises:
+            UsageError: a deviation cannot be used, or a parameter excludes an estimated one.
+        """
+        own, known = self.family, uncertainty.deviation_by_name
+        others = [n for n, d in known.items() if d and n not in own.names and is_observed(n)]
+        if not others:
+            return self
+        names = [*own.names, *others]
+        whole = parametric_family(own.system, names, elements, observed=True)
+        parameters = tuple(sorted(whole.parameters, key=lambda each: not each.moves))
+        deviation = known | dict(zip(own.names, self.deviations.tolist(), strict=True))
+        scale = np.array([deviation[each.name] for each in parameters])
+        correlation = uncertainty.correlation([each.name for each in parameters])
+        return UnknownParameters(
+            ParametricFamily(own.system, parameters),
+            correlation * np.outer(scale, scale),
+            self.drift,
+            tuple(each.name in others for each in parameters),
+        )
+
+
+def not_considered(uncertainty: ParameterUncertainty) -> tuple[str, ...]:
+    """Names of the parameters with a deviation that an observer takes for exact."""
+    known = uncertainty.deviation_by_name
+    return tuple(name for name, deviation in known.items() if deviation and not is_observed(name))
 
 
 def _number(text: str, number: str) -> float:

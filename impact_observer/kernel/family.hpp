@@ -25,12 +25,22 @@ constexpr double MARGIN = 1e-3;  // of a parameter of the motion to its bounds, 
 constexpr double MEAN_TOO = 0.8660254037844386;  // root mean square of half a squared variable
 constexpr double TAILS = 1.5;  // products of normal variables have heavier tails than noise
 
-// Parameters that are estimated; those that change the motion between impacts come first.
+// Uncertain parameters; those that change the motion between impacts come first.
 struct Parameters {
     Vector low, high, size;  // bounds, and the errors that make a model useless
     std::size_t moving;      // how many change the motion
+    std::vector<bool> considered;  // with an error, but not estimated (Schmidt)
 
     std::size_t count() const { return size.size(); }
+
+    // Whether row i of (first rows, parameters, others) is that of a considered parameter.
+    bool is_considered(std::size_t i, std::size_t first) const {
+        return i >= first && i - first < considered.size() && considered[i - first];
+    }
+
+    bool considers() const {
+        return std::any_of(considered.begin(), considered.end(), [](bool each) { return each; });
+    }
 
     // Steps of finite differences by the first ones, about as large as their standard deviations:
     // powers of two, so that hypotheses of similar covariance share the same members. A row of
@@ -58,6 +68,7 @@ struct Parameters {
     void clamp_estimate(Vector& z, const MatrixView& root, std::size_t first) const {
         Vector change(root.rows);
         for (std::size_t j = 0; j < count(); ++j) {
+            if (considered[j]) continue;
             const ConstSpan row = root.row(first + j);
             const double value = z[first + j] + change[first + j];
             const double beyond = clamped(j, value) - value, variance = dot(row, row);
@@ -65,8 +76,10 @@ struct Parameters {
             for (std::size_t i = 0; i < root.rows; ++i)
                 change[i] += dot(root.row(i), row) * (beyond / variance);
         }
-        add_scaled(1.0, change, z);
-        for (std::size_t j = 0; j < count(); ++j) z[first + j] = clamped(j, z[first + j]);
+        for (std::size_t i = 0; i < root.rows; ++i)
+            if (!is_considered(i, first)) z[i] += change[i];
+        for (std::size_t j = 0; j < count(); ++j)
+            if (!considered[j]) z[first + j] = clamped(j, z[first + j]);
     }
 };
 

@@ -72,11 +72,12 @@ Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, do
 }
 
 Parameters parameters_of(const Array& low, const Array& high, const Array& size,
-                         std::size_t moving) {
+                         std::size_t moving, const std::vector<bool>& considered) {
     const std::size_t p = checked(low, "low", ANY).size();
     Parameters parameters{checked(low, "low", p), checked(high, "high", p),
-                          checked(size, "size", p), moving};
+                          checked(size, "size", p), moving, considered};
     expect(moving <= p, "moving: more than there are");
+    expect(considered.size() == p, "considered: expected one of each parameter");
     for (std::size_t j = 0; j < p; ++j)
         expect(parameters.size[j] > 0 &&
                    parameters.high[j] - parameters.low[j] >= 2 * MARGIN * parameters.size[j],
@@ -309,14 +310,16 @@ LinearMeasurement sample_of(const Array& row, std::size_t size, double rest, dou
 // A state corrected by a sample.
 CorrectedState measured(const Array& x, const Array& constants, const Array& root,
                         const Array& differences, const Array& row, double rest, double value,
-                        double noise, double gate) {
+                        double noise, double gate, const Parameters& parameters) {
     const MatrixView about = checked(x, "x", ANY), beside = checked(constants, "constants", ANY);
     const std::size_t d = about.size() + beside.size();
     LinearMeasurement sample = sample_of(row, ANY, rest, value, noise, gate);
     expect(sample.row.size() >= about.size() && sample.row.size() <= d,
            "row: expected a number of each of the state, and of constants");
-    return Gaps::updated(sample, {about, beside, checked(root, "root", d, ANY),
-                                  checked(differences, "differences", d, ANY)});
+    return Gaps::updated(sample,
+                         {about, beside, checked(root, "root", d, ANY),
+                          checked(differences, "differences", d, ANY)},
+                         parameters);
 }
 
 // States s seconds after t, corrected by a sample then. None where a gap is negative.
@@ -407,7 +410,7 @@ void bind_filter(py::module_& module) {
                "deviation"_a);
     module.def("falls_at", &root_between, "function"_a, "above"_a, "below"_a);
     module.def("measured", &measured, "x"_a, "constants"_a, "root"_a, "differences"_a, "row"_a,
-               "rest"_a, "value"_a, "noise"_a, "gate"_a);
+               "rest"_a, "value"_a, "noise"_a, "gate"_a, "parameters"_a);
     module.def("sizes_by", &sizes_by, "metric"_a, "x"_a, "columns"_a);
     py::class_<FreeMotion, std::shared_ptr<FreeMotion>>(module, "FreeMotion")
         .def(py::init(&motion_of), "lower"_a, "constant"_a, "frequency"_a, "cosine"_a, "sine"_a,
@@ -418,7 +421,8 @@ void bind_filter(py::module_& module) {
     py::class_<Sizes>(module, "Sizes")
         .def(py::init(&sizes_of), "modes"_a, "spread"_a, "squares"_a, "timescale"_a);
     py::class_<Parameters>(module, "Parameters")
-        .def(py::init(&parameters_of), "low"_a, "high"_a, "size"_a, "moving"_a)
+        .def(py::init(&parameters_of), "low"_a, "high"_a, "size"_a, "moving"_a,
+             "considered"_a)
         .def("steps", &steps, "theta"_a, "root"_a)
         .def("bounded", &bounded, "z"_a, "root"_a, "first"_a);
     py::class_<Family, std::shared_ptr<Family>>(module, "Family")

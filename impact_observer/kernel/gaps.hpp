@@ -249,7 +249,8 @@ class Gaps {
                 if (!negative_intervals(steps, prior, levels[b]).empty()) return std::nullopt;
             }
             const double level = std::hypot(declared, levels[b]);
-            corrected.push_back(updated(sample, state_after_flight(t, prior, x, level, flight)));
+            corrected.push_back(updated(sample, state_after_flight(t, prior, x, level, flight),
+                                        family->parameters));
         }
         return corrected;
     }
@@ -291,7 +292,8 @@ class Gaps {
 
     // The scalar update of a root, unless the gate rejects the sample (Potter; Bierman,
     // Factorization methods for discrete sequential estimation, 1977, chapter II).
-    static CorrectedState updated(const LinearMeasurement& sample, Posterior prior) {
+    static CorrectedState updated(const LinearMeasurement& sample, Posterior prior,
+                                  const Parameters& parameters) {
         CorrectedState corrected{std::move(prior), 0, 0, 0, 0};
         auto& [x, constants, root, differences] = corrected.state;
         const std::size_t size = x.size();
@@ -306,13 +308,20 @@ class Gaps {
         corrected.residual = least * least * variance * share * share + spread * share;
         if (!(corrected.normalised > sample.gate)) {
             const double shrink = variance + std::sqrt(variance * sample.noise);
+            const bool considers = parameters.considers();
+            if (considers) root = resized(root, root.columns + 1);
             for (std::size_t i = 0; i < root.rows; ++i) {
-                const double towards = dot(root.row(i), columns);
+                const double towards = dot(root.row(i).part(0, columns.size()), columns);
+                add_scaled(-towards / shrink, columns, root.row(i).data);
+                if (parameters.is_considered(i, size)) {  // it keeps its value and its error
+                    root(i, columns.size()) = towards / std::sqrt(variance);
+                    continue;
+                }
                 const double change = towards / variance * corrected.innovation;
                 (i < size ? x[i] : constants[i - size]) += change;
-                add_scaled(-towards / shrink, columns, root.row(i));
                 add_scaled(-towards / variance, others, differences.row(i));
             }
+            if (considers) root = squared(std::move(root));
         }
         return corrected;
     }

@@ -14,7 +14,7 @@
 // an impact changes a covariance's root by a few products of a column and a row.
 //
 // Parameters theta of the model are estimated with the state: each hypothesis is a system of its
-// own. Where velocities jump a time tau after the onset, kappa_1 = Phi(e) (1 - tau A) (0; k).
+// own. Those that are considered have an error, but keep their values. Where velocities jump a time tau after the onset, kappa_1 = Phi(e) (1 - tau A) (0; k).
 #pragma once
 
 #include <array>
@@ -248,6 +248,9 @@ class Impact {
         Vector about = y;
         double e = within(prior.z[0]);
         Joint found = prior;
+        const Parameters& parameters = family->parameters;
+        const std::size_t beside = 1 + given.x.size();  // the parameters' first row
+        if (parameters.considers()) found.root = resized(prior.root, prior.root.columns + 1);
         for (int turn = 0; turn < rounds; ++turn) {
             const Place at = place(law, t, e, about);
             const double slope = -at.gamma;
@@ -277,8 +280,12 @@ class Impact {
             }
             reflect(joint, 1);
             for (std::size_t i = 0; i < d; ++i) {
-                found.z[i] = prior.z[i] + joint(1 + i, 0) * white;
                 std::copy(&joint(1 + i, 1), joint.row(1 + i).end(), found.root.row(i).data);
+                // Joint gain (Schmidt): a considered parameter keeps its value and its error.
+                if (parameters.is_considered(i, beside))
+                    found.root(i, prior.root.columns) = joint(1 + i, 0);
+                else
+                    found.z[i] = prior.z[i] + joint(1 + i, 0) * white;
             }
             const double by = found.z[0] - e, clear = found.root(0, 0);
             double change = at.a * by / 2;
@@ -287,12 +294,14 @@ class Impact {
             const double after = nonlinear(at, found.root, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
             if (family->count())
-                family->parameters.clamp_estimate(found.z, found.root, 1 + given.x.size());
+                parameters.clamp_estimate(found.z, found.root, beside);
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
                 add_scaled(slope, prior.differences.row(0), others);
                 for (std::size_t i = 0; i < d; ++i)
-                    add_scaled(-joint(1 + i, 0) / joint(0, 0), others, found.differences.row(i));
+                    if (!parameters.is_considered(i, beside))
+                        add_scaled(-joint(1 + i, 0) / joint(0, 0), others,
+                                   found.differences.row(i));
                 break;
             }
             e = within(found.z[0]);

@@ -60,6 +60,25 @@ class ParameterUncertainty:
         return frozen(np.sqrt(np.diag(self.covariance)))
 
     @property
+    def deviation_by_name(self) -> dict[str, float]:
+        """Standard deviation of each value by the name of its parameter, SI units."""
+        return dict(zip(self.names, self.deviations.tolist(), strict=True))
+
+    def correlation(self, names: Sequence[str]) -> Matrix:
+        """The correlations of parameters; others than those of ``names`` have none.
+
+        Shape (k, k) for k names.
+        """
+        found, where = np.eye(len(names)), {name: i for i, name in enumerate(self.names)}
+        own = [(k, where[name]) for k, name in enumerate(names) if name in where]
+        for k, i in own:
+            for other, j in own:
+                size = float(self.deviations[i] * self.deviations[j])
+                if other != k and size:
+                    found[k, other] = self.covariance[i, j] / size
+        return found
+
+    @property
     def document(self) -> dict[str, Value]:
         """The value of the key ``uncertainty`` in a model file."""
         found: dict[str, Value] = {

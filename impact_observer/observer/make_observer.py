@@ -9,8 +9,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.filter.unknown_parameters import UnknownParameters
-from impact_observer.model import System
-from impact_observer.model.elements import Element
+from impact_observer.model import Model, System
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.laws import Law, law_named
@@ -20,28 +19,28 @@ from impact_observer.states import Matrix, Vector
 
 
 def make_observer(
-    system: System,
+    model: Model | System,
     options: Options | None = None,
-    elements: Sequence[Element] = (),
     others: Matrix | None = None,
     *,
     law: type[Law] | None = None,
     measurements: Sequence[Measurement] = (),
     unknowns: UnknownParameters | None = None,
 ) -> Observer:
-    """An observer of ``system`` that has received no event yet.
+    """An observer of a ``model`` that has received no event yet.
 
-    ``options`` are None for the defaults. The system was assembled of ``elements``: their
-    parameters can be estimated one by one. The ``others`` are initial states of the replicas that
-    run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn. Another ``law``
-    than that of the options may be given. The ``measurements`` are made beside the impacts. The
-    ``unknowns`` are estimated in the place of those that the options name.
+    Of a model with elements their parameters can be estimated one by one, and parameters with
+    deviations are considered. ``options`` are None for the defaults. The ``others`` are initial
+    states of the replicas that run beside the estimate, shape (ensemble - 1, 2n); by default they
+    are drawn. Another ``law`` than that of the options may be given. The ``measurements`` are made
+    beside the impacts. The ``unknowns`` take the place of those that options and model name.
 
     Raises:
         UsageError: an option cannot be used; the line names the option.
     """
     options = options or Options()
-    system, live = connected(system)
+    model = model if isinstance(model, Model) else Model(model)
+    system, live = connected(model.system)
     law = law or law_named(options.law)
     uncertainty = Uncertainty(
         deviation_of(options.initial_deviation, system),
@@ -51,7 +50,7 @@ def make_observer(
         options.missed,
         options.spurious,
         options.mislabelled,
-        unknowns or _unknown_parameters(system, options, elements),
+        unknowns or _unknown_parameters(system, options, model),
         options.dead_time,
     )
     return Observer(
@@ -69,23 +68,23 @@ def make_observer(
 
 
 def _unknown_parameters(
-    system: System, options: Options, elements: Sequence[Element]
+    system: System, options: Options, model: Model
 ) -> UnknownParameters | None:
-    if not options.estimate_parameters:
-        if options.parameter_drift:
-            raise UsageError(
-                f"parameter_drift: {options.parameter_drift:g} found, but no estimate_parameters"
-                " to drift; expected some, or no drift"
-            )
-        return None
     wanted, drift = options.estimate_parameters, options.parameter_drift
-    unknowns = UnknownParameters.named(system, wanted, elements, drift)
-    if not law_named(options.law).learns:
+    if drift and not wanted:
+        raise UsageError(
+            f"parameter_drift: {drift:g} found, but no estimate_parameters to drift; expected"
+            " some, or no drift"
+        )
+    unknowns = UnknownParameters.named(system, wanted, model.elements, drift, model.uncertainty)
+    if law_named(options.law).learns:
+        return unknowns if unknowns.family.size else None
+    if wanted:
         raise UsageError(
             f"estimate_parameters: the law {options.law} estimates none; expected"
             " minimum-variance, or leave them out"
         )
-    return unknowns
+    return None
 
 
 def initial_state(text: str, system: System, deviation: str = "1") -> tuple[Vector, Vector]:

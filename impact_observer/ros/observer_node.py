@@ -64,7 +64,7 @@ class ObserverNode(BaseNode):
         system = model.system
         self._initial = initial_state(options.initial_state, system, options.initial_deviation)
         sensors = read_measurements(values.text("measurements"))
-        self.observer = make_observer(system, options, model.elements, measurements=sensors)
+        self.observer = make_observer(model, options, measurements=sensors)
         self._names = system.coordinates
         self._restarts = 0
         self._lag = from_seconds(values.number("lag"))

@@ -101,10 +101,9 @@ def smooth_bag(
 
     try:
         runs = smoothed_runs(
-            model.system,
+            model,
             events,
             options,
-            model.elements,
             measurements=measurements,
             samples=samples.samples,
             progress=progress,

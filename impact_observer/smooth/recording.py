@@ -13,8 +13,7 @@ from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.unknown_parameters import UnknownParameters
-from impact_observer.model import System
-from impact_observer.model.elements import Element
+from impact_observer.model import Model, System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, initial_state, make_observer
 from impact_observer.observer.samples import SensorSample
@@ -54,10 +53,9 @@ def no_inputs(observer: Observer) -> None:
 
 
 def smoothed_runs(
-    system: System,
+    model: Model | System,
     events: Sequence[ImpactEvent],
     options: Options,
-    elements: Sequence[Element] = (),
     *,
     measurements: Sequence[Measurement] = (),
     samples: Sequence[SensorSample] = (),
@@ -69,15 +67,14 @@ def smoothed_runs(
     """The smoothed motion in each run of the sender in a recording, in order.
 
     Args:
-        system: of the model.
+        model: the model, or the system alone.
         events: in order of reception, or as ``sender_runs.in_order`` has them.
         options: of the observer.
-        elements: of which the system was assembled.
         measurements: measurements of sensors beside the impacts.
         samples: samples of these sensors, in order of stamps.
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
-        unknowns: parameters to estimate; None for the parameters of the options.
+        unknowns: uncertain parameters; None for those of options and model.
         thorough: whether other accounts are tried if the motion explains all events.
 
     Raises:
@@ -93,9 +90,8 @@ def smoothed_runs(
         raise BagError("it holds no impact")
     made = partial(
         make_observer,
-        system,
+        model,
         _own(options),
-        elements,
         law=TracedLaw,
         measurements=measurements,
         unknowns=unknowns,

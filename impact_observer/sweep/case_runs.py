@@ -104,7 +104,7 @@ def outcome_alone(case: Case) -> Outcome:
         faults = SampleFaults(rate=case.plant.rate)
         samples = samples_of_run(SampleSimulation(measurements, system, faults, case.seed), run)
     comparison = compare_observer(
-        make_observer(parsed(case.variant.text).system, case.options, measurements=measurements),
+        make_observer(parsed(case.variant.text), case.options, measurements=measurements),
         events,
         samples_of(run.stamps, run.states),
         system=system,
@@ -119,9 +119,9 @@ def outcomes_together(cases: Sequence[Case]) -> list[Outcome]:
     """The outcomes of cases with equal events."""
     first = cases[0]
     run, system, events = _sensed(first)
-    model = parsed(first.variant.text).system
+    model = parsed(first.variant.text)
     deviation = first.options.initial_deviation
-    starts = (initial_state(each.initial_state, model, deviation) for each in cases[1:])
+    starts = (initial_state(each.initial_state, model.system, deviation) for each in cases[1:])
     others = [np.concatenate(each) for each in starts]
     options = replace(first.options, ensemble=len(cases))
     observer = make_observer(model, options, others=np.array(others))

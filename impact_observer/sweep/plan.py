@@ -192,7 +192,7 @@ class Sweep:
         system = parse_model(plant.text, "plant").system
         for sensor in self.sensors:
             SensorSimulation(sensor, system, epoch=plant.epoch)
-        variant = parse_model(self.variants[0].text, "replica").system
+        variant = parse_model(self.variants[0].text, "replica")
         for case in self._cases(self.sensors[:1], self.variants[:1], 1):
             make_observer(variant, case.options, measurements=self.measurements)
         SampleSimulation(self.measurements, system, SampleFaults(), self.seed)

@@ -17,7 +17,7 @@ from impact_observer.filter.readings import DeclaredSensor, Place, Reading, Sens
 from impact_observer.filter.sample_update import SampleUpdate
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
-from impact_observer.kernel import measured
+from impact_observer.kernel._kernel import Parameters, measured
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.plant import Run, simulate
@@ -115,8 +115,13 @@ def test_parameters_that_are_estimated_change_what_is_measured() -> None:
             assert row.of_theta[j] == pytest.approx(slope, rel=1e-5, abs=1e-9)
 
 
-def test_a_square_root_is_updated_like_its_covariance() -> None:
-    """Joseph's form, for noise from large to none at all, of state and constants."""
+@pytest.mark.parametrize("considered", [False, True])
+def test_a_square_root_is_updated_like_its_covariance(considered: bool) -> None:
+    """Joseph's form, for noise from large to none at all, of state and constants.
+
+    Of a considered parameter the gain is zero.
+    """
+    parameters = Parameters(np.zeros(1), np.ones(1), np.ones(1), 0, [considered])
     rng = np.random.default_rng(3)
     declared = Measurement("a", "/a", field="a", position=(("x1", 2.0),), deviation=0)
     x = rng.normal(size=4)
@@ -127,12 +132,13 @@ def test_a_square_root_is_updated_like_its_covariance() -> None:
         root, constants, others = (rng.normal(size=each) for each in ((6, 8), 2, (6, 3)))
         value = row.value(x) + 0.7
         *state, innovation, normalised, _, residual = measured(
-            x, constants, root, others, row.whole, row.rest, value, noise, 1e300
+            x, constants, root, others, row.whole, row.rest, value, noise, 1e300, parameters
         )
         P = root @ root.T
         variance = h @ P @ h + noise
         assert row.variance(root) + noise == pytest.approx(variance)
         gain, share = P @ h / variance, noise / variance
+        gain[4] *= not considered
         left = np.eye(6) - np.outer(gain, h)
         expected = left @ P @ left.T + noise * np.outer(gain, gain)
         np.testing.assert_allclose(state[2] @ state[2].T, expected, atol=1e-11)

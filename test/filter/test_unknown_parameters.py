@@ -393,11 +393,11 @@ def test_a_widened_covariance_stays_as_large_as_the_motion() -> None:
 def test_unknowns_check_themselves() -> None:
     """Their number and their drift."""
     family = UnknownParameters.named(sample("two_mass").system, ["restitution"]).family
-    with pytest.raises(UsageError, match="2 found; expected 1"):
-        UnknownParameters(family, np.array([0.1, 0.2]))
+    with pytest.raises(UsageError, match=r"shape \(2, 2\) found; expected \(1, 1\)"):
+        UnknownParameters(family, np.diag([0.1, 0.2]))
     for drift in (-0.1, float("nan"), 2e3):
         with pytest.raises(UsageError, match=r"parameter_drift: .* found; expected 0 to"):
-            UnknownParameters(family, np.array([0.1]), drift)
+            UnknownParameters(family, np.array([[0.01]]), drift)
 
 
 def test_late_events_change_no_estimated_parameter() -> None:

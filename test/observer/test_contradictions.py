@@ -35,7 +35,7 @@ def test_a_missed_impact_is_remembered_after_the_next_event() -> None:
     model = sample("two_mass")
     whole = run(model.system, *model.initial_state(), seconds=120.0, rate=1.0)
     trusting = Options(law="minimum-variance", missed=0.0, spurious=0.0, mislabelled=0.0)
-    observer, warned = make_observer(model.system, trusting, model.elements), []
+    observer, warned = make_observer(model, trusting), []
     for k, each in enumerate(whole.events):
         if k != 30:
             observer.receive(each)
@@ -50,7 +50,7 @@ def test_late_stamps_are_no_missed_impacts() -> None:
     model, random = sample("two_mass"), np.random.default_rng(1)
     whole = run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
     late = Options(law="minimum-variance", missed=0.0, clock_error=1e-3)
-    observer = make_observer(model.system, late, model.elements)
+    observer = make_observer(model, late)
     said = []
     for k, each in enumerate(whole.events):
         stamp = each.stamp + round(1e6 * random.normal())

@@ -57,7 +57,7 @@ def wrong() -> Run:
 def watching(**options: float) -> Observer:
     """An observer of two_mass that starts at zero."""
     chosen = Options(law="minimum-variance", history=1e4, epoch=EPOCH, **options)  # type: ignore[arg-type]
-    return make_observer(sample("two_mass").system, chosen, ())
+    return make_observer(sample("two_mass").system, chosen)
 
 
 def z_of(watcher: Observer, truth: Run) -> float:
@@ -160,7 +160,7 @@ def test_parameters_that_a_user_estimates_stand_alone() -> None:
     wanted = {"law": "minimum-variance", "estimate_parameters": ("stiffness-scale",)}
     declared = {"clock_error": 0.0, **TRUSTED}
     chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
-    watcher = fed(make_observer(sample("two_mass").system, chosen, ()), wrong().events[:38])
+    watcher = fed(make_observer(sample("two_mass").system, chosen), wrong().events[:38])
     last = watcher.estimate(watcher.last_event)
     assert last.misfit
     names = {name for name, *_ in last.parameters}
@@ -212,7 +212,7 @@ def test_contact_time_is_found() -> None:
     declared = {"clock_error": 1e-4, **TRUSTED}
     chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
     recording = plant.run(0, 12.0)
-    watcher = fed(make_observer(plant.model, chosen, ()), events(plant.model, recording))
+    watcher = fed(make_observer(plant.model, chosen), events(plant.model, recording))
     learned = {name: value for name, value, _ in watcher.estimate(watcher.last_event).parameters}
     assert learned["contact-time.anvil"] == pytest.approx(0.0018, rel=0.15)
     assert learned["contact-time.rock"] == pytest.approx(0.0018, rel=0.15)
@@ -264,7 +264,7 @@ def test_stamps_of_a_periodic_motion_are_rounded_periodically_and_that_is_no_mis
     plant = Plant(drill.system, *drill.initial_state(), epoch=EPOCH)
     hits = simulate(plant, grid(EPOCH, EPOCH + 10 * NS_PER_S, 1.0)).events
     chosen = Options(law="minimum-variance", epoch=EPOCH)
-    watcher = fed(make_observer(drill.system, chosen, ()), hits)
+    watcher = fed(make_observer(drill.system, chosen), hits)
     assert len(hits) > 300
     assert watcher.remarks[Remark.MISFIT] == 0
 

@@ -25,7 +25,7 @@ def run_of(name: str, seconds: int) -> Run:
 def watcher_of(name: str) -> Observer:
     """An observer with default options, but for its law."""
     model = sample(name)
-    return make_observer(model.system, Options(law="minimum-variance"), model.elements)
+    return make_observer(model, Options(law="minimum-variance"))
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])

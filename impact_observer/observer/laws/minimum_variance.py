@@ -102,14 +102,16 @@ class MinimumVariance(Law):
         self.moving = filter_.members.given.moving
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._starts = Starts(filter_, self.uncertainty, self.clocks)
-        knows_parameters = self.uncertainty.unknowns is None
         self._doubts = (
-            learns_error and knows_parameters and ParameterAccounts.are_affordable(system)
+            learns_error
+            and not self.uncertainty.estimates_parameters
+            and ParameterAccounts.are_affordable(system)
         )
         self._replica = FallbackReplica(filter_)
-        self._names = filter_.members.family.names
+        each = zip(filter_.members.family.names, filter_.members.considered, strict=True)
+        self._names = tuple("" if considered else name for name, considered in each)
         self._estimates_parameters = bool(
-            self._names
+            any(self._names)
             or len(self.clocks) > 1
             or learns_error
             or self.uncertainty.clock_offset_error
@@ -384,13 +386,14 @@ class MinimumVariance(Law):
         """Estimated parameters of model and clock: name, value, standard deviation.
 
         ``root`` has the rows of the mixture's root for the constants, shape (k, any); ``names``
-        are those of the model's parameters. Those that no hypothesis doubts are left out.
+        are those of the model's parameters, empty for considered ones. Those that no hypothesis
+        doubts are left out.
         """
         if not self._estimates_parameters:
             return ()
         best, deviations = hypotheses[0].state, lengths(root)
         rows = zip(names, best.theta.tolist(), deviations, strict=False)
-        found = [row for row in rows if row[2]]
+        found = [row for row in rows if row[0] and row[2]]
         learned = {}
         if len(self.clocks) > 1:
             learned["clock_error"] = [h.clock for h in hypotheses]

@@ -102,11 +102,12 @@ class ParameterAccounts:
         return system.n <= TUNING.account_coordinates
 
     def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
-        """The account at an estimate without parameters, which is in doubt.
+        """The account at an estimate that is in doubt.
 
-        Some of the parameters are wrong; the stamps have one of the errors ``clocks``, s. The
+        Some of the parameters are wrong, and none is considered; the stamps have one of the errors ``clocks``, s. The
         components of the motion have been as large as ``largest``, shape (2n,).
         """
+        state = state.without_parameters()
         d, late, p = state.x.size, len(state.constants), self._unknowns.family.size
         rows = np.r_[:d, d + late : d + late + p, d : d + late]
         constants = np.concatenate([self._nominal, state.constants])

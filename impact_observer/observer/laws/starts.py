@@ -50,9 +50,9 @@ class Starts:
     def declared(self, replicas: Matrix, root: Matrix, closed: Contacts) -> GaussianState:
         """``replicas`` and ``root``, with parameters and clock offset as they were declared."""
         unknowns, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
-        deviations = [*([] if unknowns is None else unknowns.deviations)]
-        deviations += [late] if late else []
-        whole = linalg.block_diag(root, np.diag(deviations)) if deviations else root
+        of_constants = [] if unknowns is None else [unknowns.root]
+        of_constants += [np.array([[late]])] if late else []
+        whole = linalg.block_diag(root, *of_constants) if of_constants else root
         state = GaussianState.of(replicas, whole, closed)
         if unknowns is None:
             return state
