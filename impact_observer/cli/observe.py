@@ -17,9 +17,10 @@ from impact_observer.cli.arguments import (
 from impact_observer.options import AUTO, VERDICTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from impact_observer.model import System
+    from impact_observer.filter.unknown_parameters import UnknownParameters
+    from impact_observer.model import Model, System
     from impact_observer.observer import Observer
     from impact_observer.options import Options
 
@@ -73,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         start = far_start(read.system, chosen)
         for line in (*measured.problems, *unused_lines(observer), *odd, *start):
             progress.line(f"warning: {line}")
+        for line in considered_lines(read, observer.law.uncertainty.unknowns):
+            progress.line(line)
 
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)
@@ -94,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
         ]
         decided = f"verdicts: {', '.join(verdicts) or 'none'}"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
-        for line in (*parameter_lines(observer), *sample_lines(observer)):
+        used_twice = fitted_lines(read, (observer.last_event,))
+        for line in (*parameter_lines(observer), *sample_lines(observer), *used_twice):
             progress.line(line)
         if observer.last_event and observer.epoch:
             seconds = seconds_between(observer.epoch, observer.last_event)
@@ -112,6 +116,39 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
         yield f"{law.name} uses no measurements: {names} left out"
+
+
+def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "Iterator[str]":
+    """The parameters of a model whose deviations count, and those whose deviations do not."""
+    from impact_observer.draw.reports import figure
+    from impact_observer.filter.unknown_parameters import not_considered
+    from impact_observer.model.free_parameters import with_unit
+
+    if unknowns is not None and any(unknowns.considered):
+        each = zip(
+            unknowns.family.names,
+            unknowns.considered,
+            unknowns.family.nominal.tolist(),
+            unknowns.deviations.tolist(),
+            strict=True,
+        )
+        texts = [
+            f"{with_unit(name)} {figure(value, deviation=deviation)}"
+            for name, considered, value, deviation in each
+            if considered
+        ]
+        yield f"considered: {', '.join(texts)}"
+    if model.uncertainty is not None and (names := not_considered(model.uncertainty)):
+        yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
+
+
+def fitted_lines(model: "Model", stamps: "Iterable[int]") -> "Iterator[str]":
+    """A line if a model was fitted to the impacts at ``stamps``, ns."""
+    if model.uncertainty is not None and model.uncertainty.is_fitted_to(stamps):
+        yield (
+            "note: the model was fitted to these impacts: its errors and those of the estimates"
+            " come from the same stamps"
+        )
 
 
 def far_start(system: "System", options: "Options") -> "Iterator[str]":

@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.check.hit_times import doubts, first_times
+    from impact_observer.cli.observe import fitted_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import figure
     from impact_observer.io.observed_bag import MOST_ESTIMATES
@@ -70,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         for line in smoothed.problems:
             progress.line(f"warning: {line}")
         for each in smoothed.runs:
+            for line in fitted_lines(read, (m.change.stamp for m in each.account.moments)):
+                progress.line(line)
             for name, value, deviation in each.parameters:
                 progress.line(f"learned: {with_unit(name)} {figure(value, deviation=deviation)}")
             if not each.smoothed.is_settled:

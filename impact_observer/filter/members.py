@@ -22,15 +22,17 @@ from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.events import Contacts
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.saltation import Measured, Mirror
-from impact_observer.kernel._kernel import Family, Gaps, Impact, Parameters
+from impact_observer.kernel._kernel import Family, Gaps, Impact, MotionChange, Parameters
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _LARGEST = 1e300
 """Instead of bounds that are infinite."""
-_LINEAR = {"C", "K", "gap", "rebound", "contact_time"}
+_LINEAR = {"C", "K", "gap", "rebound", "contact_time", "amplitude", "constant"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
+_LINEARISED = _LINEAR | {"M", "phase", "frequency"}
+"""Coefficients by which considered parameters do, linearised about their values."""
 
 
 class HasTheta(Protocol):
@@ -204,21 +206,39 @@ class Members:
 
     @cached_property
     def is_linear(self) -> bool:
-        """Whether the accelerations are linear in the parameters: then the kernel knows them."""
-        parts = [each.effect.parts.keys() for each in self.family.parameters]
+        """Whether the kernel knows the parameters: accelerations are linear in them.
+
+        Those of considered parameters are linearised.
+        """
         rests = self.family.system.frame is None or not self.moving
-        return rests and all(each <= _LINEAR for each in parts)
+        return rests and all(
+            each.effect.parts.keys() <= (_LINEARISED if considered else _LINEAR)
+            for each, considered in zip(self.family.parameters, self.considered, strict=True)
+        )
 
     @cached_property
     def free(self) -> Family:
         """The motions of all members while no contact is closed."""
-        moving, n = self.given.moving, self.family.system.n
-        inverse, unit = moving.rates(()).B[n:], balanced(moving.rates(()).A)[1][:n]
-        effects = [each.effect for each in self.family.parameters[: self.moving]]
-        lower = [-inverse @ np.hstack([each.K, each.C]) for each in effects]
-        scale = np.concatenate([unit, np.ones(n)])
-        rates = np.array([np.linalg.norm(each / scale, 1) for each in lower])
-        return Family(moving.free, moving.sizes, self.parameters, self._nominal, lower, rates)
+        moving, changes = self.given.moving, [*map(self._motion_change, range(self.moving))]
+        return Family(moving.free, moving.sizes, self.parameters, self._nominal, changes)
+
+    def _motion_change(self, j: int) -> MotionChange:
+        """What a unit of the ``j``-th parameter adds to the accelerations, to first order."""
+        system, effect = self.family.system, self.family.parameters[j].effect
+        n, forcing, rates = system.n, system.forcing, self.given.moving.rates(())
+        inverse, scale = rates.B[n:], np.append(balanced(rates.A)[1][:n], np.ones(n))
+        by_mass = -inverse @ effect.M @ inverse
+        lower = by_mass @ np.hstack([-system.K, -system.C])
+        lower -= inverse @ np.hstack([effect.K, effect.C])
+        harmonic = self.family.harmonics(self.family.coefficients)[1][j]
+        return MotionChange(
+            lower,
+            by_mass @ forcing.constant + inverse @ effect.constant,
+            effect.frequency,
+            forcing.cosine @ by_mass.T + harmonic.real @ inverse.T,
+            forcing.sine @ by_mass.T - harmonic.imag @ inverse.T,
+            max(float(np.linalg.norm(lower / scale, 1)), *np.abs(effect.frequency), 0.0),
+        )
 
     def _free_impact(self, contact: int) -> Impact:
         """An impact of one contact while none is closed."""
@@ -226,12 +246,16 @@ class Members:
         eps = np.array([each.eps[contact] for each in effects])
         lags = np.array([each.contact_time[contact] / 2 for each in effects])
         newton, system = self.given.newton, self.family.system
+        w, kick, stop = system.W[:, contact], newton.kick(contact), newton.stops((contact,))[:, 0]
+        inverse = self.given.moving.rates(()).B[system.n :]
+        pushed = np.array([inverse @ each.M @ stop for each in effects]).reshape(-1, system.n)
+        by_mass = (np.outer(pushed @ w, stop) - pushed) * float(w @ kick)
         return Impact(
             self.free,
-            system.W[:, contact],
-            -newton.kick(contact),
+            w,
+            -kick,
             float(system.q_r[contact]),
-            -np.outer(eps, newton.stops((contact,))),
+            -np.outer(eps, stop) - by_mass,
             self._gap[:, contact],
             lags,
         )

@@ -83,6 +83,17 @@ class Parameters:
     def steps(self, theta: Vector, root: Matrix) -> Vector: ...
     def bounded(self, z: Vector, root: Matrix, first: int) -> Vector: ...
 
+class MotionChange:
+    def __init__(
+        self,
+        lower: Matrix,
+        constant: Vector,
+        frequency: Vector,
+        cosine: Matrix,
+        sine: Matrix,
+        rate: float,
+    ) -> None: ...
+
 class Family:
     def __init__(
         self,
@@ -90,8 +101,7 @@ class Family:
         sizes: Sizes,
         parameters: Parameters,
         nominal: Vector,
-        lower: Sequence[Matrix],
-        rate: Vector,
+        changes: Sequence[MotionChange],
     ) -> None: ...
     def rates(self, t: float, x: Vector, theta: Vector) -> Vector: ...
 

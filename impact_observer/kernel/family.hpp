@@ -83,28 +83,66 @@ struct Parameters {
     }
 };
 
-// The members of a family; the accelerations are linear in the parameters.
+// What a unit of a parameter adds to a FreeMotion.
+struct MotionChange {
+    Matrix lower;
+    Vector constant;
+    Matrix cosine, sine;
+    Vector frequency;
+    double rate;  // at most, to the bound of its rates, 1/s
+};
+
+// The members of a family. The accelerations are linear in the parameters, or those of considered
+// ones are linearised about the given member.
 struct Family {
     std::shared_ptr<const FreeMotion> given;
     Sizes sizes;  // of the given member
     Parameters parameters;
-    Vector nominal;             // parameters of the given member
-    std::vector<Matrix> lower;  // what a unit of those of the motion adds to FreeMotion::lower
-    Vector rate;                // and at most to the bound of its rates, 1/s
+    Vector nominal;                     // parameters of the given member
+    std::vector<MotionChange> changes;  // by those of the motion
 
     std::size_t count() const { return nominal.size(); }
-    std::size_t moving() const { return lower.size(); }
+    std::size_t moving() const { return changes.size(); }
 
     std::shared_ptr<const FreeMotion> member(const ConstSpan& theta) const {
         if (std::equal(theta.begin(), theta.begin() + moving(), nominal.begin())) return given;
         const auto member = std::make_shared<FreeMotion>(*given);
         for (std::size_t j = 0; j < moving(); ++j) {
             const double by = theta[j] - nominal[j];
-            add_scaled(by, lower[j].data, member->lower.data);
-            member->rate += std::abs(by) * rate[j];
+            const MotionChange& change = changes[j];
+            add_scaled(by, change.lower.data, member->lower.data);
+            add_scaled(by, change.constant, member->constant);
+            add_scaled(by, change.cosine.data, member->cosine.data);
+            add_scaled(by, change.sine.data, member->sine.data);
+            add_scaled(by, change.frequency, member->frequency);
+            member->rate += std::abs(by) * change.rate;
         }
         member->prepare();
         return member;
+    }
+
+    // What a unit of parameter j adds to the accelerations at a difference of states.
+    Vector acceleration_change(std::size_t j, const ConstSpan& difference) const {
+        Vector found(given->n());
+        for (std::size_t i = 0; i < found.size(); ++i)
+            found[i] = dot(changes[j].lower.row(i), difference.data);
+        return found;
+    }
+
+    // The same at the state x at t.
+    Vector acceleration_change(std::size_t j, const ConstSpan& x, double t) const {
+        Vector found = acceleration_change(j, x);
+        const MotionChange& change = changes[j];
+        add_scaled(1.0, change.constant, found);
+        for (std::size_t k = 0; k < given->frequency.size(); ++k) {
+            const double angle = given->frequency[k] * t, late = change.frequency[k] * t;
+            const double one = std::cos(angle), two = std::sin(angle);
+            add_scaled(one, change.cosine.row(k), found);
+            add_scaled(two, change.sine.row(k), found);
+            add_scaled(-late * two, given->cosine.row(k), found);
+            add_scaled(late * one, given->sine.row(k), found);
+        }
+        return found;
     }
 };
 

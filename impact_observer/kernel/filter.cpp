@@ -106,16 +106,26 @@ Vector bounded(const Parameters& parameters, const Array& z, const Array& root,
 
 Family family_of(const std::shared_ptr<FreeMotion>& motion, const Sizes& sizes,
                  const Parameters& parameters, const Array& nominal,
-                 const std::vector<Array>& lower, const Array& rate) {
-    const std::size_t n = motion->n();
-    expect(sizes.modes.rows == n, "sizes: of another system");
-    expect(lower.size() == parameters.moving, "lower: expected one of each parameter");
-    Family family{motion,     sizes,
-                  parameters, checked(nominal, "nominal", parameters.count()),
-                  {},         checked(rate, "rate", lower.size())};
-    for (const Array& each : lower) family.lower.push_back(checked(each, "lower", n, 2 * n));
-    for (const double each : family.rate) positive(each, "rate");
-    return family;
+                 const std::vector<MotionChange>& changes) {
+    expect(sizes.modes.rows == motion->n(), "sizes: of another system");
+    expect(changes.size() == parameters.moving, "changes: expected one of each parameter");
+    for (const MotionChange& each : changes)
+        expect(each.constant.size() == motion->n() &&
+                   each.frequency.size() == motion->frequency.size(),
+               "changes: of another system");
+    return {motion, sizes, parameters, checked(nominal, "nominal", parameters.count()), changes};
+}
+
+MotionChange motion_change_of(const Array& lower, const Array& constant, const Array& frequency,
+                              const Array& cosine, const Array& sine, double rate) {
+    const MatrixView omega = checked(frequency, "frequency", ANY);
+    const std::size_t n = checked(constant, "constant", ANY).size(), h = omega.size();
+    return {checked(lower, "lower", n, 2 * n),
+            checked(constant, "constant", n),
+            checked(cosine, "cosine", h, n),
+            checked(sine, "sine", h, n),
+            omega,
+            positive(rate, "rate")};
 }
 
 Impact impact_of(const std::shared_ptr<Family>& family, const Array& w, const Array& kick,
@@ -425,9 +435,12 @@ void bind_filter(py::module_& module) {
              "considered"_a)
         .def("steps", &steps, "theta"_a, "root"_a)
         .def("bounded", &bounded, "z"_a, "root"_a, "first"_a);
+    py::class_<MotionChange>(module, "MotionChange")
+        .def(py::init(&motion_change_of), "lower"_a, "constant"_a, "frequency"_a, "cosine"_a,
+             "sine"_a, "rate"_a);
     py::class_<Family, std::shared_ptr<Family>>(module, "Family")
         .def(py::init(&family_of), "motion"_a.none(false), "sizes"_a, "parameters"_a, "nominal"_a,
-             "lower"_a, "rate"_a)
+             "changes"_a)
         .def("rates", &member_rates, "t"_a, "x"_a, "theta"_a);
     py::class_<Sensitivity>(module, "Sensitivity")
         .def(py::init(&sensitivity_of), "at"_a, "theta"_a, "steps"_a)

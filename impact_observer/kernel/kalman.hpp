@@ -200,14 +200,7 @@ class Impact {
         for (Vector& row : found.rho) row.resize(2 * n + family->count());
         std::copy(rests.begin(), rests.end(), found.rho[0].begin() + 2 * n);
         for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
-            found.rho[1][2 * n + j] = -e * dot(w, pushed(j, x));
-        return found;
-    }
-
-    // What a unit of a parameter adds to the accelerations at x
-    Vector pushed(std::size_t j, const Vector& x) const {
-        Vector found(w.size());
-        for (std::size_t i = 0; i < w.size(); ++i) found[i] = dot(family->lower[j].row(i), x);
+            found.rho[1][2 * n + j] = -e * dot(w, family->acceleration_change(j, x, t - e));
         return found;
     }
 
@@ -398,7 +391,7 @@ class Impact {
             add_scaled(at.gamma, kappa[1], jump);
             for (std::size_t j = 0; j < p; ++j) add_scaled(-rests[j], kappa[0], by.first.row(j));
             for (std::size_t j = 0; j < family->moving(); ++j)  // of first order in e
-                add_scaled(e, pushed(j, jump), &by.first(j, n));
+                add_scaled(e, family->acceleration_change(j, jump), &by.first(j, n));
             by_theta = std::move(by.first);
         }
         // Adds what gap, speed and parameters make of the errors to those of y+.

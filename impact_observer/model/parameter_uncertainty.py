@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the parameters of a model are known: the covariance of their values."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,16 @@ class ParameterUncertainty:
     def deviation_by_name(self) -> dict[str, float]:
         """Standard deviation of each value by the name of its parameter, SI units."""
         return dict(zip(self.names, self.deviations.tolist(), strict=True))
+
+    def is_fitted_to(self, stamps: Iterable[int]) -> bool:
+        """Whether the values were fitted to impacts between whose stamps one of ``stamps`` lies.
+
+        Stamps are in ns.
+        """
+        if self.fitted_to is None:
+            return False
+        first, last = self.fitted_to
+        return any(first <= stamp <= last for stamp in stamps)
 
     def correlation(self, names: Sequence[str]) -> Matrix:
         """The correlations of parameters; others than those of ``names`` have none.

@@ -36,6 +36,10 @@ _RETRACED = 4
 """Moments from which the motion is followed back."""
 _UNLIKELY = 0.003
 """Least odds of another account that is reported."""
+_FITTED = 30.0
+"""Prior deviations of parameters that were fitted to the same events, relative to the declared:
+the events count 0.1 % twice.
+"""
 _SURE, _WIDER = 3.0, (0.0, 0.1, 0.3)
 """Standard deviations of the start of filters of other accounts, relative to the smoothed and to
 the declared ones.
@@ -96,13 +100,15 @@ def smoothed_runs(
         measurements=measurements,
         unknowns=unknowns,
     )
+    known = model.uncertainty if isinstance(model, Model) else None
+    is_fitted = known is not None and known.is_fitted_to(each.stamp for each in events)
     begins = [min(each.stamp for each in run) for run in runs.values()]
     motions = list[SmoothedMotion]()
     for run, begin, end in zip(runs.values(), begins, [*begins[1:], MAX_STAMP + 1], strict=True):
         own = [
             each for each in samples if (begin <= each.stamp or not motions) and each.stamp < end
         ]
-        each_run = _Run(run, own, options, made, give, progress=progress)
+        each_run = _Run(run, own, options, made, give, is_fitted=is_fitted, progress=progress)
         motions.append(each_run.motion(thorough=thorough))
     if not any(each.account.moments for each in motions):
         raise BagError("no impact was applied: is it a recording of this model?")
@@ -184,8 +190,10 @@ class _Run:
         make: Callable[[], Observer],
         give: Callable[[Observer], object],
         *,
+        is_fitted: bool,
         progress: Progress,
     ) -> None:
+        self._is_fitted = is_fitted
         self._events, self._samples = events, samples
         self._options, self._progress = options, progress
         self._make, self._give = make, give
@@ -306,12 +314,21 @@ class _Run:
         return self._trials[-1]
 
     def _prior(self, law: TracedLaw, epoch: int) -> GaussianState:
-        """The declared start."""
+        """The declared start.
+
+        Parameters that were fitted to these events get a wide prior: the events determine them
+        again, and count once.
+        """
         system = law.system
         given = self._options
         x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))
         (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
-        return law.prior(x, law.uncertainty.root(system.n))
+        prior = law.prior(x, law.uncertainty.root(system.n))
+        if not self._is_fitted:
+            return prior
+        factors = np.ones(len(prior.root))
+        factors[x.size : x.size + prior.parameters] = _FITTED
+        return prior._replace(root=factors[:, None] * prior.root)
 
     def _with_all_inputs(self, law: TracedLaw, epoch: int) -> TracedLaw:
         """``law``; for a live system a fresh law with all recorded inputs."""

@@ -104,8 +104,9 @@ class ParameterAccounts:
     def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
         """The account at an estimate that is in doubt.
 
-        Some of the parameters are wrong, and none is considered; the stamps have one of the errors ``clocks``, s. The
-        components of the motion have been as large as ``largest``, shape (2n,).
+        Some of the parameters are wrong, and none is considered; the stamps have one of the
+        errors ``clocks``, s. The components of the motion have been as large as ``largest``,
+        shape (2n,).
         """
         state = state.without_parameters()
         d, late, p = state.x.size, len(state.constants), self._unknowns.family.size
