@@ -27,8 +27,8 @@ constexpr double TAILS = 1.5;  // products of normal variables have heavier tail
 
 // Uncertain parameters; those that change the motion between impacts come first.
 struct Parameters {
-    Vector low, high, size;  // bounds, and the errors that make a model useless
-    std::size_t moving;      // how many change the motion
+    Vector low, high, size;        // bounds, and the errors that make a model useless
+    std::size_t moving;            // how many change the motion
     std::vector<bool> considered;  // with an error, but not estimated (Schmidt)
 
     std::size_t count() const { return size.size(); }

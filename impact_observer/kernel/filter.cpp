@@ -431,8 +431,7 @@ void bind_filter(py::module_& module) {
     py::class_<Sizes>(module, "Sizes")
         .def(py::init(&sizes_of), "modes"_a, "spread"_a, "squares"_a, "timescale"_a);
     py::class_<Parameters>(module, "Parameters")
-        .def(py::init(&parameters_of), "low"_a, "high"_a, "size"_a, "moving"_a,
-             "considered"_a)
+        .def(py::init(&parameters_of), "low"_a, "high"_a, "size"_a, "moving"_a, "considered"_a)
         .def("steps", &steps, "theta"_a, "root"_a)
         .def("bounded", &bounded, "z"_a, "root"_a, "first"_a);
     py::class_<MotionChange>(module, "MotionChange")

@@ -14,7 +14,8 @@
 // an impact changes a covariance's root by a few products of a column and a row.
 //
 // Parameters theta of the model are estimated with the state: each hypothesis is a system of its
-// own. Those that are considered have an error, but keep their values. Where velocities jump a time tau after the onset, kappa_1 = Phi(e) (1 - tau A) (0; k).
+// own. Those that are considered have an error, but keep their values. Where velocities jump a
+// time tau after the onset, kappa_1 = Phi(e) (1 - tau A) (0; k).
 #pragma once
 
 #include <array>
@@ -286,8 +287,7 @@ class Impact {
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
             const double after = nonlinear(at, found.root, mean);
             const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
-            if (family->count())
-                parameters.clamp_estimate(found.z, found.root, beside);
+            if (family->count()) parameters.clamp_estimate(found.z, found.root, beside);
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
                 add_scaled(slope, prior.differences.row(0), others);
