@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make a bag of impact times in a CSV file, for observe to run on.
+"""Make a bag of impact times in a table, and of samples of sensors in others.
 
 Columns are time, contact and kind (impact, close or open): with a header in any order, without one
 in this order. The last ones may be left out. Lines that begin with # are comments.
@@ -30,6 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     truth = "a file of true states: time, and q_NAME and u_NAME of each coordinate of --model"
     add("--truth", metavar="CSV", type=Path, help=truth)
+    samples = "tables of an encoder, a camera, a tracker: each a topic named as the file, for"
+    samples += " --measurements of the other commands; their columns are joints"
+    add("--samples", metavar="FILE", type=Path, nargs="+", default=[], help=samples)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             model=model,
             truth=args.truth,
+            samples=args.samples,
             form=table_form(args),
             start=args.start,
             epoch=args.epoch,
@@ -83,4 +87,6 @@ def _summary(imported: "Imported") -> str:
     events = f"{counted(imported.events, 'event')} of {counted(imported.rows, 'row')}"
     events += f", {imported.times}"
     states = f", {imported.states} true states" if imported.states else ""
+    for topic, count in imported.samples.items():
+        states += f", {counted(count, 'sample')} on {topic}"
     return f"{events}{states}, {span}; {zero}, {epoch}"

@@ -17,7 +17,9 @@ Point = tuple[int, float]
 RINGING = 1.5
 """A peak in a dead time is no ringing if it is so many times higher than the peaks before it."""
 _RECENT = 4
-"""Peaks with which a peak in a dead time is compared."""
+"""Peaks, or samples of a flat signal, with which a peak in a dead time is compared."""
+_LATE = 4
+"""A peak in the last part of a dead time, one in so many, is at its end."""
 
 
 @dataclass(slots=True)
@@ -122,7 +124,7 @@ class PeakSensor(Sensor):
         self._peak: _Peak | None = None
         self._armed = False
         self._top = self._dead_until = 0
-        self._recent = deque[float](maxlen=_RECENT)
+        self._recent = deque[Point](maxlen=_RECENT)
         self._is_rising = self._is_suppressing = False
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
@@ -167,14 +169,16 @@ class PeakSensor(Sensor):
 
     def _note_ringing(self, before: Point, point: Point) -> None:
         """Count a peak in the dead time that is higher than the ringing, and a loud end of it."""
-        if self._is_rising and point[1] < before[1]:
-            self._recent.append(before[1])
+        if point[1] == before[1] or (self._is_rising and point[1] < before[1]):
+            self._recent.append(before)
         self._is_rising = point[1] > before[1] or (self._is_rising and point[1] == before[1])
         if self._peak is not None or not before[0] < self._dead_until:
             return
-        loudest = max(self._recent, default=0.0)
+        loudest = max((value for _, value in self._recent), default=0.0)
         if point[0] >= self._dead_until:
-            self.dead_times.loud_ends += loudest >= self._high
+            late = self._dead_until - from_seconds(self._dead_time) // _LATE
+            loud = [value for stamp, value in self._recent if stamp >= late]
+            self.dead_times.loud_ends += max(loud, default=0.0) >= self._high
         elif point[1] >= self._high and point[1] > RINGING * loudest and not self._is_suppressing:
             self._is_suppressing = True
             self.dead_times.suppress(point[0] - self._top)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impact times from a CSV file, and true states from another: a bag."""
+"""Impact times from a table, true states and samples of sensors from others: a bag."""
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, count, groupby, islice, pairwise
 from math import gcd
 from operator import itemgetter
@@ -14,9 +14,16 @@ from impact_observer import __version__
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import interfaces
-from impact_observer.io.csv_tables import FORM, ImpactRow, ImpactTable, StateRow, StateTable
+from impact_observer.io.csv_tables import (
+    FORM,
+    ImpactRow,
+    ImpactTable,
+    StateRow,
+    StateTable,
+)
 from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
+from impact_observer.io.sample_tables import sample_tables
 from impact_observer.io.table_file import start_of
 from impact_observer.io.table_layout import TableForm
 from impact_observer.io.writer import FLUSH
@@ -41,7 +48,8 @@ class Imported:
         last: stamp of the last event, ns.
         times: words for the form of the file's times, such as ``times in ms``.
         ignored: names of the columns of impacts that were not read.
-        remarks: what was left out, a line each.
+        remarks: what was left out or is doubtful, a line each.
+        samples: how many rows of samples are on each topic.
     """
 
     events: int
@@ -54,6 +62,7 @@ class Imported:
     times: str
     ignored: tuple[str, ...]
     remarks: list[str]
+    samples: Mapping[str, int]
 
 
 def import_csv(
@@ -62,6 +71,7 @@ def import_csv(
     *,
     model: Model | None = None,
     truth: Path | None = None,
+    samples: Sequence[Path] = (),
     form: TableForm | None = None,
     start: int | None = None,
     epoch: int | None = None,
@@ -78,7 +88,8 @@ def import_csv(
         output: the bag to make.
         model: to put into the bag; only its contacts are allowed. None for none.
         truth: a CSV file of positions and velocities of the model's coordinates; None for none.
-        form: of both files.
+        samples: tables of sensors, each a topic named as the file (:class:`SampleTable`).
+        form: of the files; column of time, separator and lines to skip are those of ``path``.
         start: stamp of the files' time zero, ns. None for 0 where the first impact lies after
             1973, as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the files' time zero.
@@ -106,8 +117,13 @@ def import_csv(
     zero, last, make = start if epoch is None else epoch, 0, bag_messages()
     rows = _impacts(path, table, chain([first], rows))
     streams = [_events(path, rows, start, zero, each)]
+    others = replace(form, skip_rows=0, separator=None)
     if truth is not None:
-        streams.append(_states(truth, form, model, start, read))
+        streams.append(_states(truth, others, model, start, read))
+    sensors = sample_tables(samples, replace(others, time_column=None))
+    streams += [sensor.messages(start, first.time, read) for sensor in sensors]
+    if form.frame_rate and not (table.is_grid or any(sensor.is_grid for sensor in sensors)):
+        raise UsageError(f"{path}: has a column of time; leave out --frame-rate, or the column")
     counts = Counter[str]()
     with all_or_nothing(output, flush) as writer:
         if model is not None:
@@ -115,6 +131,8 @@ def import_csv(
             log_time = max(start + first.time, 1)
             writer.write(interfaces.PLANT_MODEL.topic, log_time, make.model(text_of_model))
         writer.declare(interfaces.IMPACTS.topic)
+        for sensor in sensors:
+            writer.declare(sensor.topic, type_name=interfaces.JOINT_STATE)
         # At equal stamps the event is first: the state there is the one after it.
         for stamp, topic, message in heapq.merge(*streams, key=itemgetter(0)):
             writer.write(topic, stamp, message)
@@ -122,6 +140,9 @@ def import_csv(
             if topic == interfaces.IMPACTS.topic:
                 counts["rows"] += len(message.switches)
                 last = stamp
+        remarks = table.remarks()
+        for sensor in sensors:
+            remarks += sensor.remarks(has_epoch=zero > 0)
     return Imported(
         events=counts[interfaces.IMPACTS.topic],
         rows=counts["rows"],
@@ -132,7 +153,8 @@ def import_csv(
         last=last,
         times=table.times,
         ignored=table.ignored,
-        remarks=table.remarks(),
+        remarks=remarks,
+        samples={sensor.topic: counts[sensor.topic] for sensor in sensors},
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impact times and true states in CSV files, row by row."""
+"""Impact times and true states in tables, row by row."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -47,7 +47,11 @@ class StateRow(NamedTuple):
 
 
 class ImpactTable:
-    """A file of impact times, read row by row."""
+    """A file of impact times, read row by row.
+
+    Attributes:
+        is_grid: whether times are numbers of frames at a constant rate.
+    """
 
     def __init__(
         self,
@@ -57,6 +61,7 @@ class ImpactTable:
     ) -> None:
         """Read ``path``; ``contacts`` are those of the model, None without a model."""
         self._file = TableFile(path, form, _COLUMNS, what="impact", expected=FORM, bare=True)
+        self.is_grid = self._file.is_grid
         self._contacts = contacts
 
     @property

@@ -233,6 +233,17 @@ class Messages:
             effort=self._floats(np.empty(0)),
         )
 
+    def positions(self, stamp: int, names: Sequence[str], values: ArrayLike) -> AnyMessage:
+        """Numbers by name as the positions of ``sensor_msgs/JointState``, without velocities."""
+        nothing = self._floats(np.empty(0))
+        return self._classes(interfaces.JOINT_STATE)(
+            header=self._header("JointState", stamp),
+            name=list(names),
+            position=self._array("JointState.position", values, len(names)),
+            velocity=nothing,
+            effort=nothing,
+        )
+
     def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
         """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
         nothing, values = self._floats(np.empty(0)), np.array(list(forces.values()), dtype=float)

@@ -79,6 +79,17 @@ def test_a_dead_time_that_ends_in_the_ringing_is_said(
     assert "times the signal still rose above the threshold when the dead time of 0.002 s" in said
 
 
+def test_a_clean_peak_has_no_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A half-sine, with a flat signal before and after, and a dead time that is over later."""
+    t = np.arange(0, 0.2, 1 / RATE)
+    a = np.where(np.abs(t - 0.1) < 0.0025, 100 * np.cos((t - 0.1) * np.pi / 0.005), 0.0)
+    path = tmp_path / "clean.csv"
+    path.write_text("time,az\n" + "\n".join(f"{x:.4f},{y:.3f}" for x, y in zip(t, a, strict=True)))
+    given = ["--contact", "anvil", "--threshold", "60", "-o", str(tmp_path / "bag")]
+    assert main(["detect", str(path), *given]) == 0
+    assert "warning" not in capsys.readouterr().out
+
+
 def test_the_onset_of_a_ringing_signal_does_not_scatter(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
