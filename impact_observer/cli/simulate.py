@@ -31,6 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rate", metavar="HZ", type=positive, default=100.0, help="true states, Hz (default 100)")
     add("--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)")
     add(
+        "--random-parameters",
+        metavar="SEED",
+        type=seed,
+        help="draw the plant's parameters from the deviations of the model; the bag has the model"
+        " as declared, and the drawn values in its provenance",
+    )
+    add(
         "--epoch",
         metavar="S",
         type=stamp,
@@ -85,13 +92,16 @@ def run(args: argparse.Namespace) -> int:
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
     sensor.check(model.system)
+    true = plant.RandomPlant(model.system, {})
+    if args.random_parameters is not None:
+        true = plant.random_plant(model, args.random_parameters)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
     sensors = read_measurements(args.measurements)
     of_samples = {each.name: getattr(args, each.name) for each in MEASUREMENT_FAULTS}
     if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
         raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")
     faults = SampleFaults.from_values(of_samples)
-    simulation = SampleSimulation(sensors, model.system, faults, args.seed)
+    simulation = SampleSimulation(sensors, true.system, faults, args.seed)
     sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:
 
@@ -99,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
             progress.step(what, seconds_between(epoch, stamp), duration)
 
         master = plant.make_plant(
-            model.system,
+            true.system,
             *model.initial_state(),
             epoch=epoch,
             integrator=args.integrator,
@@ -120,6 +130,7 @@ def run(args: argparse.Namespace) -> int:
             flush=args.flush,
             samples=samples,
             types=simulation.types,
+            true_parameters=true.values,
             progress=partial(show, f"writing {args.output}"),
         )
         if warning := model.system.held_force(duration):
@@ -134,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
         if line := settling(HitTimes(events)):
             progress.line(f"note: {line}")
         if not done.switchings and model.system.m:
-            gap, contact = done.nearest(model.system)
+            gap, contact = done.nearest(true.system)
             progress.line(f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}")
     return 0
 

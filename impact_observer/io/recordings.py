@@ -37,11 +37,16 @@ INTEGRATOR = "integrator"
 
 
 def published_model(
-    model: Model, seed: int, integrator: str = EVENT_DRIVEN, sensor: SensorModel = IDEAL
+    model: Model,
+    seed: int,
+    integrator: str = EVENT_DRIVEN,
+    sensor: SensorModel = IDEAL,
+    true_parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> str:
     """The model file as a plant publishes it: with the version, seed and integrator used.
 
-    The sensor's faults are listed, if it has any.
+    The sensor's faults are listed, if it has any, and the plant's values of parameters where
+    these are not those of the model.
     """
     provenance: dict[str, object] = {
         "package": "impact_observer",
@@ -51,6 +56,8 @@ def published_model(
     }
     if sensor.faults:
         provenance["sensor"] = sensor.faults
+    if true_parameters:
+        provenance["true_parameters"] = dict(true_parameters)
     return model.text(provenance)
 
 
@@ -123,6 +130,7 @@ def write_run(
     flush: float = FLUSH,
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
+    true_parameters: Mapping[str, float] = MappingProxyType({}),
     progress: Callable[[int], object] | None = None,
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
@@ -140,6 +148,7 @@ def write_run(
         flush: longest time until a message is on the disk, s.
         samples: messages of sensors beside the impacts, as they arrive.
         types: of these messages, by topic.
+        true_parameters: of the plant by name, where they are not those of the model.
         progress: called with the stamp (ns) of each message that is written.
 
     Returns:
@@ -161,7 +170,9 @@ def write_run(
         for topic, kind in types.items():
             writer.declare(topic, type_name=kind, quality=interfaces.SENSORS)
         start = int(run.stamps[0])
-        model_message = make.model(published_model(model, seed, integrator, sensor))
+        model_message = make.model(
+            published_model(model, seed, integrator, sensor, true_parameters)
+        )
         writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
         events = (
             (each.arrival, interfaces.IMPACTS.topic, make.event(each.event)) for each in received

@@ -3,6 +3,7 @@
 
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.master import Master, make_plant
+from impact_observer.plant.random_parameters import RandomPlant, random_plant
 from impact_observer.plant.sensor import (
     IDEAL,
     SensorMessage,
@@ -18,6 +19,7 @@ __all__ = [
     "IDEAL",
     "Master",
     "Plant",
+    "RandomPlant",
     "Run",
     "SensorMessage",
     "SensorModel",
@@ -25,6 +27,7 @@ __all__ = [
     "Switching",
     "TimeSteppingPlant",
     "make_plant",
+    "random_plant",
     "simulate",
     "simulate_sensor",
 ]

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant whose parameters differ from those of its model by random errors."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.errors import UsageError
+from impact_observer.model import Model, System
+from impact_observer.model.free_parameters import parametric_family
+
+_MOST_DRAWS = 1000
+"""Draws until one must be possible."""
+
+
+class RandomPlant(NamedTuple):
+    """A plant that was drawn.
+
+    Attributes:
+        system: with the drawn values.
+        values: of the parameters by name, SI units.
+    """
+
+    system: System
+    values: dict[str, float]
+
+
+def random_plant(model: Model, seed: int) -> RandomPlant:
+    """A plant drawn from the deviations of a ``model``.
+
+    A draw that no plant can have is drawn again: a restitution above 1, a start inside a stop.
+
+    Raises:
+        UsageError: the model has no deviations, or hardly any draw is possible.
+    """
+    known, name = model.uncertainty, model.source or model.system.name
+    if known is None:
+        raise UsageError(
+            f"{name}: no deviations of parameters found; expected some, such as restitution:"
+            " {value: 0.7, deviation: 0.01}"
+        )
+    family = parametric_family(model.system, known.names, model.elements)
+    (low, high), deviations = family.bounds, known.deviations
+    scale = np.where(deviations > 0, deviations, 1.0)
+    values, axes = np.linalg.eigh(known.covariance / np.outer(scale, scale))
+    root = scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    for _ in range(_MOST_DRAWS):
+        drawn = family.nominal + root @ rng.normal(size=len(root))
+        if np.any((drawn < low) | (drawn > high)):
+            continue
+        try:
+            system = family.system_at(drawn)
+            if model.position is not None:
+                system.checked_start(*model.initial_state())
+        except UsageError:
+            continue
+        return RandomPlant(system, dict(zip(family.names, drawn.tolist(), strict=True)))
+    raise UsageError(
+        f"{name}: none of {_MOST_DRAWS} draws of its parameters makes a plant; expected smaller"
+        " deviations, or a start farther from the stops"
+    )
