@@ -6,7 +6,7 @@ Times are read as decimals or dates, not as floats, so that stamps are exact to 
 """
 
 import re
-from collections import Counter
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -47,6 +47,8 @@ NO_NUMBERS = {
 """Texts of cells without a number that programs and instruments write into columns of numbers."""
 _FEW = 3
 """So many rows may repeat the time of the row before, or be alike, without a meaning."""
+_ALIKE = 20
+"""Last rows that must be alike to show that the one after them is cut."""
 _SHARE = 100
 """A larger part of rows, one in so many, that repeats the time shows that digits were lost."""
 
@@ -140,7 +142,7 @@ class TableFile:
         self._values_left_out: dict[str, Omissions] = {}
         self._repeated = 0
         self._ends = [0, 0]
-        self._shapes = Counter[tuple[int, int]]()
+        self._lines_before = deque[str](maxlen=_ALIKE)
         self._texts = self._decoded()
         head = [*islice(self._texts, LINES)]
         content = [(k, line) for k, line in head if _has_content(line)]
@@ -229,7 +231,7 @@ class TableFile:
                     self.wrong(line, row)
                 self._rows_left_out.note(line, row)
             else:
-                self._note_shape(raw)
+                self._lines_before.append(raw)
                 self.rows_read += 1
                 last = row.time
                 yield row
@@ -393,10 +395,6 @@ class TableFile:
         has_names = len(cells) > 1 and all(cells) and not any(map(self.number, cells))
         return has_names and not self._strict and self.rows_read > 0
 
-    def _note_shape(self, raw: str) -> None:
-        if len(self._shapes) <= 1:
-            self._shapes[self._shape(raw)] += 1
-
     def _shape(self, raw: str) -> tuple[int, int]:
         """The number of cells and the length of the last one after its decimal point."""
         cells = split(raw.strip(), self._layout.separator) or [""]
@@ -404,14 +402,14 @@ class TableFile:
         return len(cells), len(parts[1]) if len(parts) > 1 else 0
 
     def _is_cut(self, raw: str, row: TableRow | str, last: int | None) -> bool:
-        """Whether a line without an end is shorter than all before, which are of one shape."""
-        if "\0" in raw:
+        """Whether a line without an end is shorter than those before, which are of one shape."""
+        if raw.endswith("\n") or "\0" in raw or len(self._lines_before) < _FEW:
             return False
-        (shape, count), *others = self._shapes.most_common() or [((0, 0), 0)]
         if isinstance(row, str) or (last is not None and row.time < last):
-            return count > _FEW
-        cells, decimals = self._shape(raw)
-        return not others and count > _FEW and (cells < shape[0] or decimals < shape[1])
+            return True
+        shapes = {self._shape(line) for line in self._lines_before}
+        (cells, decimals), before = self._shape(raw), shapes.pop()
+        return not shapes and (cells < before[0] or decimals < before[1])
 
 
 def _has_content(line: str) -> bool:

@@ -158,6 +158,11 @@ def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("when,contact\n", (), ", line 1: 'when' found; expected a header with a column time"),
         ("0.5,stop\n\n0.6x,stop\n", (), ", line 3: '0.6x' found; expected a time as a decimal"),
         ("0.5,stop\nnan,stop\n", (), ", line 2: 'nan' found; expected a time"),
+        (
+            "0.5,stop\n1e99999999999999999999,stop\n",
+            (),
+            ", line 2: '1e99999999999999999999' found",
+        ),
         ("time,contact\n,stop\n", (), ", line 2: '' found; expected a time"),
         (
             "0.5,stop\n1e12,stop\n",
