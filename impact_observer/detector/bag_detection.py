@@ -60,13 +60,14 @@ class BagDetection:
                 " needs it; give --epoch, or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
-        for k in range(len(self.sources)):
-            self.doubts += detector.dead_time_doubts(k)
+        for k, source in enumerate(self.sources):
+            self.doubts += [*detector.left_out(k), *detector.dead_time_doubts(k)]
+            if why := detector.no_impact(k):
+                self.problems.append(f"{source.contact}: {why}")
         self.suppressed = [detector.suppressed(k) for k in range(len(self.sources))]
         self.traces = detector.traces
-        self.problems += [line for k in range(len(self.sources)) if (line := detector.problem(k))]
         if not any(counts.impacts for counts in self.counts):
-            why = "; ".join(self.problems + detector.doubts)
+            why = "; ".join(self.problems + self.doubts)
             raise BagError(f"{path}: no impact found; {why}")
 
 

@@ -167,6 +167,23 @@ class Detector:
         """How many peaks, changes of a switch or messages lay in dead times."""
         return self._sensors[index].dead_times.suppressed
 
+    def left_out(self, index: int) -> list[str]:
+        """How many messages of a source were left out, of how many, and why, a line each."""
+        source, counts = self.sources[index], self.counts[index]
+        reasons = (
+            (counts.out_of_order, "stamped before an earlier one, as by a clock that steps back"),
+            (
+                counts.invalid,
+                "with a number that is not finite, or a stamp that no event may have",
+            ),
+        )
+        return [
+            f"{source.contact}: {count} of {counts.messages} messages on {source.topic} left out"
+            f" ({100 * count / counts.messages:.2g} %): {why}"
+            for count, why in reasons
+            if count
+        ]
+
     def dead_time_doubts(self, index: int) -> list[str]:
         """What a dead time suppressed, and what shows that it is too short, a line each."""
         source, dead = self.sources[index], self._sensors[index].dead_times
@@ -216,17 +233,23 @@ class Detector:
             )
             if count
         ]
-        if not counts.messages:
-            problems.append(f"no message on {source.topic}")
-        elif not counts.impacts:
-            reason = f"no impact in {counts.messages} messages on {source.topic}"
-            if source.threshold is not None:
-                most = f"{counts.largest_signal:.3g}"
-                reason += f", at most {most} of the threshold {source.threshold:g}"
-                if source.kind == PEAK and counts.largest_signal >= source.threshold:
-                    reason += "; it stays above: declare a baseline, or a higher threshold"
-            problems.append(reason)
+        problems += [why] if (why := self.no_impact(index)) else []
         return f"{source.contact}: {', '.join(problems)}" if problems else ""
+
+    def no_impact(self, index: int) -> str:
+        """Returns why a source has no impacts; empty if it has some."""
+        source, counts = self.sources[index], self.counts[index]
+        if not counts.messages:
+            return f"no message on {source.topic}"
+        if counts.impacts:
+            return ""
+        reason = f"no impact in {counts.messages} messages on {source.topic}"
+        if source.threshold is not None:
+            most = f"{counts.largest_signal:.3g}"
+            reason += f", at most {most} of the threshold {source.threshold:g}"
+            if source.kind == PEAK and counts.largest_signal >= source.threshold:
+                reason += "; it stays above: declare a baseline, or a higher threshold"
+        return reason
 
     def _sample(self, index: int, message: object, received: int) -> Sample:
         """Returns the time and the values of a message."""

@@ -114,6 +114,8 @@ def test_invalid_messages_are_counted_and_reported() -> None:
         stamped.feed(0, Stamped(header(stamp)), START)
     assert stamped.counts[0].out_of_order == 1
     assert stamped.problem(0) == "stop: 1 stamps out of order"
+    why = "stamped before an earlier one, as by a clock that steps back"
+    assert stamped.left_out(0) == [f"stop: 1 of 3 messages on /hit left out (33 %): {why}"]
 
 
 def test_an_array_that_is_sometimes_too_short_is_ignored() -> None:
