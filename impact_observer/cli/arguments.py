@@ -209,7 +209,9 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
         type=_start,
         help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
     )
-    column = "name of the column of time (default: time, or time with its unit)"
+    column = (
+        "name of the column of time (default: time, or one such as t, Timestamp (ms), seconds)"
+    )
     parser.add_argument("--time-column", metavar="NAME", help=column)
     parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
     parser.add_argument(
