@@ -21,7 +21,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from impact_observer.check.mcap_records import McapFile, McapMessage
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.io.bag_topics import TopicInfo, recover_command
-from impact_observer.io.interfaces import Quality, usual_quality
+from impact_observer.io.interfaces import Quality, absolute, usual_quality
 from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.stamps import text
@@ -113,13 +113,14 @@ class Salvage:
             for each in records.messages():
                 if self._has_topic(each):
                     _, channel, message = each
-                    yield records.at, RawMessage(channel.topic, message.log_time, message.data)
+                    topic = absolute(channel.topic)
+                    yield records.at, RawMessage(topic, message.log_time, message.data)
         self.losses += [f"{file.name}: {loss}" for loss in records.losses]
 
     def _has_topic(self, stored: McapMessage) -> bool:
         """Note the topic of a message; False if the bag cannot have such a message."""
         schema, channel, message = stored
-        topic = channel.topic
+        topic = absolute(channel.topic)
         if not 0 <= message.log_time < _LATEST:
             return False
         if (info := self.topics.get(topic)) is None:

@@ -62,23 +62,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def remapping(text: str) -> tuple[str, str]:
     """``FROM:=TO`` as absolute names."""
+    from impact_observer.io.interfaces import absolute
+
     names = _REMAPPING.fullmatch(text)
     if not names:
         raise argparse.ArgumentTypeError(f"{text} found; expected FROM:=TO, names of topics")
-    before, after = (f"/{name.lstrip('/')}" for name in names.groups())
+    before, after = map(absolute, names.groups())
     return before, after
 
 
 def run(args: argparse.Namespace) -> int:
     """Play a bag and show how far the bag is played."""
     from impact_observer.cli.progress import Progress
+    from impact_observer.io.interfaces import absolute
     from impact_observer.ros.session import require_ros
 
     require_ros()
     from impact_observer.ros import player
 
     how = player.Playing(
-        topics=args.topics,
+        topics=None if args.topics is None else [*map(absolute, args.topics)],
         rate=args.rate,
         start=args.start,
         duration=args.duration,

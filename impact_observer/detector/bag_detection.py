@@ -132,7 +132,7 @@ def present(
     """
     complete, missing = [], []
     for source in sources:
-        topic = f"/{source.topic.lstrip('/')}"
+        topic = interfaces.absolute(source.topic)
         if topic in types:
             complete.append(replace(source, topic=topic).complete(types[topic]))
         else:

@@ -190,6 +190,14 @@ INTERFACES = (
 )
 
 
+def absolute(topic: str) -> str:
+    """The absolute name of a topic of a bag.
+
+    Writers that are no nodes leave out the first slash.
+    """
+    return f"/{topic.strip('/')}"
+
+
 def interface(topic: str) -> Interface | None:
     """The interface of an absolute ``topic``; None for a foreign topic."""
     return next((each for each in INTERFACES if each.fits(topic)), None)

@@ -69,7 +69,7 @@ class BagReader:
         path: the folder or file.
         namespace: of the plant and the observers, such as ``/rig``; empty for any.
         storage: ``mcap`` or ``sqlite3``.
-        topics: by absolute name.
+        topics: by absolute name, also where the bag leaves out the first slash.
         start: log time of the first message, ns; 0 when the bag is empty.
         end: log time of the last message, ns; 0 when the bag is empty.
         message_count: messages on all topics.
@@ -92,9 +92,10 @@ class BagReader:
             self.storage = storage_of(self.path)
             self._reader = Reader(self.path)
             self._reader.open()
-            self._connections = {
-                topic: info.connections for topic, info in sorted(self._reader.topics.items())
-            }
+            self._connections: dict[str, list[Connection]] = {}
+            for topic in sorted(self._reader.topics, key=interfaces.absolute):
+                own = self._connections.setdefault(interfaces.absolute(topic), [])
+                own += self._reader.topics[topic].connections
             self.topics = {
                 topic: topic_info(topic, connections)
                 for topic, connections in self._connections.items()
@@ -361,10 +362,11 @@ class BagReader:
         if not connections:
             return
         count = 0
+        names = {each.topic: interfaces.absolute(each.topic) for each in connections}
         with self._translated():
             for own, log_time, data in self._reader.messages(connections, start=start or None):
                 count += 1
-                yield RawMessage(own.topic, log_time, data)
+                yield RawMessage(names[own.topic], log_time, data)
         expected = sum(connection.msgcount for connection in connections)
         if count < expected and not start:
             raise BagError(
@@ -405,7 +407,7 @@ def named_topic(reader: BagReader, name: str) -> str:
     Raises:
         UsageError: the bag has no such topic.
     """
-    topic = f"/{name.strip('/')}"
+    topic = interfaces.absolute(name)
     if topic not in reader.topics:
         in_bag = ", ".join(reader.topics) or "none"
         raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {in_bag}")
@@ -418,7 +420,7 @@ def named_states(reader: BagReader, name: str) -> str:
     Raises:
         UsageError: the bag has neither.
     """
-    prefix = f"/{name.strip('/')}"
+    prefix = interfaces.absolute(name)
     return states_of(reader, prefix) if prefix in reader.observers() else named_topic(reader, name)
 
 
