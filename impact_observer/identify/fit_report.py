@@ -163,6 +163,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "clock_error_declared": fitted.declared,
         "clock_error_with_all_accepted": fitted.accepted,
         "doubted": fitted.doubted,
+        "unsearched": fitted.unsearched,
         "residual": fitted.rms,
         "degrees_of_freedom": fitted.freedom,
         "impacts": len(fitted.shifts),
@@ -314,6 +315,13 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
         f"{stamps} differ from the model's impacts by {figure(fitted.rms, 's')} rms"
         f"{_declared(fitted)}.",
     )
+    if fitted.unsearched:
+        first = len(fitted.recording.episode.keys)
+        yield ReportLine(
+            "note",
+            f"Only the first {first} impacts were searched. Of the {fitted.unsearched} others"
+            " eight parts of 32 were fitted, and no motion explains any.",
+        )
     yield from map(_about_sensor, fitted.sensors)
     unknowns = 2 * fitted.family.system.n + fitted.family.size
     is_short = not fitted.sensors and len(fitted.shifts) < unknowns + _SPARE

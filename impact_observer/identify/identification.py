@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import IdentificationError, UsageError
-from impact_observer.events import ImpactEvent
+from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import usual_size
@@ -64,6 +64,12 @@ _WRONG = 0.03
 """Declared error of the model, as an error of the stamps relative to the time between two."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
+_FIRST = 64
+"""Events with which the search of a recording begins that has more than twice as many."""
+_PART = 32
+"""Events of each further part of a long recording."""
+_PARTS = 8
+"""Most further parts."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -100,6 +106,8 @@ class Identification:
             than chance does; none of a fit that did not converge.
         others: fits with one of these free, too, or with any other where the fit did not converge;
             none where the model fits.
+        unsearched: events after the first ones of a long recording, none of whose parts a motion
+            explains: only the first ones are in ``recording``.
     """
 
     family: ParametricFamily
@@ -124,6 +132,7 @@ class Identification:
     sensors: tuple[SensorFit, ...] = ()
     missed: tuple[str, ...] = ()
     others: tuple[OtherParameter, ...] = ()
+    unsearched: int = 0
 
     @property
     def large(self) -> bool:
@@ -223,7 +232,7 @@ def identify(
     whole = Recording(episode, state=state, report=report, dead_time=dead_time)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
-    identification, problem, solution = found = search.explaining_fit()
+    identification, problem, solution = found = search.unexplained() or search.explaining_fit()
     is_checked = identification.converged or trust_events
     checked = last_impacts(problem, solution, held_back) if is_checked else None
     return search.with_others(_Fitted(replace(identification, held_back=checked), *found[1:]))
@@ -282,6 +291,37 @@ class _Search(NamedTuple):
             if smoothed and smoothed.identification.converged:
                 return smoothed
         return self._without_outliers(_Fitted(first, problem, solution))
+
+    def unexplained(self) -> _Fitted | None:
+        """The fit of the first events of a long recording, none of whose parts a motion explains.
+
+        None if a motion may explain the whole: a motion that does explains the parts, too.
+        """
+        keys = self.whole.episode.keys
+        is_plain = all(kind is Kind.IMPACT for key in keys for _, kind in key.switches)
+        is_plain = is_plain and self.whole.state is None and not self.measurements
+        if not is_plain or len(keys) <= 2 * _FIRST:
+            return None
+        first = self._part(0, _FIRST)
+        events = [each for each in self.events if each.stamp <= keys[_FIRST - 1].stamp]
+        fitted = self._replace(events=events, whole=first).explaining_fit()
+        if fitted.identification.converged:
+            return None
+        starts = np.linspace(_FIRST, len(keys) - _PART, _PARTS).astype(int).tolist()
+        for number, start in enumerate(starts):
+            self.report.stage(f"part {number + 1} of {len(starts)}")
+            part = self._replace(whole=self._part(start, start + _PART), trust_events=True)
+            if part.explaining_fit().identification.converged:
+                return None
+        left = replace(fitted.identification, unsearched=len(keys) - _FIRST)
+        return fitted._replace(identification=left)
+
+    def _part(self, begin: int, end: int) -> Recording:
+        """The recording of some of the events, from the event before them."""
+        episode = self.whole.episode
+        start = episode.keys[begin - 1].stamp if begin else episode.start
+        part = episode._replace(keys=episode.keys[begin:end], start=start)
+        return replace(self.whole, episode=part)
 
     def with_others(self, fitted: _Fitted) -> Identification:
         """The identification with the fits of other parameters, if the model does not fit.

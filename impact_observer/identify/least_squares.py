@@ -34,6 +34,10 @@ from impact_observer.states import Matrix, Vector
 
 _STEPS = 40
 """Most Gauss-Newton steps; a fit takes about six."""
+_PATIENCE = 12
+"""Steps after which a fit is given up that is still lost."""
+_FAR = 0.1
+"""Usual shift, over the time between two moments, of a fit that is lost."""
 _HALVINGS = 12
 """Most halvings of a step."""
 _CONVERGED = 1e-2
@@ -83,7 +87,8 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
         now, length = now.towards(step)
         rms = deviation(now.shifts, step.freedom)
         problem.report(f"step {k + 1} of at most {_STEPS}, shifts {rms:.2g} s")
-        if converged or length == 0.0:
+        lost = k >= _PATIENCE and is_lost(problem, now.shifts, step.freedom)
+        if converged or length == 0.0 or lost:
             break
     step = now.step_within(basis)
     errors = tuple(
@@ -124,6 +129,11 @@ def usual_size(shifts: Vector, freedom: float) -> float:
     sizes = np.sort(np.abs(shifts))
     middle = (sizes.size - freedom) + (freedom - 1) / 2
     return float(1.4826 * np.interp(middle, np.arange(sizes.size), sizes))
+
+
+def is_lost(problem: Problem, shifts: Vector, freedom: float) -> bool:
+    """Whether even the usual ones of ``shifts``, s, are a part of the time between two moments."""
+    return usual_size(shifts, freedom) > _FAR * problem.usual_flight
 
 
 class _Step(NamedTuple):

@@ -15,7 +15,7 @@ from impact_observer.identify.first_guess import (
     own_impacts,
     start_of,
 )
-from impact_observer.identify.least_squares import weighed
+from impact_observer.identify.least_squares import is_lost, weighed
 from impact_observer.identify.outliers import outliers_by_motion
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
@@ -27,6 +27,8 @@ _ROUNDS = 12
 """Most rounds of rejecting and inserting impacts."""
 _HOPELESS = 4
 """Fits in a row that do not converge, after which no more rounds follow."""
+_LOST = 2
+"""Lost fits, after which no more follow."""
 _STILL = 1e-9
 """Contact speed of no motion, m/s."""
 _FEWEST = 3
@@ -81,9 +83,12 @@ def without_outliers(
     standard deviation of a stamp, s; None if unknown.
     """
     problem, solution = fit(recording.problem(family), near, robust=True)
-    failures = 0
+    failures = lost = 0
     for round_ in range(_ROUNDS):
         failures = 0 if solution.converged else failures + 1
+        lost += is_lost(problem, solution.shifts, solution.freedom)
+        if lost == _LOST:
+            return recording, problem, solution._replace(converged=False)
         after = outliers_by_motion(recording, problem, solution, clock)
         if failures == _HOPELESS or (after.rejected, after.inserted) == (
             recording.rejected,

@@ -6,10 +6,11 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from systems import Harmonic, forcing, run, sample, system
+from systems import Harmonic, event, forcing, run, sample, system
 
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.fit_check import check_fit
+from impact_observer.identify.fit_report import print_check
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
@@ -164,3 +165,31 @@ def test_what_cannot_stand_beside_the_free_parameters_is_not_tried() -> None:
         "constant-force.x2",
         "clock-offset",
     }
+
+
+@pytest.mark.parametrize(
+    ("hits", "unsearched"), [(40, 0), pytest.param(600, 536, marks=pytest.mark.slow)]
+)
+def test_hits_that_no_motion_explains_end_the_search(
+    hits: int, unsearched: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A ball on a bat that a hand moves; without a bound 40 hits took more than 1500 steps.
+
+    Of many hits the first are searched, and the report says so.
+    """
+    ball = system(0.0027, 0.0, 0.0, contacts=[([1.0], 0.0, 0.85)], force=forcing(1, -0.0265))
+    instants = 2.0 + np.cumsum(np.random.default_rng(1).uniform(0.25, 0.6, hits))
+    events = [event(instant, "c1") for instant in instants.tolist()]
+    reports = list[str]()
+    family = parametric_family(ball, ["restitution"])
+    found = identify(family, events, clock=0.005, progress=reports.append)
+    assert not found.converged
+    assert not check_fit(found).fits
+    assert len(reports) < 3000
+    assert found.unsearched == unsearched
+    assert found.shifts.size <= 64
+    print_check(found, check_fit(found))
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("Only the first 64 impacts were searched. Of the 536 others" in said) == (
+        unsearched > 0
+    )
