@@ -23,6 +23,7 @@ from impact_observer.plain_text import say
 if TYPE_CHECKING:
     from impact_observer.identify.fit_check import FitCheck
     from impact_observer.identify.identification import Identification
+    from impact_observer.model.model_file import ModelText
 
 _MOST_HELD_BACK = 0.5
 
@@ -91,7 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--accept",
         action="store_true",
-        help="end with exit code 0 also if the model does not fit (default: 1)",
+        help="end with exit code 0 also if the model does not fit (default: 1), unless the values"
+        " are useless: of a parameter that is not determined or at its bound, or of no motion",
     )
     parser.add_argument(
         "-o",
@@ -171,14 +173,9 @@ def run(args: argparse.Namespace) -> int:
             raise type(error)(f"{args.bag}: {error}") from None
     checked = check_fit(fit)
     _print(args, fit, checked)
-    good = fit.converged and not (fit.undetermined or fit.bounded)
-    if args.output is not None and good:
-        left_out = fit_report.write_model(
-            fit, given, args.bag, args.output, initial=args.initial_state
-        )
-        say(", ".join(filter(None, [f"model: {args.output}", left_out])), file=lines)
-        good = not left_out
-    good = good and (checked.fits or args.accept)
+    good = not fit_report.why_useless(fit) and (checked.fits or args.accept)
+    if args.output is not None:
+        good = _write(args, fit, checked, given) and good
     if args.plot is not None:
         title = f"{fit.family.system.name}: instants of the model minus stamps"
         save(fit_picture(fit, title=title), args.plot)
@@ -196,6 +193,28 @@ def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck")
         fit_report.print_check(fit, checked)
     else:
         fit_report.print_parameters(fit, checked)
+
+
+def _write(
+    args: argparse.Namespace, fit: "Identification", checked: "FitCheck", given: "ModelText"
+) -> bool:
+    """Write the model, or say why not; returns whether all of it is written."""
+    from impact_observer.identify import fit_report
+
+    if reason := fit_report.why_useless(fit):
+        accept = "; --accept does not change that" if args.accept else ""
+        words, is_whole = f"{args.output} is not written: {reason}{accept}", False
+    else:
+        left_out = fit_report.write_model(
+            fit, given, args.bag, args.output, initial=args.initial_state
+        )
+        doubt = "" if checked.fits else "though it does not fit"
+        words, is_whole = (
+            ", ".join(filter(None, [str(args.output), left_out, doubt])),
+            not left_out,
+        )
+    say(f"model: {words}", file=sys.stderr if args.json else sys.stdout)
+    return is_whole
 
 
 def _check_usage(args: argparse.Namespace, free: tuple[str, ...], clock: float | None) -> None:

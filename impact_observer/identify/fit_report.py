@@ -2,7 +2,7 @@
 """A fitted model in words, in tables, as JSON and as a model file."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -230,9 +230,22 @@ def _about_others(fitted: Identification) -> str:
         for each in fitted.others
         if each.fits
     ]
-    and_clock = ", and --clock-error declared" if fitted.large else ""
+    is_large = any(each.rms > UNDECLARED for each in fitted.others if each.fits)
+    and_clock = ", and --clock-error declared" if is_large and not fitted.declared else ""
     text = f" The model fits if one of these is free, too{and_clock}: {listed(fits)}."
     return text if fits else ""
+
+
+def _remedy(fitted: Identification, check: FitCheck) -> str:
+    """What a model needs that does not fit."""
+    if others := _about_others(fitted):
+        return others
+    if replace(check, large=False).fits:
+        return (
+            f" If the sensor jitters so much, declare --clock-error {figure(fitted.rms)};"
+            " otherwise look at --plot, or change the model (docs/misfit.md)."
+        )
+    return _NO_OTHER
 
 
 def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
@@ -251,7 +264,7 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "error",
             f"The model does not fit: {stamps} differ from its impacts by"
             f" {figure(fitted.rms, 's')} rms{_declared(fitted)}:"
-            f" {'; '.join(_reasons(fitted, check))}.{_about_others(fitted) or _NO_OTHER}",
+            f" {'; '.join(_reasons(fitted, check))}.{_remedy(fitted, check)}",
         )
     if fitted.declared and fitted.rms > _OTHER * fitted.clock and not _may_be_a_clock(fitted):
         yield ReportLine(
@@ -409,8 +422,7 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
     if check.size is not None and check.size < DOUBTED:
         yield f"shifts are {fitted.rms / fitted.clock:.3g} times the declared clock error"
     if check.large:
-        times = fitted.rms / UNDECLARED * 1e6
-        yield f"shifts are {times:.2g} times the rounding of stamps; no --clock-error is declared"
+        yield f"shifts are above {figure(UNDECLARED, 's')}, and no --clock-error is declared"
     if check.white < DOUBTED:
         yield f"neighbouring shifts are correlated (probability {check.white:.2g})"
     if check.missed:
@@ -475,6 +487,16 @@ def _about_check(fitted: Identification, check: FitCheck) -> Iterator[ReportLine
     else:
         worst = listed([check.worst, *check.odd])
         yield ReportLine("error", f"The model does not fit; worst: {worst}.")
+
+
+def why_useless(fitted: Identification) -> str:
+    """Why values are not written into a model, whether or not it fits; empty where they are."""
+    if not fitted.converged:
+        return "no motion explains these impacts"
+    if fitted.undetermined:
+        terms = (combination(direction) for direction in fitted.undetermined)
+        return f"not determined: {listed(terms)}"
+    return f"at a bound: {listed(fitted.bounded)}" if fitted.bounded else ""
 
 
 def write_model(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from impact_observer.cli.main import main
 from impact_observer.io.reader import BagReader
@@ -16,6 +17,7 @@ from impact_observer.model import read_model
 from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S
 
+Array = NDArray[np.float64]
 BAG, ROUGH = "two_mass", "jitter"
 
 
@@ -297,13 +299,35 @@ def test_a_model_that_does_not_fit_is_said_first_and_written(
     assert first.startswith("error  The model does not fit: ")
     assert "clock-offset (0.004 s; then" in first
     assert "Standard errors are widened by a factor of" in said.out
-    assert "model: late.yaml" in said.out
+    assert "model: late.yaml, though it does not fit" in said.out
     assert said.err == ""
     assert read_model("late.yaml").provenance is not None
     assert main([*words, "--free", "restitution", "--accept"]) == 0
     assert capsys.readouterr().out.startswith(first)
     assert main([*words, "--free", "restitution,clock-offset"]) == 0
     assert "does not fit" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("flights", "reason"),
+    [
+        (0.4 * 1.002 ** np.arange(12), "at a bound: restitution.floor"),
+        (np.random.default_rng(1).uniform(0.2, 1.5, 8), "no motion explains these impacts"),
+    ],
+)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_useless_values_are_not_written_and_the_last_line_says_why(
+    flights: Array, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a ball that rises higher with each bounce, and of random instants."""
+    times = 1 + np.append(0.0, np.cumsum(flights))
+    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
+    assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    words = ["--free", "restitution", "--clock-error", "1e-3", "--trust-events"]
+    assert main(["identify", "bag", *words, "-o", "ball.yaml", "--accept"]) == 1
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"model: ball.yaml is not written: {reason}; --accept does not change that"
+    assert not Path("ball.yaml").exists()
 
 
 @pytest.mark.slow

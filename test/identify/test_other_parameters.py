@@ -10,7 +10,7 @@ from systems import Harmonic, event, forcing, run, sample, system
 
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.fit_check import check_fit
-from impact_observer.identify.fit_report import print_check
+from impact_observer.identify.fit_report import print_check, print_parameters
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.model import System
 from impact_observer.model.free_parameters import parameters_beside, parametric_family
@@ -132,14 +132,17 @@ def test_the_right_model_fits(faults: dict[str, float], clock: float | None, see
 
 @pytest.mark.parametrize(("clock", "fits"), [(None, False), (3e-3, True)])
 def test_shifts_of_milliseconds_fit_only_a_clock_that_is_declared(
-    clock: float | None, fits: bool
+    clock: float | None, fits: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A jitter of 3 ms is nine million times the rounding of stamps."""
+    """A jitter of 3 ms is nine million times the rounding; the report says what to do."""
     rng = np.random.default_rng(0)
     late = rng.normal(0.0, 3e-3, len(shaken().events))
     found = fitted(SHAKER, late_by([from_seconds(each) for each in late]), clock)
     assert found.converged
     assert check_fit(found).fits == fits
+    print_parameters(found, check_fit(found))
+    first = capsys.readouterr().out.splitlines()[0]
+    assert ("If the sensor jitters so much, declare --clock-error 0.00" in first) != fits
 
 
 @lru_cache
