@@ -35,6 +35,11 @@ def markup(text: str) -> str:
     return html.escape(printable(text))
 
 
+def part_left_out(count: int, total: int, what: str, why: str) -> str:
+    """Words for what was not used, such as ``3 of 60 samples left out (5 %): not finite``."""
+    return f"{count} of {total} {what} left out ({100 * count / total:.2g} %): {why}"
+
+
 def say(text: str, *, file: TextIO | None = None) -> None:
     """Print lines, on standard output unless another ``file`` is given."""
     print(printable_lines(text), file=file or sys.stdout, flush=True)

@@ -11,9 +11,12 @@ from systems import EPOCH
 from impact_observer.cli.main import main
 from impact_observer.draw.film_from_bag import read_film
 from impact_observer.draw.plot.series import read_recording
+from impact_observer.io.live_inputs import give_recorded
 from impact_observer.io.reader import BagReader
+from impact_observer.io.writer import BagWriter
 from impact_observer.model import parse_model
 from impact_observer.observer import Options, make_observer
+from impact_observer.stamps import NS_PER_S
 
 INITIAL = "0.3,-0.2,0.5,-0.5"
 
@@ -44,6 +47,29 @@ def test_observe_reads_samples_from_a_bag_and_copies_them(
     last = observer.estimate(int(found.stamps[-1]))
     np.testing.assert_array_equal(found.q[-1], last.q)
     np.testing.assert_array_equal(found.u[-1], last.u)
+
+
+def test_samples_that_are_left_out_are_counted(tmp_path: Path) -> None:
+    """Half a second of forces that are no numbers is left out, and nothing else."""
+    source, odd, lost = bag(tmp_path / "rig"), tmp_path / "odd", 0
+    with BagReader(source) as reader, BagWriter(odd) as writer:
+        for topic, info in reader.topics.items():
+            writer.declare(topic, type_name=info.type, quality=info.quality)
+        decode = reader.decoder("/forcing")
+        for raw in reader.raw():
+            late = raw.log_time - EPOCH
+            if raw.topic != "/forcing" or not 4 * NS_PER_S <= late < 4.5 * NS_PER_S:
+                writer.write_raw(*raw)
+                continue
+            message = decode(raw.data)
+            message.effort, lost = np.array([np.nan]), lost + 1
+            writer.write(raw.topic, raw.log_time, message)
+    live = make_observer(parse_model(RIG, "rig").system, Options()).live
+    with BagReader(odd) as reader:
+        (line,) = give_recorded(reader, live)
+    part = f"{lost} of 5001 messages on /forcing wholly or partly left out (10 %)"
+    assert lost > 450
+    assert line == f"{part}: 'motor': nan and 0 found; expected finite numbers"
 
 
 @pytest.mark.slow

@@ -122,6 +122,7 @@ class Salvage:
         schema, channel, message = stored
         topic = absolute(channel.topic)
         if not 0 <= message.log_time < _LATEST:
+            self._lose(f"{topic}: messages with a log time that no bag can have")
             return False
         if (info := self.topics.get(topic)) is None:
             quality = _quality(topic, channel.metadata.get("offered_qos_profiles", ""))

@@ -89,10 +89,8 @@ def run(args: argparse.Namespace) -> int:
                 what += f", {suppressed} suppressed in it"
             progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
         progress.line(f"{args.output}: {result.events} events")
-        for line in result.doubts:
+        for line in (*result.doubts, *result.problems):
             progress.line(f"warning: {line}")
-        if result.problems:
-            progress.line(f"note: {'; '.join(result.problems)}")
         if args.plot is not None:
             from impact_observer.draw.detections import detection_picture
             from impact_observer.draw.pictures import save

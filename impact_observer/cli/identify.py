@@ -146,11 +146,15 @@ def run(args: argparse.Namespace) -> int:
         given = text_of_model(reader, args.model)
         parsed = parse_model(*given)
         events = [replace(e, epoch=e.epoch or args.epoch) for e in events_from(reader, args.epoch)]
-        system = with_recorded(reader, parsed.system, epoch_of(events))
+        lost: list[str] = []
+        system = with_recorded(reader, parsed.system, epoch_of(events), lost.append)
         declared = read_measurements(args.measurements)
         recorded = samples_in(reader, declared)
-        odd = doubts(args.bag, HitTimes(events), system, has_covariance=True)
-        for line in (*recorded.problems, *odd):
+        for line in (
+            *lost,
+            *recorded.problems,
+            *doubts(args.bag, HitTimes(events), system, has_covariance=True),
+        ):
             say(f"warning: {line}", file=lines)
     # Live signals are known now, as samples.
     family = parametric_family(replace(system, live=None), free, parsed.elements)

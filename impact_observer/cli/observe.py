@@ -167,10 +167,17 @@ def far_start(system: "System", options: "Options") -> "Iterator[str]":
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":
     """Counts of accepted and other samples of each sensor, and learned deviations."""
+    from impact_observer.observer.samples import MOST_KEPT
+    from impact_observer.plain_text import part_left_out
+
     learned = observer.learned_deviations
     for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
         kinds = ("accepted", "rejected", "unused", "invalid", "dropped")
         used = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
+        if dropped := counts["dropped"]:
+            why = f"more than {MOST_KEPT} waited to be used"
+            part = part_left_out(dropped, counts["samples"], "samples", why)
+            yield f"warning: {sensor.name}: {part}"
         line = f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
         if sensor.name in learned:
             declared, unit = sensor.measurement.deviation, sensor.measurement.unit

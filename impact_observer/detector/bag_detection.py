@@ -171,8 +171,9 @@ def _declared(
 ) -> set[str]:
     """Declare the topics of the new bag and write the model; returns the topics to copy."""
     own = _OWN if model is not None else _OWN[:1]
-    if interfaces.IMPACTS.topic in reader.topics:
-        problems.append(f"{interfaces.IMPACTS.topic} of the bag is left out for the one found")
+    if (before := reader.topics.get(interfaces.IMPACTS.topic)) is not None:
+        what = f"{before.count} messages on {before.name}"
+        problems.append(f"{what} are left out for the impacts found")
     copied, left_out = carried_topics(reader, writer, own)
     problems += left_out
     writer.declare(interfaces.IMPACTS.topic)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of live forces and grounds, and pulses of a drive, in messages and in bags."""
 
-from collections import deque
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, connected
+from impact_observer.plain_text import part_left_out
 
 LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
 
@@ -81,7 +82,7 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
 
 
 def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
-    """Add all samples of a bag; in words why some cannot be used.
+    """Add all samples of a bag; a line for each reason why some were left out, with their count.
 
     Raises:
         BagError: the bag is damaged.
@@ -92,8 +93,12 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
             continue
         if each is interfaces.PHASE_REFERENCE and live.drive is None:
             continue
+        lost = Counter[str]()
         for _, message in reader.messages(topic):
-            yield from give(live, each, message)
+            lost.update({*give(live, each, message)})
+        for why, count in lost.items():
+            what = f"messages on {topic} wholly or partly"
+            yield part_left_out(count, reader.topics[topic].count, what, why)
 
 
 def first_pulse(reader: BagReader) -> int:
@@ -118,16 +123,26 @@ def epoch_in(reader: BagReader, events: Iterable[ImpactEvent]) -> int:
     return epoch_of(events) or first_pulse(reader)
 
 
-def with_recorded(reader: BagReader, system: System, epoch: int) -> System:
+def with_recorded(
+    reader: BagReader,
+    system: System,
+    epoch: int,
+    warn: Callable[[str], object] = lambda _: None,
+) -> System:
     """The ``system`` with the live forces and grounds that a bag has.
 
-    Samples that cannot be used are left out; ``observe`` warns of them.
+    Args:
+        reader: the bag.
+        system: of the rig.
+        epoch: stamp of ``t = 0``, ns.
+        warn: called with a line for each reason why samples were left out.
 
     Raises:
         BagError: the bag is damaged.
     """
     system, live = connected(system)
     if live is not None:
-        deque(give_recorded(reader, live), maxlen=0)
+        for line in give_recorded(reader, live):
+            warn(line)
         live.follow(epoch)
     return system

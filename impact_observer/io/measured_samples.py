@@ -3,7 +3,7 @@
 
 import statistics
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from impact_observer.errors import UsageError
@@ -12,8 +12,10 @@ from impact_observer.io.messages import AnyMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import ALL, AUTO
+from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 MOST_CLOCK_ERROR = 60.0
@@ -159,7 +161,7 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
     for topic, readers in _by_topic(reader, measurements, problems).items():
         own = [*reader.messages(topic)]
         for each in readers:
-            made = [(at, s) for at, m in own if (s := _tried(each, m, at, problems)) is not None]
+            made, lost = _read(each, own)
             if own and not made:
                 given, joints = each.measurement, ", ".join(own[0][1].name) or "none"
                 problem = f"no {given.quantity} of {given.joint!r} on {topic}"
@@ -169,27 +171,32 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
                 problems.append(problem)
                 continue
             kept = _of_clock(made)
-            if len(kept) < len(made):
-                lost = f"{len(made) - len(kept)} samples are left out"
-                problems.append(f"{each.measurement.name}: {lost}: stamped far from all others")
+            lost["stamped far from all others"] = len(made) - len(kept)
+            lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for _, s in kept)
+            for why, count in (+lost).items():
+                part = part_left_out(count, len(own), f"messages on {topic}", why)
+                problems.append(f"{each.measurement.name}: {part}")
             received += kept
     received.sort(key=lambda item: (item[1].stamp, item[1].sensor))
-    counted = Counter(problems)
-    lines = [line if n == 1 else f"{line} ({n} times)" for line, n in counted.items()]
-    return RecordedSamples([s for _, s in received], [at for at, _ in received], lines)
+    return RecordedSamples([s for _, s in received], [at for at, _ in received], problems)
 
 
-def _tried(
-    each: SensorReader, message: AnyMessage, received: int, problems: list[str]
-) -> SensorSample | None:
-    """Read a sample; None, with a line in ``problems``, if its array is too short."""
-    try:
-        return each.sample(message, received)
-    except UsageError as error:
-        if each.measurement.field and "[" in each.measurement.field:
-            problems.append(f"{each.measurement.name}: a sample is left out: {error}")
-            return None
-        raise
+def _read(
+    each: SensorReader, messages: Iterable[tuple[int, AnyMessage]]
+) -> tuple[list[tuple[int, SensorSample]], Counter[str]]:
+    """The samples in messages by time of recording, and counts of arrays that are too short."""
+    made, lost = list[tuple[int, SensorSample]](), Counter[str]()
+    for received, message in messages:
+        try:
+            sample = each.sample(message, received)
+        except UsageError as error:
+            if "[" not in (each.measurement.field or ""):
+                raise
+            lost[str(error)] += 1
+            continue
+        if sample is not None:
+            made.append((received, sample))
+    return made, lost
 
 
 def _by_topic(
@@ -255,6 +262,6 @@ def _clock_problem(
         return ""
     return (
         f"{measurement.name}: its clock is {abs(off):.0f} s"
-        f" {'behind' if off > 0 else 'ahead of'} that of the impacts; its {len(samples)} samples"
+        f" {'behind' if off > 0 else 'ahead of'} that of the impacts; all {len(samples)} samples"
         " are left out: correct its stamps, or use stamp: receive"
     )

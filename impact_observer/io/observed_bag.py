@@ -85,9 +85,8 @@ def observe_bag(
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
-    problems = Counter(give_recorded(reader, observer.live))
-    for problem, count in problems.items():
-        warn(f"{count} samples are left out: {problem}")
+    for line in give_recorded(reader, observer.live):
+        warn(line)
     copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
     if measured is not None:

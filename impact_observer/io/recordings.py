@@ -115,7 +115,7 @@ def carried_topics(
             )
             copied.append(topic)
         except ImpactObserverError as error:
-            problems.append(f"{topic} is not carried along: {error}")
+            problems.append(f"{info.count} messages on {topic} are not carried along: {error}")
     return copied, problems
 
 

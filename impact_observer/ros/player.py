@@ -163,7 +163,9 @@ class Player:
         try:
             message_type = message_class(type_name)
         except UsageError as error:
-            self._node.get_logger().warning(printable(f"{topic} is not played: {error}"))
+            part = f"{self._reader.topics[topic].count} of {self._reader.message_count} messages"
+            line = f"{topic}, {part} of the bag, is not played: {error}"
+            self._node.get_logger().warning(printable(line))
             return None
         quality = self._quality(topic)
         if quality.depth and not quality.transient_local:

@@ -111,9 +111,7 @@ def smooth_bag(
         )
     except BagError as error:
         raise type(error)(f"{reader.path}: {error}") from None
-    counts = Counter(problems)
-    left_out = [*samples.problems]
-    left_out += [f"{count} samples are left out: {each}" for each, count in counts.items()]
+    left_out = [*samples.problems, *problems]
     if rate is None and (line := unseen_events(events, stamps, options.epoch)):
         left_out.append(line)
     own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)

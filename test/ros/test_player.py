@@ -235,7 +235,8 @@ def test_foreign_type_is_left_out_with_a_warning(
         writer.write_raw("/torque", 1, b"\x00\x01\0\0" + b"\0" * 8)
         writer.write("/impacts", 1, bag_messages().event(ImpactEvent(1, ())))
     assert play(tmp_path / "bag", delay=0.0) == 1
-    assert "/torque is not played: rig/msg/Torque: no such ROS message" in capfd.readouterr().err
+    said = capfd.readouterr().err
+    assert "/torque, 1 of 2 messages of the bag, is not played: rig/msg/Torque: no such" in said
     with pytest.raises(UsageError, match="nothing to play"):
         play(tmp_path / "bag", Playing(["/torque"]), delay=0.0)
 
