@@ -22,6 +22,7 @@ from impact_observer.draw.reports import counted, listed
 from impact_observer.errors import BagError, ModelError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo
+from impact_observer.io.foreign_files import foreign_file, foreign_messages
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.io.reader import BagReader, RawMessage
@@ -74,6 +75,10 @@ def check_bag(
                 progress(done, reader.message_count)
             return _report(path, check, [*_journals(path), *check.findings(reader.topics)])
     except BagError as error:
+        foreign = foreign_file(path) or foreign_messages(path)
+        if foreign is not None:
+            finding = Finding(ERROR, _bag_name(path), foreign.found, remedy=foreign.remedy)
+            return Report(path, False, {}, [finding])
         reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
     source, check = Salvage(path), BagCheck(path, system)
     for raw in source.raw(progress):

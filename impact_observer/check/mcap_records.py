@@ -176,5 +176,9 @@ class McapFile:
                 schema = None if channel is None else self._schemas.get(channel.schema_id)
                 if channel is not None and schema is not None:
                     yield schema, channel, record
-                else:
-                    self.losses.append(f"a message at byte {self.at} has no topic")
+                    continue
+                line = f"a message at byte {self.at} has no topic"
+                if channel is not None:
+                    line = f"{channel.topic}: messages without a schema, whose type is unknown"
+                if line not in self.losses[-1:]:
+                    self.losses.append(line)

@@ -19,8 +19,9 @@ import zstandard
 from rosbags.rosbag2.metadata import parse_qos
 
 from impact_observer.check.mcap_records import McapFile, McapMessage
-from impact_observer.errors import BagError, ImpactObserverError, UsageError
+from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
 from impact_observer.io.bag_topics import TopicInfo, recover_command
+from impact_observer.io.foreign_files import ROS_2, foreign_file, foreign_messages
 from impact_observer.io.interfaces import Quality, absolute, usual_quality
 from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import all_or_nothing
@@ -54,9 +55,12 @@ class Salvage:
 
         Raises:
             UsageError: ``path`` does not exist.
+            BagError: ``path`` has no message of ROS 2.
         """
         if not path.exists():
             raise UsageError(f"{path}: does not exist; expected a bag's folder or file")
+        if (foreign := foreign_file(path) or foreign_messages(path)) is not None:
+            raise UnfitBagError(f"{path}: {foreign}")
         self.path = path
         self.topics: dict[str, TopicInfo] = {}
         self.counts: Counter[str] = Counter()
@@ -123,6 +127,9 @@ class Salvage:
         topic = absolute(channel.topic)
         if not 0 <= message.log_time < _LATEST:
             self._lose(f"{topic}: messages with a log time that no bag can have")
+            return False
+        if channel.message_encoding != ROS_2:
+            self._lose(f"{topic}: {channel.message_encoding} messages, which are not of ROS 2")
             return False
         if (info := self.topics.get(topic)) is None:
             quality = _quality(topic, channel.metadata.get("offered_qos_profiles", ""))

@@ -10,6 +10,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 
 from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
+from impact_observer.io.foreign_files import foreign_file
 from impact_observer.io.interfaces import Quality
 
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
@@ -42,10 +43,12 @@ def storage_of(path: Path) -> str:
 
     Raises:
         UsageError: there is nothing.
-        BagError: there is no bag.
+        BagError: there is no bag, or one of ROS 1, or a pointer of Git LFS.
     """
     if not path.exists():
         raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
+    if (foreign := foreign_file(path)) is not None:
+        raise UnfitBagError(f"{path}: {foreign}")
     if path.is_dir():
         inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
         if (path / "metadata.yaml").is_file():

@@ -23,6 +23,7 @@ from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError,
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
+from impact_observer.io.foreign_files import foreign_messages
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import (
     AnyMessage,
@@ -382,6 +383,8 @@ class BagReader:
         except ImpactObserverError:
             raise
         except Exception as error:  # anything, in a damaged file
+            if (foreign := foreign_messages(self.path)) is not None:
+                raise UnfitBagError(f"{self.path}: {foreign}") from None
             reason = _reason(error)
             remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
             if "files are missing" in reason:  # that metadata.yaml names

@@ -6,6 +6,7 @@ classes from them, this module registers them with ``rosbags``.
 """
 
 import os
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -29,6 +30,8 @@ from impact_observer.resources import shared
 _PACKAGE = "impact_observer_msgs"
 _RESERVE = 64
 _SEPARATOR = "=" * 80 + "\n"
+_IDL = re.compile(r"^\s*module\s+\w+\s*\{", re.MULTILINE)
+"""Begins a definition as IDL; no text of a message type has such a line."""
 
 
 @cache
@@ -71,11 +74,12 @@ def parse_definition(definition: str, type_name: str) -> Typesdict:
         BagError: the text is no definition of ``type_name``.
     """
     try:
-        if not definition.startswith(f"{_SEPARATOR}IDL: "):
+        if not _IDL.search(definition):
             return get_types_from_msg(definition, type_name)
         types: Typesdict = {}
-        for part in definition.split(_SEPARATOR)[1:]:
-            types.update(get_types_from_idl(part.partition("\n")[2]))
+        for part in definition.removeprefix(_SEPARATOR).split(_SEPARATOR):
+            _, _, text = part.partition("\n") if part.startswith("IDL: ") else ("", "", part)
+            types.update(get_types_from_idl(text))
     except (TypesysError, AssertionError, LookupError, ValueError) as error:
         raise BagError(f"the definition of {type_name} cannot be parsed") from error
     return types

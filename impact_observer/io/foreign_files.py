@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are taken for bags of ROS 2 and are none: what they are, and what helps."""
+
+from pathlib import Path
+from shlex import quote
+from typing import NamedTuple
+
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+
+ROS_2 = "cdr"
+"""Encoding of the messages of ROS 2."""
+_ROS_1_BAG = b"#ROSBAG V"
+_GIT_LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
+_SUFFIXES = {".bag", ".mcap", ".db3", ".yaml"}
+
+
+class ForeignFile(NamedTuple):
+    """A file that is no bag of ROS 2.
+
+    Attributes:
+        found: what the file is.
+        remedy: what makes a bag of it.
+    """
+
+    found: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.found}; {self.remedy}"
+
+
+def foreign_file(path: Path) -> ForeignFile | None:
+    """What is at ``path`` by its first bytes; None unless it is a ROS 1 bag or a Git LFS pointer.
+
+    Args:
+        path: a file, or a folder of which each file is looked at.
+    """
+    for file in _files(path):
+        with file.open("rb") as stream:
+            first = stream.read(len(_GIT_LFS_POINTER))
+        name = f"{file.name} " if file != path else ""
+        if first.startswith(_GIT_LFS_POINTER):
+            found = f"{name}is a pointer of Git LFS, not the file that it stands for"
+            return ForeignFile(found, "`git lfs pull` brings the file")
+        if first.startswith(_ROS_1_BAG):
+            command = f"rosbags-convert --src {quote(str(file))} --dst NEW"
+            return ForeignFile(f"{name}is a ROS 1 bag", f"`{command}` makes a ROS 2 bag of it")
+    return None
+
+
+def foreign_messages(path: Path) -> ForeignFile | None:
+    """What the messages in MCAP files are if none is of ROS 2; None if some are, or unknown.
+
+    Args:
+        path: a file, or the folder of a bag.
+    """
+    files = [each for each in _files(path) if each.suffix == ".mcap"]
+    encodings = sorted({encoding for file in files for encoding in encodings_in(file)})
+    if not encodings or ROS_2 in encodings:
+        return None
+    if "ros1" in encodings:
+        command = "rosbags-convert --src OLD.bag --dst NEW"
+        remedy = f"`{command}` makes a ROS 2 bag of the ROS 1 bag from which it was made"
+        return ForeignFile("holds ROS 1 messages, expected those of ROS 2", remedy)
+    found = f"holds {' and '.join(encodings)} messages, expected those of ROS 2 ({ROS_2})"
+    remedy = "write them to a table (CSV), which `import` and `detect` read"
+    return ForeignFile(found, remedy)
+
+
+def encodings_in(file: Path) -> set[str]:
+    """Encodings of the messages in an MCAP file, as far as can be read: ``cdr`` of ROS 2."""
+    found: set[str] = set()
+    with file.open("rb") as stream:
+        try:
+            if (summary := make_reader(stream).get_summary()) is not None:
+                found = {each.message_encoding for each in summary.channels.values()}
+        except Exception:  # noqa: BLE001 (the library raises anything for a damaged file)
+            stream.seek(0)
+        if found:
+            return found
+        stream.seek(0)
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Message):
+                    break
+                if isinstance(record, Channel):
+                    found.add(record.message_encoding)
+        except Exception:  # noqa: BLE001 (as above)
+            return found
+    return found
+
+
+def _files(path: Path) -> list[Path]:
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [each for each in inside if each.suffix in _SUFFIXES and each.is_file()]

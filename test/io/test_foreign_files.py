@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are taken for bags: of ROS 1, of JSON, without a schema; pointers of Git LFS."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer as McapFileWriter
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import events_in
+
+MS = 1_000_000
+HITS = (500, 1300, 1900)  # ms after the start
+START = 1_000_000_000
+LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+BOOL = "module std_msgs { module msg { struct Bool { boolean data; }; }; };"
+JSON_SCHEMA = json.dumps({"type": "object", "properties": {"data": {"type": "boolean"}}})
+
+Schema = tuple[str, str, str]
+"""Name, encoding and text."""
+
+
+def cdr(closed: bool) -> bytes:
+    """A ``std_msgs/Bool`` of ROS 2."""
+    return b"\0\1\0\0" + bytes([closed])
+
+
+def as_json(closed: bool) -> bytes:
+    """The same as JSON."""
+    return json.dumps({"data": closed}).encode()
+
+
+def mcap(
+    path: Path,
+    profile: str,
+    *topics: tuple[str, Schema | None, str, Callable[[bool], bytes]],
+) -> Path:
+    """A file of switches that are closed for 5 ms at each hit, in some encodings."""
+    with path.open("wb") as file:
+        writer = McapFileWriter(file)
+        writer.start(profile=profile, library="test")
+        channels = []
+        for topic, schema, encoding, make in topics:
+            number = 0
+            if schema is not None:
+                name, kind, text = schema
+                number = writer.register_schema(name=name, encoding=kind, data=text.encode())
+            channel = writer.register_channel(
+                topic=topic, message_encoding=encoding, schema_id=number
+            )
+            channels.append((channel, make))
+        for k in range(2000):
+            closed = any(hit <= k < hit + 5 for hit in HITS)
+            for channel, make in channels:
+                at = START + k * MS
+                writer.add_message(channel, log_time=at, publish_time=at, data=make(closed))
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def said_by(capsys: pytest.CaptureFixture[str]) -> str:
+    """Everything that was printed, without line ends."""
+    out, err = capsys.readouterr()
+    return " ".join((out + err).split())
+
+
+def ros1(path: Path) -> Path:
+    """A ROS 1 bag with a switch."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = "std_msgs/msg/Bool"
+    with Ros1Writer(path) as writer:
+        topic = writer.add_connection("/switch", kind, typestore=store)
+        for k in range(3):
+            message = store.types[kind](data=k == 1)
+            writer.write(topic, START + k * MS, store.serialize_ros1(message, kind))
+    return path
+
+
+ROS1_SCHEMA = ("std_msgs/Bool", "ros1msg", "bool data\n")
+FOREIGN: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "ros1.bag": (ros1, "is a ROS 1 bag; `rosbags-convert --src "),
+    "ros1.mcap": (
+        lambda path: mcap(path, "ros1", ("/switch", ROS1_SCHEMA, "ros1", lambda on: bytes([on]))),
+        "holds ROS 1 messages, expected those of ROS 2; `rosbags-convert --src OLD.bag",
+    ),
+    "json.mcap": (
+        lambda path: mcap(
+            path, "", ("/switch", ("Switch", "jsonschema", JSON_SCHEMA), "json", as_json)
+        ),
+        "holds json messages, expected those of ROS 2 (cdr); write them to a table",
+    ),
+    "schemaless.mcap": (
+        lambda path: mcap(path, "", ("/switch", None, "json", as_json)),
+        "holds json messages, expected those of ROS 2 (cdr); write them to a table",
+    ),
+}
+"""Files that are no bag, and what is said of them."""
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_every_command_names_what_a_file_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """``check`` names it too, and promises no salvage; ``--salvage`` says the same."""
+    make, line = FOREIGN[name]
+    path, output = make(tmp_path / name), str(tmp_path / "out")
+    for command in (
+        ["info", str(path)],
+        ["detect", str(path), "--contact", "stop", "--topic", "/switch", "-o", output],
+        ["observe", str(path), "--model", "two_mass", "--rate", "10", "-o", output],
+        ["check", str(path), "--salvage", "-o", output],
+    ):
+        assert main(command) == 2
+        assert line in said_by(capsys)
+    assert main(["check", str(path), "--model", "two_mass"]) == 1
+    said = said_by(capsys)
+    assert line in said
+    assert "1 error)" in said
+    assert "--salvage" not in said
+
+
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.bag", "bag/bag_0.db3", "bag/metadata.yaml"])
+def test_a_pointer_of_git_lfs_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Such a file stands for one that was not fetched; the command that fetches it is named."""
+    file = tmp_path / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(LFS)
+    path = file if file.parent == tmp_path else file.parent
+    assert main(["info", str(path)]) == 2
+    assert "is a pointer of Git LFS, not the file that it stands for; `git lfs pull`" in said_by(
+        capsys
+    )
+    assert main(["check", str(path)]) == 1
+    assert "is a pointer of Git LFS" in said_by(capsys)
+
+
+@pytest.mark.parametrize("encoding", ["ros2idl", "omgidl"])
+def test_a_definition_as_idl_is_that_of_the_message(tmp_path: Path, encoding: str) -> None:
+    """A switch whose type is defined as IDL gives its impacts."""
+    schema = ("std_msgs/msg/Bool", encoding, BOOL)
+    path = mcap(tmp_path / "idl.mcap", "ros2", ("/switch", schema, "cdr", cdr))
+    output = tmp_path / "out"
+    given = ["--contact", "stop", "--topic", "/switch", "-o", str(output)]
+    assert main(["detect", str(path), *given]) == 0
+    with BagReader(output) as reader:
+        assert [each.stamp for each in events_in(reader)] == [START + hit * MS for hit in HITS]
+
+
+def test_salvage_keeps_the_messages_of_ros_2_beside_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is left out is named, once."""
+    bool_schema = ("std_msgs/msg/Bool", "ros2msg", "bool data\n")
+    topics = (
+        ("/switch", bool_schema, "cdr", cdr),
+        ("/log", ("Switch", "jsonschema", JSON_SCHEMA), "json", as_json),
+        ("/bare", None, "cdr", cdr),
+    )
+    path, output = mcap(tmp_path / "mixed.mcap", "ros2", *topics), tmp_path / "out"
+    assert main(["check", str(path), "--salvage", "-o", str(output)]) == 0
+    said = said_by(capsys)
+    assert said.count("/log: json messages, which are not of ROS 2") == 1
+    assert said.count("/bare: messages without a schema, whose type is unknown") == 1
+    with BagReader(output) as reader:
+        assert {each.name: each.count for each in reader.topics.values()} == {"/switch": 2000}
+
+
+def test_the_converter_that_is_named_makes_a_bag_that_is_read(tmp_path: Path) -> None:
+    """The three messages of a ROS 1 bag are those of the converted one."""
+    program = Path(sys.executable).with_name("rosbags-convert")
+    source, target = ros1(tmp_path / "old.bag"), tmp_path / "new"
+    subprocess.run([program, "--src", source, "--dst", target], check=True)
+    with BagReader(tmp_path / "new") as reader:
+        messages = [(at, each.data) for at, each in reader.messages("/switch")]
+    assert messages == [(START + k * MS, k == 1) for k in range(3)]
