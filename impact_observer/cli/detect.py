@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detect the impacts in a bag of sensors, or in a signal: a CSV with a column time, or a WAV.
+"""Detect the impacts in a bag of sensors, or in a signal: a CSV with a column time, or a sound.
 
 The sensors are declared in a file, --sources; a single one by --contact and --topic. The topic of
 a signal is its column, or its channel (channel1); a single one need not be named.
@@ -47,7 +47,7 @@ _NUMBERS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
-    signal = "or a signal: .csv, .txt, .tsv, .dat, .wav"
+    signal = "or a signal: .csv, .txt, .tsv, .dat, .wav, .flac, .ogg"
     add("bag", metavar="BAG", type=Path, help=f"a bag of sensors, {signal}")
     add("--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md")
     for name, meaning in _TEXTS.items():

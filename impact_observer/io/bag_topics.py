@@ -15,7 +15,9 @@ from impact_observer.io.interfaces import Quality
 
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
-SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".wav")
+SOUND_FILES = (".wav", ".flac", ".ogg")
+"""Suffixes of sounds."""
+SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", *SOUND_FILES)
 """Suffixes of tables and sounds, of which commands make bags."""
 
 

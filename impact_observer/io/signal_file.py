@@ -1,29 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals over time in a file that is no bag: a table (CSV) or a sound (WAV)."""
+"""Signals over time in a file that is no bag: a table (CSV) or a sound (WAV, FLAC, OGG)."""
 
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from scipy.io import wavfile
 
 from impact_observer.errors import UsageError
+from impact_observer.io.bag_topics import SOUND_FILES
+from impact_observer.io.sound_file import SoundFile
 from impact_observer.io.table_file import TableFile, start_of
 from impact_observer.io.table_layout import TableForm
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
-from impact_observer.states import Matrix
 
-_SOUND = ".wav"
 _BARE = "value"
 """Name of the column of numbers in a table without a header."""
 _FORM = f"time, {_BARE}"
-_AT_ONCE = 2**16
-"""Samples of a sound that are converted together."""
 
 
 class SignalFile:
@@ -45,7 +37,7 @@ class SignalFile:
         """Open ``path``.
 
         Args:
-            path: the file; a sound if its suffix is ``.wav``, else a table.
+            path: the file; a sound if its suffix is one of ``SOUND_FILES``, else a table.
             form: of a table.
             start: stamp of the file's time zero, ns. None for 0 where the first row lies after
                 1973, as times since 1970 do, and for 1 s elsewhere.
@@ -54,7 +46,7 @@ class SignalFile:
             UsageError: the file cannot be read, or has no column of numbers.
         """
         self.path = path
-        self._is_table = path.suffix.lower() != _SOUND
+        self._is_table = path.suffix.lower() not in SOUND_FILES
         if self._is_table:
             self._open_table(form or TableForm(), start)
         elif form not in (None, TableForm()):
@@ -111,28 +103,21 @@ class SignalFile:
         Raises:
             UsageError: most rows cannot be read, or their times have lost their digits.
         """
-        return self._table.remarks() if self._is_table else []
+        return self._table.remarks() if self._is_table else self._sound.remarks
 
     def _open_sound(self, start: int) -> None:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", wavfile.WavFileWarning)  # unknown chunks
-                self._rate, samples = wavfile.read(self.path)
-        except OSError as error:
-            raise UsageError(f"{self.path}: cannot be read: {error.strerror}") from None
-        except (ValueError, EOFError) as error:
-            raise UsageError(f"{self.path}: is no WAV file that can be read: {error}") from None
-        self._samples = np.atleast_2d(samples.T)
-        names = [f"channel{k}" for k in range(1, len(self._samples) + 1)]
+        self._sound = SoundFile(self.path)
+        names = [f"channel{k}" for k in range(1, self._sound.channels + 1)]
         self.topics = {name: topic_of(name) for name in names}
         self.start = self.first = start
 
     def _sound_rows(self, columns: Sequence[str]) -> Iterator[tuple[int, tuple[float, ...]]]:
-        chosen = [[*self.topics].index(name) for name in columns]
-        for first in range(0, self._samples.shape[1], _AT_ONCE):
-            some = _of_full_scale(self._samples[chosen, first : first + _AT_ONCE])
-            for k, values in enumerate(some.T.tolist(), first):
-                yield self.start + (k * NS_PER_S + self._rate // 2) // self._rate, tuple(values)
+        chosen, rate = [[*self.topics].index(name) for name in columns], self._sound.rate
+        k = 0
+        for block in self._sound.blocks():
+            for values in block[chosen].T.tolist():
+                yield self.start + (k * NS_PER_S + rate // 2) // rate, tuple(values)
+                k += 1
 
 
 def topic_of(column: str) -> str:
@@ -142,11 +127,3 @@ def topic_of(column: str) -> str:
     """
     name = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
     return f"/{name}" if name[:1].isalpha() else f"/column_{name}"
-
-
-def _of_full_scale(samples: NDArray[Any]) -> Matrix:
-    """Samples of a sound as parts of the largest that its format has."""
-    if samples.dtype.kind == "f":
-        return samples.astype(float)
-    half = 2.0 ** (8 * samples.itemsize - 1)
-    return (samples - (half if samples.dtype.kind == "u" else 0.0)) / half
