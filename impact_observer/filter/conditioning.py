@@ -348,7 +348,9 @@ class Conditioning:
             sensitivity = Sensitivity(
                 lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
                 joint.theta,
-                self.members.parameters.steps(joint.theta, joint.root[joint.of_theta]),
+                self.members.parameters.steps(
+                    joint.theta, joint.root[joint.of_theta], joint.differences[joint.of_theta]
+                ),
             )
             own = whole[joint.of_theta]
             moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)

@@ -50,6 +50,11 @@ class GaussianState(NamedTuple):
         return np.asarray(self.constants[: self.parameters])
 
     @property
+    def of_theta(self) -> slice:
+        """The rows of ``root`` for the parameters."""
+        return slice(self.x.size, self.x.size + self.parameters)
+
+    @property
     def offset(self) -> float:
         """The offset of the sensor's clock, s: by how much its stamps are late."""
         p = self.parameters

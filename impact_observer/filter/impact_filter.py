@@ -133,6 +133,16 @@ class ImpactFilter:
         n = self.system.n
         return float(np.linalg.norm(self.system.W[:, contact].dot(state.root[n : 2 * n])))
 
+    def considered_deviation(self, contact: int, state: GaussianState) -> float:
+        """The standard deviation of a gap by the errors of considered parameters alone, m."""
+        rows = self.members.considered_rows(state.x.size)
+        if not rows:
+            return 0.0
+        own = state.root[rows]
+        seen = self.system.W[:, contact] @ state.root[: self.system.n]
+        seen = seen + self.members.gap_sensitivity((contact,))[0] @ state.root[state.of_theta]
+        return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(own @ own.T), own @ seen)))
+
     def fall(self, t: float, contact: int, state: GaussianState) -> float:
         """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
         return -float(self.system.W[:, contact].dot(self.rate_of(t, state)[self.system.n :]))

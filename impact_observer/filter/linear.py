@@ -44,7 +44,8 @@ class LinearPrediction:
             size, p = state.x.size, state.parameters
             self._root = leading(state.root, size, p)
             self._own = self._root[size : size + members.moving]
-            self._steps = members.parameters.steps(state.theta, self._own)
+            others = state.differences[size : size + members.moving]
+            self._steps = members.parameters.steps(state.theta, self._own, others)
 
     @cached_property
     def motion(self) -> Motion:

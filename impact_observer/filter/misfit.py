@@ -90,12 +90,17 @@ class Fit(NamedTuple):
         as_reported: bool = True,
         exact: float = 1.0,
         is_trusted: bool = False,
+        considered: float = 0.0,
     ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing.
 
         ``exact`` is the probability that the model has been exact. The event ``is_trusted`` if the
-        sensor is declared without faults.
+        sensor is declared without faults. The part ``considered`` of the innovation's deviation
+        is that of considered parameters, whose errors are the same at all events: what three
+        deviations of these errors explain is no evidence.
         """
+        in_error &= considered <= TUNING.least_considered
+        exact = exact if considered <= TUNING.least_considered else 1.0
         evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
         innovations, errors, statistic = self.innovations, self.errors, self.statistic
         size = abs(innovation or 0.0)
@@ -103,7 +108,8 @@ class Fit(NamedTuple):
         if innovation is None:
             by_clock = self.by_clock
         else:
-            clipped = min(max(innovation, -TUNING.clipping), TUNING.clipping)
+            left = max(size - TUNING.considered_deviations * considered, 0.0)
+            clipped = math.copysign(min(left, TUNING.clipping), innovation)
             innovations = (*innovations[-(TUNING.window - 1) :], clipped)
             errors, statistic = errors + 1 if in_error else 0, _statistic(innovations)
         after = Fit(

@@ -246,9 +246,15 @@ class Tuning:
     """Change of a parameter, in deviations, that refutes the model then."""
     notable_change: float = 3.0
     """The same where an error of the model is established and the account is ``nearer``."""
+    least_considered: float = 0.1
+    """Part of an innovation's deviation by considered parameters, above which the event is no
+    evidence of an error of the model: such innovations are correlated.
+    """
+    considered_deviations: float = 3.0
+    """Errors of considered parameters, in deviations, that explain innovations of one sign."""
     named_change: float = 2.0
     """Change of a parameter, in deviations, from which on the warning names it."""
-    account_hypotheses: int = 16
+    account_hypotheses: int = 32
     """Hypotheses that the account keeps."""
     account_coordinates: int = 32
     """Most coordinates of a model with an account: each hypothesis is a system of its own. An
@@ -258,6 +264,14 @@ class Tuning:
     """Prior probability that another kind of parameters is wrong too."""
     damping_deviation: float = 0.3
     """Prior deviation of the account's scale of the damping."""
+    amplitude_deviation: float = 0.1
+    """The same of its scales of the forcing."""
+    constant_deviation: float = 0.1
+    """The same of constant forces, relative to the largest force."""
+    gap_deviation: float = 0.05
+    """The same of gaps, relative to the largest gap."""
+    forced_coordinates: int = 4
+    """Most coordinates of a model whose account estimates a constant force on each."""
     contact_time_deviation: float = 0.02
     """The same of a contact time, relative to the time scale."""
     widened_start: float = 3.0

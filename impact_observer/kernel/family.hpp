@@ -44,11 +44,13 @@ struct Parameters {
 
     // Steps of finite differences by the first ones, about as large as their standard deviations:
     // powers of two, so that hypotheses of similar covariance share the same members. A row of
-    // `root` each.
-    Vector steps(const ConstSpan& theta, const MatrixView& root) const {
+    // `root` and of the replicas' `differences` each; zero where all is sure.
+    Vector steps(const ConstSpan& theta, const MatrixView& root,
+                 const MatrixView& differences) const {
         Vector steps(root.rows);
         for (std::size_t j = 0; j < steps.size(); ++j) {
             const double deviation = length(root.row(j));
+            if (deviation == 0.0 && length(differences.row(j)) == 0.0) continue;
             double step = std::max(deviation, STEP * size[j]);
             if (j < moving)  // impacts need no bounds of their parameters
                 step = std::min(step, FAR * std::min(theta[j] - low[j], high[j] - theta[j]));

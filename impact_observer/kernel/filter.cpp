@@ -85,11 +85,12 @@ Parameters parameters_of(const Array& low, const Array& high, const Array& size,
     return parameters;
 }
 
-Vector steps(const Parameters& parameters, const Array& theta, const Array& root) {
+Vector steps(const Parameters& parameters, const Array& theta, const Array& root,
+             const Array& differences) {
     const MatrixView rows = checked(root, "root", ANY, ANY), at = checked(theta, "theta", ANY);
     expect(rows.rows <= parameters.count() && at.size() >= rows.rows,
            "theta, root: expected parameters, and no more rows");
-    return parameters.steps(at, rows);
+    return parameters.steps(at, rows, checked(differences, "differences", rows.rows, ANY));
 }
 
 // An estimate z with its parameters, from z[first] on, within their bounds; `root` is one of the
@@ -432,7 +433,7 @@ void bind_filter(py::module_& module) {
         .def(py::init(&sizes_of), "modes"_a, "spread"_a, "squares"_a, "timescale"_a);
     py::class_<Parameters>(module, "Parameters")
         .def(py::init(&parameters_of), "low"_a, "high"_a, "size"_a, "moving"_a, "considered"_a)
-        .def("steps", &steps, "theta"_a, "root"_a)
+        .def("steps", &steps, "theta"_a, "root"_a, "differences"_a)
         .def("bounded", &bounded, "z"_a, "root"_a, "first"_a);
     py::class_<MotionChange>(module, "MotionChange")
         .def(py::init(&motion_change_of), "lower"_a, "constant"_a, "frequency"_a, "cosine"_a,

@@ -413,7 +413,8 @@ class Gaps {
     Sensitivity by_parameters(const Prior& prior, const MatrixView& own, MapOf map_of) const {
         const Vector theta = ConstSpan(prior.constants).part(0, own.rows);
         return {[&](const Vector& other) { return map_of(*family->member(other)); }, theta,
-                family->parameters.steps(theta, own)};
+                family->parameters.steps(theta, own,
+                                         prior.differences.part(motion->size(), own.rows))};
     }
 
     // Standard deviation of gap j after s seconds; white accelerations add the integral of the

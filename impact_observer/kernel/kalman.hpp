@@ -321,14 +321,9 @@ class Impact {
                 found.linear(i, 0) = kappa[0][i], found.linear(i, 1) = kappa[1][i];
             return found;
         };
-        Vector steps = family->parameters.steps(theta, own);
-        const auto is_zero = [](const ConstSpan& row) {
-            return std::all_of(row.begin(), row.end(), [](double each) { return each == 0.0; });
-        };
-        for (std::size_t j = 0; j < steps.size(); ++j) {
-            const bool changes = rests[j] || lags[j] || !is_zero(kicks.row(j));
-            if (!changes || (is_zero(own.row(j)) && is_zero(others.row(j)))) steps[j] = 0.0;
-        }
+        Vector steps = family->parameters.steps(theta, own, others);
+        for (std::size_t j = 0; j < steps.size(); ++j)
+            if (!rests[j] && !lags[j] && length(kicks.row(j)) == 0.0) steps[j] = 0.0;
         return {jumped, theta, steps};
     }
 

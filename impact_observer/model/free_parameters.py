@@ -189,7 +189,7 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
 
 def _of_forcing(system: System) -> Iterator[ModelParameter]:
     """The constant force on each coordinate, and what changes each harmonic."""
-    force, parameter = _usual_force(system), partial(_parameter, system)
+    force, parameter = usual_force(system), partial(_parameter, system)
     for name, value, one in zip(
         system.coordinates, system.forcing.constant.tolist(), np.eye(system.n), strict=True
     ):
@@ -206,7 +206,7 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
 
 
-def _usual_force(system: System) -> float:
+def usual_force(system: System) -> float:
     """The largest force of the forcing, or of springs that reach a stop, N; 1 without any."""
     forcing, W = system.forcing, system.W
     swing = np.sum(np.abs(forcing.cosine) + np.abs(forcing.sine), axis=0)

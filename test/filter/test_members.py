@@ -123,7 +123,9 @@ def test_steps_are_about_the_deviations_and_stay_within_bounds() -> None:
     all_ = Members(unknowns.family)
     for deviation in (1e-12, 1e-3, 1.0, 1e3):
         for theta in (0.1, 25.0, 500.0):
-            (step,) = all_.parameters.steps(np.array([theta]), np.array([[deviation]]))
+            (step,) = all_.parameters.steps(
+                np.array([theta]), np.array([[deviation]]), np.zeros((1, 0))
+            )
             assert np.log2(step) == np.round(np.log2(step))
             assert theta - 1.5 * step > 0.0
             wanted = max(deviation, 1e-6 * 25.0)

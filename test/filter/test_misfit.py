@@ -229,3 +229,19 @@ def test_parameters_are_estimated_before_the_warning() -> None:
         excused = excused.after(None, as_reported=False)
     assert excused.is_doubted
     assert not excused.is_misfit
+
+
+def test_innovations_that_considered_parameters_explain_are_no_evidence() -> None:
+    """Of one sign and up to three of their deviations; larger ones and white parts still are."""
+    same = [1.5 + 0.1 * (-1) ** k for k in range(40)]
+    fits = {}
+    for considered in (0.0, 0.05, 0.8):
+        fit = Fit()
+        for each in same:
+            fit = fit.after(each, in_error=True, exact=1e-9, considered=considered)
+        fits[considered] = fit.is_misfit, fit.is_in_error
+    assert fits == {0.0: (True, True), 0.05: (True, True), 0.8: (False, False)}
+    fit = Fit()
+    for each in same:
+        fit = fit.after(3.0 * each, considered=0.8)
+    assert fit.is_misfit

@@ -228,7 +228,7 @@ def test_impacts_that_accumulate_count_once() -> None:
     for k in range(30):
         flown = timescale * (1.0 if k % 10 == 0 else 0.09)
         change = ContactChange(Elapsed(k), (), (0,), (), flown=flown)
-        fit = fitted(fit, change, state.x, corrected, bank)
+        fit = fitted(fit, change, state, corrected, bank)
     assert fit.innovations == (1.0, 1.0, 1.0)
     assert len(fit.as_reported) == 3
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis, error_share, exact_share
 from impact_observer.filter.misfit import Fit
 from impact_observer.filter.tuning import TUNING
-from impact_observer.states import Vector
 
 _INSTANT_ROUNDING = 2e-9
 """Error of a predicted instant by the rounding of this and earlier stamps to 1 ns, s."""
@@ -17,7 +17,7 @@ _INSTANT_ROUNDING = 2e-9
 def fitted(
     before: Fit,
     change: ContactChange,
-    prior: Vector,
+    prior: GaussianState,
     corrected: Sequence[Hypothesis],
     bank: FilterBank,
 ) -> Fit:
@@ -30,7 +30,7 @@ def fitted(
     Args:
         before: the fit before the event.
         change: the change of contacts.
-        prior: the estimate (q, u) before the event, shape (2n,).
+        prior: the estimate before the event.
         corrected: the hypotheses after the event.
         bank: the bank of the hypotheses.
     """
@@ -40,13 +40,18 @@ def fitted(
     normalised = None if innovation is None else innovation.normalised
     if innovation is not None and change.hit:
         system = bank.filter.system
-        speed = abs(float(system.W[:, change.hit[0]].dot(prior[system.n :])))
+        speed = abs(float(system.W[:, change.hit[0]].dot(prior.x[system.n :])))
         normalised = 0.0 if abs(innovation.residual) <= _INSTANT_ROUNDING * speed else normalised
+    considered = 0.0
+    if innovation is not None and change.hit:
+        by_considered = bank.filter.considered_deviation(change.hit[0], prior)
+        considered = min(by_considered / innovation.deviation, 1.0)
     return before.after(
         normalised,
         in_error=error_share(corrected) > TUNING.established_error,
         as_reported=likeliest.ledger.is_as_reported((change.stamp, change.sequence)),
         exact=exact_share(corrected),
         is_trusted=bank.trusts_events,
+        considered=considered,
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),
     )

@@ -151,6 +151,7 @@ class MinimumVariance(Law):
 
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
+        belief = belief._replace(hypotheses=hypotheses)
         fallback = self._caught_up(belief, fallback, change.before)
         gap = fallback.gap(self.system, change.hit[0]) if change.hit else (math.nan, math.nan)
         fallback = self._replica.after(change, fallback)
@@ -172,7 +173,8 @@ class MinimumVariance(Law):
 
         The ``gap`` is that of the fallback before the event, with its deviation, m.
         """
-        fit = fitted(prior.fit, change, prior.x, corrected, self._bank)
+        predicted = prior.hypotheses[0].state
+        fit = fitted(prior.fit, change, predicted, corrected, self._bank)
         best, account = _shown(corrected, fit)[0], prior.account
         if account is not None:
             account = self._accounts.after(change, account, fallback)

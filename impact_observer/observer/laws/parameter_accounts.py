@@ -26,7 +26,7 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
-from impact_observer.model.free_parameters import UNITS
+from impact_observer.model.free_parameters import UNITS, usual_force
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
@@ -39,21 +39,31 @@ from impact_observer.states import Vector
 OF_MOTION = {
     "stiffness-scale": TUNING.parameter_deviation,
     "damping-scale": TUNING.damping_deviation,
+    "forcing-amplitude": TUNING.amplitude_deviation,
+    "constant-force": TUNING.constant_deviation,
 }
 OF_IMPACTS = {
+    "gap": TUNING.gap_deviation,
     "restitution": TUNING.restitution_deviation,
     "contact-time": TUNING.contact_time_deviation,
 }
-"""Parameters that an account estimates, where a model has them, and their deviations; that of a
-contact time relative to the model's time scale."""
+"""Parameters that an account estimates, where a model has them, and their deviations: of a
+constant force relative to the largest force, of a gap to the largest gap, of a contact time to the
+model's time scale."""
 
 
 def doubted(system: System) -> UnknownParameters:
     """The parameters that an account estimates; no scales of what moving grounds act through."""
-    deviations = OF_MOTION | OF_IMPACTS
+    deviations, forcing = OF_MOTION | OF_IMPACTS, system.forcing
     deviations["contact-time"] *= Scales.of_equations(system).timescale
+    deviations["constant-force"] *= usual_force(system)
+    deviations["gap"] *= float(np.max(np.abs(system.q_r), initial=0.0))
     at_rest = system.frame is None
+    is_plain = at_rest and system.live is None and forcing.sampled is None and not system.guides
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
+    parts["forcing-amplitude"] = np.where(is_plain, forcing.frequency, 0.0)
+    parts["constant-force"] = np.array([is_plain and system.n <= TUNING.forced_coordinates])
+    parts["gap"] = system.q_r * is_plain
     parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
@@ -131,7 +141,7 @@ class ParameterAccounts:
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
         corrected = self._bank.update(change, before.hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
-        fit = fitted(before.fit, change, prior.x, corrected, self._bank)
+        fit = fitted(before.fit, change, prior, corrected, self._bank)
         if error_share(corrected) > TUNING.established_error:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
         residual = before.residual
