@@ -56,8 +56,7 @@ def foreign_messages(path: Path) -> ForeignFile | None:
     Args:
         path: a file, or the folder of a bag.
     """
-    files = [each for each in _files(path) if each.suffix == ".mcap"]
-    encodings = sorted({encoding for file in files for encoding in encodings_in(file)})
+    encodings = encodings_at(path)
     if not encodings or ROS_2 in encodings:
         return None
     if "ros1" in encodings:
@@ -69,8 +68,17 @@ def foreign_messages(path: Path) -> ForeignFile | None:
     return ForeignFile(found, remedy)
 
 
-def encodings_in(file: Path) -> set[str]:
-    """Encodings of the messages in an MCAP file, as far as can be read: ``cdr`` of ROS 2."""
+def encodings_at(path: Path) -> list[str]:
+    """Encodings of the messages in MCAP files, as far as can be read, sorted: ``cdr`` of ROS 2.
+
+    Args:
+        path: a file, or the folder of a bag.
+    """
+    files = [each for each in _files(path) if each.suffix == ".mcap"]
+    return sorted({encoding for file in files for encoding in _encodings_in(file)})
+
+
+def _encodings_in(file: Path) -> set[str]:
     found: set[str] = set()
     with file.open("rb") as stream:
         try:

@@ -23,7 +23,7 @@ from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError,
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
-from impact_observer.io.foreign_files import foreign_messages
+from impact_observer.io.foreign_files import ROS_2, encodings_at, foreign_messages
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import (
     AnyMessage,
@@ -386,8 +386,12 @@ class BagReader:
             if (foreign := foreign_messages(self.path)) is not None:
                 raise UnfitBagError(f"{self.path}: {foreign}") from None
             reason = _reason(error)
+            others = [each for each in encodings_at(self.path) if each != ROS_2]
             remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
-            if "files are missing" in reason:  # that metadata.yaml names
+            if others:
+                reason = f"has {' and '.join(others)} messages beside those of ROS 2 ({ROS_2})"
+                remedy = "`impact-observer check --salvage` writes those of ROS 2 to a new bag"
+            elif "files are missing" in reason:  # that metadata.yaml names
                 remedy = "move them back, or `impact-observer check --salvage` saves what is there"
             elif "database" in reason:  # as sqlite3 says
                 command = recover_command(self.path)

@@ -144,13 +144,13 @@ def _format(path: Path, shape: bytes, order: str) -> tuple[int, int, int, int, i
     kind, channels, rate, _, frame, bits = struct.unpack(f"{order}HHIIHH", shape[:16])
     if kind == _EXTENSIBLE and len(shape) >= 26:
         (kind,) = struct.unpack(f"{order}H", shape[24:26])
-    if not (channels and rate and frame):
-        found = f"{channels} channels, {rate} Hz and {frame} bytes a frame"
-        raise UsageError(f"{path}: its header says {found}; expected more than 0 of each")
     if kind not in (PCM, FLOAT):
         name = _FORMATS.get(kind, f"of the format {kind:#x}")
         expected = f"expected PCM or floating point; {_CONVERT}"
         raise UsageError(f"{path}: its samples are {name}; {expected}")
+    if not (channels and rate and frame):
+        found = f"{channels} channels, {rate} Hz and {frame} bytes a frame"
+        raise UsageError(f"{path}: its header says {found}; expected more than 0 of each")
     return kind, channels, rate, frame, bits
 
 

@@ -195,6 +195,22 @@ def test_a_file_declares_several_sensors_and_missing_ones_are_one_line(
     ]
 
 
+def test_messages_of_a_clock_that_steps_back_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An accelerometer whose clock is 3 s back for a third of the time loses a third of it."""
+    recording = Recording()
+    for k in range(1500):
+        stamp = EPOCH + 4_000 * MS + k * MS - (3_000 * MS if 500 <= k < 1000 else 0)
+        peak = 80.0 if k in (300, 700, 1200) else 0.0
+        recording.add("/imu", IMU, EPOCH + 4_000 * MS + k * MS, imu(stamp, (0.0, 0.0, peak)))
+    given = ["--contact", "stop", "--topic", "/imu", "--threshold", "30"]
+    events = detected(recording.write(tmp_path / "bag"), tmp_path / "out", *given)
+    assert len(events) == 2
+    warning = "warning: stop: 500 of 1500 messages on /imu left out (33 %): stamped before"
+    assert warning in capsys.readouterr().out
+
+
 def test_impacts_of_the_bag_make_way_for_those_that_are_found(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -166,6 +166,10 @@ def test_salvage_keeps_the_messages_of_ros_2_beside_others(
         ("/bare", None, "cdr", cdr),
     )
     path, output = mcap(tmp_path / "mixed.mcap", "ros2", *topics), tmp_path / "out"
+    assert main(["info", str(path)]) == 1
+    assert "has json messages beside those of ROS 2 (cdr); `impact-observer check" in said_by(
+        capsys
+    )
     assert main(["check", str(path), "--salvage", "-o", str(output)]) == 0
     said = said_by(capsys)
     assert said.count("/log: json messages, which are not of ROS 2") == 1

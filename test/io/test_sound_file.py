@@ -151,7 +151,7 @@ REFUSED = {
     "no_format": (riff(samples(D16)), "no fmt chunk"),
     "rate_0": (riff(shape(PCM, 16, rate=0), samples(D16)), "1 channels, 0 Hz and 2 bytes"),
     "channels_0": (riff(shape(PCM, 16, channels=0), samples(D16)), "0 channels, 8000 Hz and 0"),
-    "adpcm": (riff(shape(IMA_ADPCM, 8), samples(D16)), "are IMA ADPCM; expected PCM or floating"),
+    "adpcm": (riff(shape(IMA_ADPCM, 4), samples(D16)), "are IMA ADPCM; expected PCM or floating"),
     "mu_law": (riff(shape(MU_LAW, 8), samples(D16)), "samples are mu-law; expected PCM"),
     "odd_bits": (riff(shape(FLOAT, 16), samples(D16)), "cannot be decoded: "),
     "flac": (b"fLaC" + bytes(100), "is FLAC, no WAV file; name it .flac"),
