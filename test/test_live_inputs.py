@@ -65,8 +65,13 @@ def test_samples_that_are_left_out_are_counted(tmp_path: Path) -> None:
             message.effort, lost = np.array([np.nan]), lost + 1
             writer.write(raw.topic, raw.log_time, message)
     live = make_observer(parse_model(RIG, "rig").system, Options()).live
+    lines: list[str] = []
     with BagReader(odd) as reader:
         (line,) = give_recorded(reader, live)
+        system = parse_model(RIG, "rig").system
+        read_recording(reader, system, select=["g_foot"], warn=lines.append)
+        read_film(reader, system, start=0.0, duration=0.1, warn=lines.append)
+    assert lines == [line, line]
     part = f"{lost} of 5001 messages on /forcing wholly or partly left out (10 %)"
     assert lost > 450
     assert line == f"{part}: 'motor': nan and 0 found; expected finite numbers"

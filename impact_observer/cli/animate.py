@@ -116,7 +116,14 @@ def animate(
     with BagReader(bag, namespace) as reader, Progress() as progress:
         progress.show(f"reading {bag}")
         system = system_of(reader, model)
-        film = read_film(reader, system, start=start, duration=span, observers=observers)
+        film = read_film(
+            reader,
+            system,
+            start=start,
+            duration=span,
+            observers=observers,
+            warn=lambda line: progress.line(f"warning: {line}"),
+        )
         rest = _rest(reader, film) if duration is None else ""
         count = film.count(rate, speed)
         if count > MOST_PICTURES:

@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
             duration=args.duration,
             measurements=read_measurements(args.measurements),
             progress=lambda done, total: progress.step(f"reading {args.bag}", done, total),
+            warn=lambda line: progress.line(f"warning: {line}"),
         )
         if len(recording.quantities) > MOST_PANELS:
             raise UsageError(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The film of a part of a bag; only the states of the part are kept in memory."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -32,6 +32,7 @@ def read_film(
     start: float,
     duration: float,
     observers: Sequence[str] | None = None,
+    warn: Callable[[str], object] = lambda _line: None,
 ) -> Film:
     """The motion of plant and observers in a part of a bag.
 
@@ -42,6 +43,7 @@ def read_film(
         duration: of the part, s; may be longer than the bag.
         observers: prefixes of the estimates' topics, with or without the first slash; None for
             all.
+        warn: called with a line for each reason why samples of live inputs were left out.
 
     Raises:
         BagError: the bag has neither truth nor estimates, none in this part, or is damaged.
@@ -58,7 +60,7 @@ def read_film(
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
     epoch = epoch_in(reader, events) or first_stamp(reader, wanted) or 1
-    system = with_recorded(reader, system, epoch)
+    system = with_recorded(reader, system, epoch, warn)
     first = epoch + from_seconds(start)
     states = _states_between(reader, system, wanted, first, first + from_seconds(duration))
     impacts = {event.stamp for event in events}

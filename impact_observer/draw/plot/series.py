@@ -116,6 +116,7 @@ def read_recording(
     duration: float | None = None,
     measurements: Sequence[Measurement] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
+    warn: Callable[[str], object] = lambda _line: None,
 ) -> PlotContent:
     """Read the content of a plot from a bag, block by block.
 
@@ -131,6 +132,7 @@ def read_recording(
         duration: of the part, s; None for all.
         measurements: sensors; samples of sensors that measure one quantity are drawn as dots.
         progress: called with the number of states read, and of all.
+        warn: called with a line for each reason why samples were left out.
 
     Raises:
         UsageError: a quantity or an observer that the bag lacks, or too many observers.
@@ -148,7 +150,7 @@ def read_recording(
     shown = selected(every, ("positions", "velocities") if select is None else select)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
     epoch = epoch_in(reader, events) or int(first.stamps[0])
-    system = system and with_recorded(reader, system, epoch)
+    system = system and with_recorded(reader, system, epoch, warn)
     low = epoch + from_seconds(start)
     high = MAX_STAMP if duration is None else low + from_seconds(duration)
     counts = {topic: reader.topics[topic].count for topic in topics}
@@ -189,17 +191,23 @@ def read_recording(
         end=max(float(each.seconds.max()) for each in series),
     )
     stamps = impact_marks(reader, {prefix: labels[prefix] for prefix in laws}, events)
-    dots = _dots(reader, measurements, recording, epoch) if measurements else {}
+    dots = _dots(reader, measurements, recording, epoch, warn) if measurements else {}
     recording = replace(recording, marks=_within(recording, stamps, epoch), dots=dots)
     return _largest(recording) if select is None else recording
 
 
 def _dots(
-    reader: BagReader, measurements: Sequence[Measurement], recording: PlotContent, epoch: int
+    reader: BagReader,
+    measurements: Sequence[Measurement],
+    recording: PlotContent,
+    epoch: int,
+    warn: Callable[[str], object],
 ) -> dict[str, tuple[Dots, ...]]:
     """Samples of sensors by the quantity that they measure, thinned to ``MOST_DOTS``."""
     dots: dict[str, tuple[Dots, ...]] = {}
-    samples = samples_in(reader, measurements).samples
+    samples, _, problems = samples_in(reader, measurements)
+    for line in problems:
+        warn(line)
     for i, each in enumerate(measurements):
         name, factor = _measured_alone(each)
         own = np.array([(s.stamp - epoch, s.value) for s in samples if s.sensor == i])
