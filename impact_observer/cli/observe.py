@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
-    from impact_observer.events import Remark
+    from impact_observer.events import Remark, Ruling
     from impact_observer.filter.misfit import MISFIT
     from impact_observer.io.measured_samples import MeasuredTopics
     from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
@@ -96,6 +96,10 @@ def run(args: argparse.Namespace) -> int:
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
         ]
         decided = f"verdicts: {', '.join(verdicts) or 'none'}"
+        if inserted := rulings.get(Ruling.INSERTED, 0):
+            predicted = rulings.get(Ruling.APPLIED, 0) + inserted
+            share = (predicted - inserted) / predicted
+            decided += f"; {share:.0%} of {predicted} predicted impacts were reported"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         used_twice = fitted_lines(read, (observer.last_event,))
         for line in (*parameter_lines(observer), *sample_lines(observer), *used_twice):

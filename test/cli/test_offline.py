@@ -379,3 +379,12 @@ def test_a_sensor_that_died_before_the_end_is_one_warning(
     printed = " ".join(capsys.readouterr().out.split())
     line = "predicted impacts in a row were not reported: the sensor or its line may be dead"
     assert (line in printed) is (reported == 8)
+
+
+def test_observe_says_how_many_of_the_predicted_impacts_came(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a sensor that misses some; the verdicts in the bag have as many."""
+    bag, out = shared("bags") / "missed", tmp_path / "out"
+    assert main(["observe", str(bag), "--law", "minimum-variance", "-o", str(out)]) == 0
+    assert "19 applied, 2 inserted; 90% of 21 predicted impacts" in capsys.readouterr().out
