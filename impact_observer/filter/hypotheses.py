@@ -16,6 +16,7 @@ from impact_observer.filter.likelihood import Innovation
 from impact_observer.filter.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.filter.square_root import triangular
 from impact_observer.filter.tuning import TUNING
+from impact_observer.model import System
 from impact_observer.states import Vector
 
 NOTHING: Mapping[int, float] = MappingProxyType({})
@@ -140,6 +141,24 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
                 ordered = alike
     shares = _share(ordered, ordered)
     return ordered[: 1 + int(np.searchsorted(shares, 1 - TUNING.unpublished))]
+
+
+def agreeing(hypotheses: Sequence[Hypothesis], system: System) -> Sequence[Hypothesis]:
+    """Those nearest to the first by their expected V about it, which hold nearly all probability.
+
+    ``Tuning.disagreeing`` is what the others hold at most. The first stays the first.
+    """
+    if len(hypotheses) == 1:
+        return hypotheses
+    n, distances = system.n, []
+    for h in hypotheses:
+        errors = np.column_stack([h.state.root[: 2 * n], h.state.x - hypotheses[0].state.x])
+        strain, motion = errors[:n], errors[n:]
+        distances.append(np.vdot(strain, system.K @ strain) + np.vdot(motion, system.M @ motion))
+    order = np.argsort(distances)
+    held = np.cumsum(probabilities(hypotheses)[order])
+    found = order[: 1 + int(np.searchsorted(held, 1 - TUNING.disagreeing))]
+    return [hypotheses[0], *(hypotheses[k] for k in found if k)]
 
 
 def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:

@@ -103,6 +103,10 @@ class Tuning:
     """The same of hypotheses that differ from the likeliest by an error of the model. Such errors
     are tried at many events, and would spoil the consistency for exact models.
     """
+    disagreeing: float = 0.05
+    """Most probability of hypotheses that do not count in the test of ``synchronized``: the flag
+    may be wrong as often. One wild account of an echo ended the flag for three impacts.
+    """
 
     # Missed impacts
     possible_depth: float = 0.5

@@ -211,6 +211,10 @@ class Prediction(ABC):
         del s
         return None
 
+    def agreeing_root(self, s: float) -> Matrix | None:
+        """A root of the covariance after ``s`` seconds, of the hypotheses ``agreeing`` alone."""
+        return self.root(s)
+
     def silence(self, s: float) -> str:
         """The warning that predicted impacts have not come for ``s`` seconds; empty if none is."""
         del s

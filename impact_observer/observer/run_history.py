@@ -254,7 +254,7 @@ class RunHistory:
             synchronized=law.uses_events
             and not silence
             and belief.fit.is_established
-            and test.is_synchronized(entry.synchronization, root),
+            and test.is_synchronized(entry.synchronization, self._tested(entry, s, x, root)),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
             misfit=belief.misfit or silence,
@@ -290,6 +290,7 @@ class RunHistory:
             prediction = self.update.prediction(entry)
             root, x = prediction.root(after), prediction.state(after)
             root = self._with_missed_rests(entry, after, x, root, prediction.closed(after))
+            root = self._tested(entry, after, x, root)
             if prediction.silence(after):
                 return "predicted impacts are not reported"
         return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
@@ -298,6 +299,14 @@ class RunHistory:
         """See ``Observer.silence``."""
         entry = self._entry(stamp)
         return self.update.prediction(entry).silence(seconds_between(entry.since, stamp))
+
+    def _tested(self, entry: Entry, s: float, x: Vector, root: Matrix | None) -> Matrix | None:
+        """The root that is tested for the flag: of those ``agreeing`` where ``root`` is wide."""
+        if root is None or not self.update.test.is_wide(entry.synchronization, root):
+            return root
+        prediction = self.update.prediction(entry)
+        agreed = prediction.agreeing_root(s)
+        return self._with_missed_rests(entry, s, x, agreed, prediction.closed(s))
 
     def _before_jump(
         self, entry: Entry, s: float, x: Vector, root: Matrix | None

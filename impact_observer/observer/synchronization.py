@@ -15,10 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import PositionProjection
+from impact_observer.dynamics import PositionProjection, Scales
 from impact_observer.events import Ruling
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.hypotheses import agreeing, mixture
+from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.options import Options
@@ -54,8 +56,7 @@ class Synchronization(NamedTuple):
             part of the system that has contacts.
         contradicted: for each contact, how many events were rejected and how many inserted since
             its last accepted event.
-        hits: when each contact was hit last, s since the epoch; only for laws without covariance
-            and systems with a rigid motion.
+        hits: when each contact was hit last, s since the epoch.
     """
 
     convergence: float
@@ -85,6 +86,14 @@ def _contradicted(
     return counts
 
 
+def _is_rejected(change: ContactChange, posterior: Belief) -> bool:
+    """Whether the likeliest account of an event is that no contact switched."""
+    if not posterior.hypotheses:
+        return False
+    notes = posterior.hypotheses[0].ledger.notes_on((change.stamp, change.sequence))
+    return bool(notes) and all(note.ruling is Ruling.REJECTED for note in notes)
+
+
 class SynchronizationTest:
     """Tests whether the replicas of one system are synchronized.
 
@@ -94,7 +103,8 @@ class SynchronizationTest:
 
     def __init__(self, system: System, threshold: float = Options.agreed) -> None:
         """Take the metric of ``V`` from ``system``."""
-        self._n = system.n
+        self._n, self._system = system.n, system
+        self._brief = TUNING.brief_flight * Scales.of_equations(system).timescale
         self._metric = linalg.block_diag(system.K, system.M)
         self._projection = PositionProjection(system)
         seen = system.parts()[np.argmax(system.W != 0, axis=0)]
@@ -114,13 +124,17 @@ class SynchronizationTest:
         """The result after an event: ``x`` is the estimate before, ``posterior`` the belief."""
         convergence, energy = self._distance_and_energy(posterior.ensemble)
         expected = 0.0 if posterior.root is None else self._expected(posterior.root)
+        is_mixed = len(posterior.hypotheses) > 1 and not posterior.fit.is_misfit
+        if is_mixed and expected > self.threshold * energy:
+            found = mixture(agreeing(posterior.hypotheses, self._system))
+            expected = self._expected(found.root[: 2 * self._n])
         largest = previous.largest
         if expected <= energy:  # else the estimate may be anywhere
             largest = max(largest, energy)
         is_at_rest = energy <= _STILL * largest
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
-        hits = previous.hits
-        if posterior.root is None and self._projection.is_rigid:
+        hits, is_rejected = previous.hits, _is_rejected(change, posterior)
+        if not is_rejected:
             hits = {**hits, **dict.fromkeys(change.hit, float(change.t))}
         contradicted = _contradicted(previous.contradicted, change, posterior)
         limit = self.threshold * energy
@@ -133,9 +147,10 @@ class SynchronizationTest:
             if posterior.root is not None:
                 # At rest on several stops a filter that has lost the track explains any event.
                 is_impact = is_impact and bool(change.closed or not is_at_rest)
+                is_impact = is_impact and not self._is_bounce(previous, change)
             elif is_impact:
                 expected = self._least_distance(previous, change, x[: self._n])
-            if expected <= limit:
+            if expected <= limit or is_rejected:
                 agreed = self._agreed(previous.agreed, change, contradicted, counts=is_impact)
         return Synchronization(convergence, energy, largest, agreed, contradicted, hits)
 
@@ -159,6 +174,11 @@ class SynchronizationTest:
                 agreed[self._part[i]] = 0
         return tuple(agreed)
 
+    def _is_bounce(self, previous: Synchronization, change: ContactChange) -> bool:
+        """Whether every contact was hit a brief flight ago: a row of bounces counts once."""
+        earliest = float(change.t) - self._brief
+        return all(earliest < previous.hits.get(i, -math.inf) for i in change.hit)
+
     def _least_distance(
         self, previous: Synchronization, change: ContactChange, q: Vector
     ) -> float:
@@ -173,11 +193,15 @@ class SynchronizationTest:
         ago = float(change.t) - max(previous.hits.get(i, -math.inf) for i in change.hit)
         return strain + (self._projection.drift(q, change.active) / (ago * ago) if ago > 0 else 0)
 
+    def is_wide(self, result: Synchronization, root: Matrix) -> bool:
+        """Whether a covariance ``root root^T`` is too wide for the flag."""
+        return self._expected(root) > self.threshold * result.energy
+
     def is_synchronized(self, result: Synchronization, root: Matrix | None) -> bool:
         """Whether the replicas are synchronized, with a covariance ``root root^T`` by now."""
         if min(result.agreed, default=0) < REQUIRED_EVENTS:
             return False
-        return root is None or self._expected(root) <= self.threshold * result.energy
+        return root is None or not self.is_wide(result, root)
 
     def obstacle(self, result: Synchronization, root: Matrix | None) -> str:
         """Why the replicas are not synchronized, in a few words; empty if synchronized."""

@@ -595,6 +595,25 @@ def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
     assert len(counts) == 2
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_echoes_of_most_hits_do_not_end_synchronization(seed: int) -> None:
+    """Seven of ten hits are reported again, 5 to 50 ms later: four in five samples have it."""
+    model, _, whole = truth("two_mass", 40.0)
+    rng, events = np.random.default_rng(seed), reported("two_mass", 40.0, SensorModel())
+    sent = [(each.event.stamp, each.event.switches[0]) for each in events]
+    for stamp, hit in [*sent]:
+        if rng.random() < 0.7:
+            sent.append((stamp + round(rng.uniform(5e-3, 5e-2) * NS_PER_S), hit))
+    watcher = make_observer(model, Options(law="minimum-variance", epoch=EPOCH))
+    later, flags, k = deque(sorted(sent)), [], 0
+    for stamp in whole.stamps[whole.stamps.size // 4 :].tolist():
+        while later and later[0][0] <= stamp:
+            (at, hit), k = later.popleft(), k + 1
+            watcher.receive(ImpactEvent(at, (hit,), k, 1, EPOCH))
+        flags.append(watcher.estimate(stamp).synchronized)
+    assert np.mean(flags) > 0.8
+
+
 def test_ideal_sensor_causes_no_revision_after_convergence() -> None:
     """Nothing is rejected, inserted or revised after the first 2n + 2 events."""
     watcher = locked(6)

@@ -2,6 +2,7 @@
 """Convergence without ground truth: ensemble, synchronization and certified bound."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -367,9 +368,9 @@ def test_each_part_of_a_system_must_agree() -> None:
     )
     test, result = SynchronizationTest(uncoupled), Synchronization(0.0, 1.0, 1.0)
     belief = Belief(Ensemble.of(np.ones((10, 4))), 1e-9 * np.eye(4))
-    for hit in [(0,)] * 5 + [(1,)] * REQUIRED_EVENTS:
+    for t, hit in enumerate([(0,)] * 5 + [(1,)] * REQUIRED_EVENTS):
         assert not test.is_synchronized(result, belief.root)
-        result = test.after_event(result, ContactChange(1.0, (), hit, ()), np.ones(4), belief)
+        result = test.after_event(result, ContactChange(t, (), hit, ()), np.ones(4), belief)
         if hit == (0,) and min(result.agreed) == 0 < REQUIRED_EVENTS <= max(result.agreed):
             assert test.obstacle(result, belief.root).endswith("0 of 3 impacts in a row of c2")
     assert test.is_synchronized(result, belief.root)
@@ -400,6 +401,59 @@ def test_impacts_that_are_inserted_beside_rejected_ones_end_synchronization(
         assert test.is_synchronized(result, state.root)
         result = test.after_event(result, change, np.ones(2), belief)
     assert test.is_synchronized(result, state.root) != ends
+
+
+@pytest.mark.parametrize(
+    ("far_off", "agrees"), [([0.04], True), ([0.06], False), ([0.02, 0.02], True), ([0.9], False)]
+)
+def test_hypotheses_far_off_decide_if_they_hold_a_twentieth_of_the_probability(
+    far_off: list[float], agrees: bool
+) -> None:
+    """However far they are off, and however exact the estimate's own is."""
+    model = system([[1.0]], [[0.1]], [[1.0]], contacts=[([1], 1, 0.5)])
+    test, result = SynchronizationTest(model), Synchronization(0.0, 1.0, 1.0)
+    state = GaussianState.of(np.ones((10, 2)), 1e-9 * np.eye(2))
+    others = [
+        Hypothesis(state._replace(x=1e6 * np.ones(2)), 0.0, math.log(share)) for share in far_off
+    ]
+    first = Hypothesis(state, 0.0, math.log(1 - sum(far_off)))
+    belief = Belief(state.ensemble, 1e6 * np.eye(2), hypotheses=(first, *others))
+    for k in range(REQUIRED_EVENTS):
+        result = test.after_event(result, ContactChange(k, (), (0,), ()), np.ones(2), belief)
+    assert test.is_synchronized(result, state.root) is agrees
+
+
+@pytest.mark.parametrize(("apart", "counted"), [(0.09, 1), (0.11, REQUIRED_EVENTS)])
+def test_a_row_of_bounces_counts_as_one_impact(apart: float, counted: int) -> None:
+    """Impacts of a contact within a tenth of the time scale, which is 1 s here."""
+    model = system([[1.0]], [[0.1]], [[1.0]], contacts=[([1], 1, 0.5)])
+    test, result = SynchronizationTest(model), Synchronization(0.0, 1.0, 1.0)
+    belief = Belief(Ensemble.of(np.ones((10, 2))), 1e-9 * np.eye(2))
+    for k in range(REQUIRED_EVENTS):
+        change = ContactChange(1.0 + apart * k, (), (0,), ())
+        result = test.after_event(result, change, np.ones(2), belief)
+    assert result.agreed == (counted,)
+
+
+@pytest.mark.parametrize(
+    ("ruling", "agreed"), [(Ruling.REJECTED, REQUIRED_EVENTS), (Ruling.APPLIED, 0)]
+)
+def test_rejected_events_do_not_end_agreement(ruling: Ruling, agreed: int) -> None:
+    """Though the covariance is wide until the next impact decides what the event was."""
+    model = system([[1.0]], [[0.1]], [[1.0]], contacts=[([1], 1, 0.5)])
+    test, before = SynchronizationTest(model), Synchronization(0.0, 1.0, 1.0, (REQUIRED_EVENTS,))
+    state = GaussianState.of(np.ones((10, 2)), np.eye(2))
+    ledger = Ledger((Note((5, 0), 5, 0, ruling, switched=0),))
+    belief = Belief(
+        state.ensemble,
+        state.root,
+        accepted=ruling is Ruling.APPLIED,
+        hypotheses=(Hypothesis(state, 0.0, ledger=ledger),),
+    )
+    change = ContactChange(1.0, (), (0,), (), stamp=5)
+    found = test.after_event(before, change, np.ones(2), belief)
+    assert not test.is_synchronized(found, state.root)
+    assert found.agreed == (agreed,)
 
 
 def test_a_contact_that_opens_is_no_impact_and_ends_no_agreement() -> None:

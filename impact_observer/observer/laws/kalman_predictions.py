@@ -40,8 +40,10 @@ class MixturePrediction(Prediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
+        agreeing: Prediction | None = None,
     ) -> None:
         self._filter = filter_
+        self._agreeing = agreeing
         self._t = t
         self._shown = hypotheses
         self._prior = prior
@@ -60,6 +62,9 @@ class MixturePrediction(Prediction):
 
     def root(self, s: float) -> Matrix:
         return self._linear.root(s)
+
+    def agreeing_root(self, s: float) -> Matrix | None:
+        return (self._agreeing or self).root(s)
 
     def belief(self, s: float) -> Belief:
         return self._prior(s)
@@ -88,8 +93,9 @@ class TrustedPrediction(MixturePrediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
+        agreeing: Prediction | None = None,
     ) -> None:
-        super().__init__(filter_, t, hypotheses, prior)
+        super().__init__(filter_, t, hypotheses, prior, agreeing)
         self._step = TUNING.brief_flight * filter_.phases.scales.timescale
         self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
         self._inside_since = math.inf
@@ -167,8 +173,9 @@ class MissedSwitchPrediction(MixturePrediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
+        agreeing: Prediction | None = None,
     ) -> None:
-        super().__init__(between.filter, t, hypotheses, prior)
+        super().__init__(between.filter, t, hypotheses, prior, agreeing)
         self._between = between
         self._first = _FIRST_WINDOW * between.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first

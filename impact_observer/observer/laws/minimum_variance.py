@@ -2,7 +2,7 @@
 """The Kalman filter of impact times, with a bank of hypotheses on what each event was."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from operator import attrgetter
 from typing import ClassVar
@@ -18,6 +18,7 @@ from impact_observer.filter.filter_bank import FilterBank
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import (
     Hypothesis,
+    agreeing,
     mixture,
     probabilities,
     published,
@@ -277,12 +278,13 @@ class MinimumVariance(Law):
             behind = since, ago + s
             return self._prior(predicted, fallback, belief.fit, later, behind)
 
-        shown = partial(_shown, hypotheses, belief.fit)
-        found: Prediction = (
-            TrustedPrediction(self._bank.filter, t, shown, prior)
+        make: Callable[..., Prediction] = (
+            partial(TrustedPrediction, self._bank.filter)
             if self.uncertainty.trusts_events
-            else MissedSwitchPrediction(self._bank.between, t, shown, prior)
+            else partial(MissedSwitchPrediction, self._bank.between)
         )
+        agreed = make(t, partial(agreeing, hypotheses, self.system), prior)
+        found = make(t, partial(_shown, hypotheses, belief.fit), prior, agreed)
         if moved is None:
             return found
 
