@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from impact_observer.dynamics import lyapunov
 from impact_observer.events import Contacts
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.ledger import Ledger
@@ -153,8 +154,7 @@ def agreeing(hypotheses: Sequence[Hypothesis], system: System) -> Sequence[Hypot
     n, distances = system.n, []
     for h in hypotheses:
         errors = np.column_stack([h.state.root[: 2 * n], h.state.x - hypotheses[0].state.x])
-        strain, motion = errors[:n], errors[n:]
-        distances.append(np.vdot(strain, system.K @ strain) + np.vdot(motion, system.M @ motion))
+        distances.append(np.sum(lyapunov.distance(system, errors[:n].T, errors[n:].T)))
     order = np.argsort(distances)
     held = np.cumsum(probabilities(hypotheses)[order])
     found = order[: 1 + int(np.searchsorted(held, 1 - TUNING.disagreeing))]

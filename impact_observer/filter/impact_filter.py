@@ -298,13 +298,13 @@ class ImpactFilter:
         are the coordinates whose state is widened, shape (n,); all of them by default.
         """
         factors = np.full(len(state.root), factor)
-        size, p = state.x.size, state.parameters
+        size = state.x.size
         if part is not None:
             factors[:size] = np.where(np.tile(part, 2), factor, 1.0)
-        if p:
-            now = lengths(state.root[size : size + p])
+        if state.parameters:
+            now = lengths(state.root[state.of_theta])
             most = self._unknowns.deviations / np.maximum(now, TINY)
-            factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
+            factors[state.of_theta] = np.maximum(np.minimum(factor, most), 1.0)
         wider = state.root * factors[:, None]
         extent = np.maximum(largest, _LEAST_EXTENT * float(largest.max(initial=TINY)))
         most = TUNING.widest_deviation * extent

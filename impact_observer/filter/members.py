@@ -219,25 +219,38 @@ class Members:
     @cached_property
     def free(self) -> Family:
         """The motions of all members while no contact is closed."""
-        moving, changes = self.given.moving, [*map(self._motion_change, range(self.moving))]
+        moving, system = self.given.moving, self.family.system
+        rates, parameters = moving.rates(()), self.family.parameters[: self.moving]
+        unit = np.append(balanced(rates.A)[1][: system.n], np.ones(system.n))
+        harmonics = self.family.harmonics(self.family.coefficients)[1]
+        changes = [
+            self._motion_change(each.effect, harmonic, rates.B[system.n :], unit)
+            for each, harmonic in zip(parameters, harmonics, strict=False)
+        ]
         return Family(moving.free, moving.sizes, self.parameters, self._nominal, changes)
 
-    def _motion_change(self, j: int) -> MotionChange:
-        """What a unit of the ``j``-th parameter adds to the accelerations, to first order."""
-        system, effect = self.family.system, self.family.parameters[j].effect
-        n, forcing, rates = system.n, system.forcing, self.given.moving.rates(())
-        inverse, scale = rates.B[n:], np.append(balanced(rates.A)[1][:n], np.ones(n))
+    def _motion_change(
+        self, effect: Coefficients, harmonic: NDArray[np.complex128], inverse: Matrix, unit: Vector
+    ) -> MotionChange:
+        """What a unit of a parameter adds to the accelerations, to first order.
+
+        Args:
+            effect: of the parameter on the coefficients.
+            harmonic: on the amplitudes of the harmonic forces, shape (h, n), N.
+            inverse: of the mass matrix.
+            unit: of the components of a state, in which the bound of the rates is taken, (2n,).
+        """
+        system, forcing = self.family.system, self.family.system.forcing
         by_mass = -inverse @ effect.M @ inverse
         lower = by_mass @ np.hstack([-system.K, -system.C])
         lower -= inverse @ np.hstack([effect.K, effect.C])
-        harmonic = self.family.harmonics(self.family.coefficients)[1][j]
         return MotionChange(
             lower,
             by_mass @ forcing.constant + inverse @ effect.constant,
             effect.frequency,
             forcing.cosine @ by_mass.T + harmonic.real @ inverse.T,
             forcing.sine @ by_mass.T - harmonic.imag @ inverse.T,
-            max(float(np.linalg.norm(lower / scale, 1)), *np.abs(effect.frequency), 0.0),
+            max(float(np.linalg.norm(lower / unit, 1)), *np.abs(effect.frequency), 0.0),
         )
 
     def _free_impact(self, contact: int) -> Impact:

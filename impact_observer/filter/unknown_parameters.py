@@ -11,7 +11,7 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
-from impact_observer.model.parameter_uncertainty import ParameterUncertainty
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.options import highest
 from impact_observer.states import Matrix, Vector, frozen
@@ -73,9 +73,7 @@ class UnknownParameters:
     @property
     def root(self) -> Matrix:
         """A square root of ``covariance``, shape (p, p)."""
-        scale = self.deviations
-        values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+        return root_in_own_units(self.covariance)
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -133,16 +131,16 @@ class UnknownParameters:
         Raises:
             UsageError: a deviation cannot be used.
         """
-        parameters = tuple(sorted(family.parameters, key=lambda each: not each.moves))
+        family = _motion_first(family)
         known = {} if uncertainty is None else uncertainty.deviation_by_name
         deviations = []
-        for each in parameters:
+        for each in family.parameters:
             kind = each.name.partition(".")[0]
             usual = TUNING.parameter_deviation * each.size
             usual = TUNING.restitution_deviation if kind == "restitution" else usual
             usual = known.get(each.name) or usual
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(ParametricFamily(family.system, parameters), np.diag(deviations) ** 2, drift)
+        return cls(family, np.diag(deviations) ** 2, drift)
 
     def considering(
         self, uncertainty: ParameterUncertainty, elements: Sequence[Element] = ()
@@ -159,17 +157,18 @@ class UnknownParameters:
         if not others:
             return self
         names = [*own.names, *others]
-        whole = parametric_family(own.system, names, elements, observed=True)
-        parameters = tuple(sorted(whole.parameters, key=lambda each: not each.moves))
+        whole = _motion_first(parametric_family(own.system, names, elements, observed=True))
         deviation = known | dict(zip(own.names, self.deviations.tolist(), strict=True))
-        scale = np.array([deviation[each.name] for each in parameters])
-        correlation = uncertainty.correlation([each.name for each in parameters])
-        return UnknownParameters(
-            ParametricFamily(own.system, parameters),
-            correlation * np.outer(scale, scale),
-            self.drift,
-            tuple(each.name in others for each in parameters),
-        )
+        scale = np.array([deviation[name] for name in whole.names])
+        covariance = uncertainty.correlation(whole.names) * np.outer(scale, scale)
+        considered = tuple(name in others for name in whole.names)
+        return UnknownParameters(whole, covariance, self.drift, considered)
+
+
+def _motion_first(family: ParametricFamily) -> ParametricFamily:
+    """The ``family`` with the parameters first that change the motion between impacts."""
+    parameters = sorted(family.parameters, key=lambda each: not each.moves)
+    return ParametricFamily(family.system, tuple(parameters))
 
 
 def not_considered(uncertainty: ParameterUncertainty) -> tuple[str, ...]:

@@ -402,20 +402,22 @@ class LayoutSearch:
         place = self._last_above_data()
         line, cells = self.rows[place]
         seen = ", ".join(cells) if self._form.time_column else repr(cells[0] if cells else "")
-        remedy = ""
-        if self._form.time_column is not None:
-            pass
-        elif frames := next(filter(counts_frames, cells), ""):
-            remedy = f"; {frames} counts frames? --frame-rate HZ makes times of them"
-        elif named := self._like_time(place):
-            remedy = f"; --time-column '{named}' names it, if that is the time"
-        elif self._bare:
-            remedy = (
-                ", or a time; remove lines before it (--skip-rows), or name it: --time-column,"
-                f" one of {', '.join(cells)}"
-            )
+        remedy = self._remedy(place, cells) if self._form.time_column is None else ""
         name = self._form.time_column or "time"
         self._wrong(line, f"{seen} found; expected a header with a column {name}{remedy}")
+
+    def _remedy(self, place: int, cells: Sequence[str]) -> str:
+        """How the row ``cells`` at ``place`` may yet have a column of time."""
+        if frames := next(filter(counts_frames, cells), ""):
+            return f"; {frames} counts frames? --frame-rate HZ makes times of them"
+        if named := self._like_time(place):
+            return f"; --time-column '{named}' names it, if that is the time"
+        if not self._bare:
+            return ""
+        return (
+            ", or a time; remove lines before it (--skip-rows), or name it: --time-column,"
+            f" one of {', '.join(cells)}"
+        )
 
     def _last_above_data(self) -> int:
         """The place of the last row above the data with as many columns, or of the first row."""

@@ -2,6 +2,7 @@
 """Times in tables, to the nanosecond: decimals with units in names, dates, clocks, frames."""
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from datetime import date
 from decimal import Decimal
@@ -168,7 +169,7 @@ def is_dated(text: str) -> bool:
     return ns_of_date(text) is not None or ns_of_clock(text) is not None
 
 
-class CellTimes:
+class CellTimes(ABC):
     """The times in the cells of a row.
 
     Attributes:
@@ -184,6 +185,7 @@ class CellTimes:
     def __init__(self, column: int, day: int = -1) -> None:
         self.column, self.day = column, day
 
+    @abstractmethod
     def ns(self, cells: Sequence[str], number: Decimal | None, row: int) -> int | None:
         """The time of a row in ns, rounded to the nearest; None for a text that is no time.
 
@@ -192,7 +194,6 @@ class CellTimes:
             number: the cell of the time as a number, if it is one.
             row: how many rows were before.
         """
-        raise NotImplementedError
 
 
 class NumberTimes(CellTimes):

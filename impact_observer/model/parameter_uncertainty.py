@@ -100,6 +100,14 @@ class ParameterUncertainty:
         return found
 
 
+def root_in_own_units(covariance: Matrix) -> Matrix:
+    """A square root of a ``covariance`` of numbers with units of their own, shape (p, p)."""
+    deviations = np.sqrt(np.diag(covariance))
+    scale = np.where(deviations > 0, deviations, 1.0)
+    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+
+
 def read_uncertainty(
     document: Section, system: System, elements: Sequence[Element]
 ) -> ParameterUncertainty | None:

@@ -8,6 +8,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.parameter_uncertainty import root_in_own_units
 
 _MOST_DRAWS = 1000
 """Draws until one must be possible."""
@@ -40,10 +41,7 @@ def random_plant(model: Model, seed: int) -> RandomPlant:
             " {value: 0.7, deviation: 0.01}"
         )
     family = parametric_family(model.system, known.names, model.elements)
-    (low, high), deviations = family.bounds, known.deviations
-    scale = np.where(deviations > 0, deviations, 1.0)
-    values, axes = np.linalg.eigh(known.covariance / np.outer(scale, scale))
-    root = scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
+    (low, high), root = family.bounds, root_in_own_units(known.covariance)
     rng = np.random.default_rng(seed)
     for _ in range(_MOST_DRAWS):
         drawn = family.nominal + root @ rng.normal(size=len(root))

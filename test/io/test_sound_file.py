@@ -225,7 +225,7 @@ def test_hits_of_a_sound_are_found(
     ("name", "resolution"), [("hits.flac", 2.0**-15), ("hits.ogg", 0.1)], ids=["flac", "ogg"]
 )
 def test_coded_sounds_are_read(tmp_path: Path, name: str, resolution: float) -> None:
-    """FLAC is exact; OGG keeps what an ear hears."""
+    """FLAC is exact to its 16 bits; OGG is lossy, here to a tenth of full scale."""
     soundfile = pytest.importorskip("soundfile")
     soundfile.write(tmp_path / name, np.column_stack([SIGNAL, -SIGNAL]), RATE)
     sound = SoundFile(tmp_path / name)

@@ -23,6 +23,14 @@ uncertainty:
 """
 
 
+def line_that_refuses(text: str) -> str:
+    """The error of a model file, of one line."""
+    with pytest.raises(ModelError) as caught:
+        parse_model(text, "rig.yaml")
+    assert len(str(caught.value).splitlines()) == 1
+    return str(caught.value)
+
+
 def test_a_covariance_is_read_and_written() -> None:
     """A model and its own text have the same covariance, and stamps to the nanosecond."""
     model = parse_model(ELEMENTS + UNCERTAIN, "pair")
@@ -71,11 +79,9 @@ def test_a_model_that_says_nothing_has_no_uncertainty_and_exact_values_have_a_ze
 def test_each_mistake_in_an_uncertainty_is_one_line(old: str, new: str, line: str) -> None:
     """The line names file, key and what is expected."""
     assert UNCERTAIN.count(old) == 1
-    with pytest.raises(ModelError) as caught:
-        parse_model(ELEMENTS + UNCERTAIN.replace(old, new), "pair.yaml")
-    assert str(caught.value).startswith("pair.yaml: uncertainty")
-    assert line in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    refused = line_that_refuses(ELEMENTS + UNCERTAIN.replace(old, new))
+    assert refused.startswith("rig.yaml: uncertainty")
+    assert line in refused
 
 
 def test_rounding_of_printed_digits_is_no_mistake() -> None:
@@ -228,11 +234,9 @@ def test_both_forms_go_together() -> None:
 def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, line: str) -> None:
     """The line names the file, the key, and where the deviation belongs."""
     assert MATRICES.count(old) == 1
-    with pytest.raises(ModelError) as caught:
-        parse_model(MATRICES.replace(old, new), "rig.yaml")
-    assert str(caught.value).startswith("rig.yaml: ")
-    assert line in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    refused = line_that_refuses(MATRICES.replace(old, new))
+    assert refused.startswith("rig.yaml: ")
+    assert line in refused
 
 
 @pytest.mark.parametrize(
@@ -268,7 +272,4 @@ def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, lin
 )
 def test_a_deviation_that_is_not_clear_is_one_line(changed: str, line: str) -> None:
     """Parts and whole, a ratio of zero, a frequency that pulses tell, and two of one parameter."""
-    with pytest.raises(ModelError) as caught:
-        parse_model(changed, "rig.yaml")
-    assert str(caught.value).startswith(f"rig.yaml: {line}")
-    assert len(str(caught.value).splitlines()) == 1
+    assert line_that_refuses(changed).startswith(f"rig.yaml: {line}")

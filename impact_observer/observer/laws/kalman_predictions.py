@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.filter.between_events import BetweenEvents
+from impact_observer.filter.filter_bank import FilterBank
 from impact_observer.filter.forecast import Dip, Forecast
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis, mean_level, mixture
@@ -32,7 +33,11 @@ _FIRST_WINDOW = 16 / FINE
 
 
 class MixturePrediction(Prediction):
-    """The prediction of several hypotheses, which are computed at the first request."""
+    """The prediction of several hypotheses, which are computed at the first request.
+
+    Attributes:
+        agreeing: the prediction of the hypotheses that the test of ``synchronized`` counts.
+    """
 
     def __init__(
         self,
@@ -40,10 +45,9 @@ class MixturePrediction(Prediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
-        agreeing: Prediction | None = None,
     ) -> None:
         self._filter = filter_
-        self._agreeing = agreeing
+        self.agreeing: Prediction = self
         self._t = t
         self._shown = hypotheses
         self._prior = prior
@@ -64,7 +68,7 @@ class MixturePrediction(Prediction):
         return self._linear.root(s)
 
     def agreeing_root(self, s: float) -> Matrix | None:
-        return (self._agreeing or self).root(s)
+        return self.agreeing.root(s)
 
     def belief(self, s: float) -> Belief:
         return self._prior(s)
@@ -81,6 +85,21 @@ class MixturePrediction(Prediction):
         return np.diag(self._filter.phases.scales.sizes(largest))
 
 
+def predicted_by(
+    bank: FilterBank,
+    t: float,
+    hypotheses: Callable[[], Sequence[Hypothesis]],
+    prior: Callable[[float], Belief],
+) -> MixturePrediction:
+    """The prediction of hypotheses of a ``bank``, from ``t`` (s since the epoch) on.
+
+    ``prior`` finds the whole belief some seconds later.
+    """
+    if bank.trusts_events:
+        return TrustedPrediction(bank.filter, t, hypotheses, prior)
+    return MissedSwitchPrediction(bank.between, t, hypotheses, prior)
+
+
 class TrustedPrediction(MixturePrediction):
     """The prediction of a sensor that is declared without faults, so that none is inserted.
 
@@ -93,9 +112,8 @@ class TrustedPrediction(MixturePrediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
-        agreeing: Prediction | None = None,
     ) -> None:
-        super().__init__(filter_, t, hypotheses, prior, agreeing)
+        super().__init__(filter_, t, hypotheses, prior)
         self._step = TUNING.brief_flight * filter_.phases.scales.timescale
         self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
         self._inside_since = math.inf
@@ -173,9 +191,8 @@ class MissedSwitchPrediction(MixturePrediction):
         t: float,
         hypotheses: Callable[[], Sequence[Hypothesis]],
         prior: Callable[[float], Belief],
-        agreeing: Prediction | None = None,
     ) -> None:
-        super().__init__(between.filter, t, hypotheses, prior, agreeing)
+        super().__init__(between.filter, t, hypotheses, prior)
         self._between = between
         self._first = _FIRST_WINDOW * between.filter.phases.scales.timescale
         self._searched, self._window = 0.0, self._first

@@ -2,7 +2,7 @@
 """The Kalman filter of impact times, with a bank of hypotheses on what each event was."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from operator import attrgetter
 from typing import ClassVar
@@ -48,10 +48,7 @@ from impact_observer.observer.laws.fallback import (
     nearest,
 )
 from impact_observer.observer.laws.fitting import fitted
-from impact_observer.observer.laws.kalman_predictions import (
-    MissedSwitchPrediction,
-    TrustedPrediction,
-)
+from impact_observer.observer.laws.kalman_predictions import predicted_by
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
 from impact_observer.observer.laws.starts import Starts
@@ -278,13 +275,9 @@ class MinimumVariance(Law):
             behind = since, ago + s
             return self._prior(predicted, fallback, belief.fit, later, behind)
 
-        make: Callable[..., Prediction] = (
-            partial(TrustedPrediction, self._bank.filter)
-            if self.uncertainty.trusts_events
-            else partial(MissedSwitchPrediction, self._bank.between)
-        )
-        agreed = make(t, partial(agreeing, hypotheses, self.system), prior)
-        found = make(t, partial(_shown, hypotheses, belief.fit), prior, agreed)
+        found = predicted_by(self._bank, t, partial(_shown, hypotheses, belief.fit), prior)
+        some = partial(agreeing, hypotheses, self.system)
+        found.agreeing = predicted_by(self._bank, t, some, prior)
         if moved is None:
             return found
 

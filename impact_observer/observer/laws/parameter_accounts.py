@@ -29,10 +29,7 @@ from impact_observer.model import System
 from impact_observer.model.free_parameters import UNITS, usual_force
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
-from impact_observer.observer.laws.kalman_predictions import (
-    MissedSwitchPrediction,
-    TrustedPrediction,
-)
+from impact_observer.observer.laws.kalman_predictions import predicted_by
 from impact_observer.observer.laws.starts import Starts
 from impact_observer.states import Vector
 
@@ -100,7 +97,6 @@ class ParameterAccounts:
         self._nominal = self._unknowns.family.nominal
         uncertainty = replace(uncertainty, unknowns=self._unknowns)
         self._subsets = subsets(self.names)
-        self._trusts_events = uncertainty.trusts_events
         filter_ = ImpactFilter(system, 0.0, self._unknowns)
         self._bank = FilterBank(filter_, uncertainty, clocks, TUNING.account_hypotheses)
         self._starts = Starts(filter_, uncertainty, clocks)
@@ -213,6 +209,4 @@ class ParameterAccounts:
 
         ``prior`` finds the whole belief some seconds later.
         """
-        if self._trusts_events:
-            return TrustedPrediction(self._bank.filter, t, lambda: account.published, prior)
-        return MissedSwitchPrediction(self._bank.between, t, lambda: account.published, prior)
+        return predicted_by(self._bank, t, lambda: account.published, prior)
