@@ -8,6 +8,7 @@ undamped mode is
 orthogonal to all others, whatever shapes the damping couples.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,7 +26,9 @@ from impact_observer.check.impact_expansion import (
     is_nonexpansive,
 )
 from impact_observer.check.undamped_modes import UndampedModes
-from impact_observer.model import System
+from impact_observer.model import Model, System
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.states import Matrix, Vector, frozen
 
 __all__ = ["ModelCheck", "check_model", "expansive_sets", "is_nonexpansive"]
@@ -83,6 +86,7 @@ class ModelCheck:
         redundant: contacts that are linearly dependent and can close together.
         nonexpansive: whether no impact ever raises ``V``; None if the search did not decide.
         growths: the largest rise of ``V`` for each set of contacts whose impact can raise ``V``.
+        declared: parameters whose standard deviations the model declares, with these.
     """
 
     system: System
@@ -98,6 +102,7 @@ class ModelCheck:
     redundant: SearchResult
     nonexpansive: bool | None
     growths: tuple[Growth, ...]
+    declared: tuple[tuple[ModelParameter, float], ...]
 
     @property
     def damped(self) -> bool:
@@ -105,8 +110,10 @@ class ModelCheck:
         return bool(np.all(self.modes.real < 0) and np.all(self.rates < 0))
 
 
-def check_model(system: System) -> ModelCheck:
+def check_model(model: Model | System) -> ModelCheck:
     """Check a model, in seconds for some hundred coordinates and contacts."""
+    model = model if isinstance(model, Model) else Model(model)
+    system = model.system
     spectrum = _Spectrum(system)
     values = spectrum.values
     modes = values[values.imag > 0]
@@ -126,7 +133,14 @@ def check_model(system: System) -> ModelCheck:
         redundant=redundant(ClosingSets(system)),
         nonexpansive=_nonexpansive(system, raising.is_empty),
         growths=tuple(growth(closing, contacts) for contacts in raising.sets),
+        declared=tuple(_declared(model)),
     )
+
+
+def _declared(model: Model) -> Iterator[tuple[ModelParameter, float]]:
+    if known := model.uncertainty:
+        parameters = parametric_family(model.system, known.names, model.elements).parameters
+        yield from zip(parameters, known.deviations.tolist(), strict=True)
 
 
 def _nonexpansive(system: System, constant: bool | None) -> bool | None:

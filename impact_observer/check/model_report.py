@@ -18,7 +18,9 @@ from impact_observer.draw.reports import (
     print_table,
 )
 from impact_observer.model import Forcing, System
+from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.grounds import MovingFrame
+from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
@@ -88,8 +90,15 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             }
             for growth in checked.growths
         ],
+        **({"deviations": [*_deviations(checked)]} if checked.declared else {}),
         "findings": [remark._asdict() for remark in findings(checked)],
     }
+
+
+def _deviations(checked: ModelCheck) -> Iterator[dict[str, object]]:
+    for each, deviation in checked.declared:
+        value = {"value": each.value, "deviation": deviation, "unit": each.unit}
+        yield {"name": each.name, **value}
 
 
 def _finite(values: Vector) -> list[float | None]:
@@ -191,6 +200,20 @@ def _tables(checked: ModelCheck) -> Iterator[TextTable]:
     yield _shortened(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
     if checked.system.contacts:
         yield _contact_table(checked, length, of_mass)
+    if checked.declared:
+        declared = [
+            (each.name, f"{each.value:.6g}", f"{deviation:.3g}", each.unit, _use(each, deviation))
+            for each, deviation in checked.declared
+        ]
+        headings = ("parameter", "value", "deviation", "unit", "an observer takes it")
+        yield TextTable(headings, declared, words=headings[-2:])
+
+
+def _use(parameter: ModelParameter, deviation: float) -> str:
+    """What an observer makes of a parameter with this deviation."""
+    if not deviation:
+        return "as exact"
+    return "as uncertain" if is_observed(parameter.name) else "as exact: only identify learns it"
 
 
 def _contact_table(checked: ModelCheck, length: str, of_mass: str) -> TextTable:

@@ -36,7 +36,7 @@ def check(model: str | Path, *, json: bool = False) -> int:
     from impact_observer.check.model_report import for_json, print_check
     from impact_observer.model import read_model
 
-    checked = check_model(read_model(model).system)
+    checked = check_model(read_model(model))
     if json:
         say(json_module.dumps(for_json(checked), indent=2))
     else:

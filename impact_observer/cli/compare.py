@@ -26,7 +26,7 @@ from impact_observer.cli.arguments import (
 )
 from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
-from impact_observer.plain_text import say
+from impact_observer.plain_text import printable, say
 
 if TYPE_CHECKING:
     from impact_observer.compare.bag_comparison import BagComparison
@@ -150,6 +150,7 @@ def _compare_one(
     bag: Path, options: "Sequence[Options]", args: argparse.Namespace
 ) -> "BagComparison":
     """Compare one bag, and run observers with these ``options`` on the bag."""
+    from impact_observer.cli.observe import considered_lines, fitted_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.reader import BagReader
@@ -160,14 +161,21 @@ def _compare_one(
         progress.show(f"{bag}: reading")
         read = model_of(reader, args.model)
         # The ensemble is left out: no estimate depends on the ensemble.
-        alone = [replace(each, ensemble=1) for each in options]
-        return compare_bag(
+        observers = [make_observer(read, replace(each, ensemble=1)) for each in options]
+        result = compare_bag(
             reader,
             read.system,
-            [make_observer(read, each) for each in alone],
+            observers,
             truth=args.truth,
             estimates=args.observers,
             settled=args.settled,
             since=args.since,
             progress=lambda what, done, total: progress.step(f"{bag}: {what}", done, total),
         )
+    lines = sys.stderr if args.json else sys.stdout
+    unknowns = [each.law.uncertainty.unknowns for each in observers]
+    considered = [line for each in unknowns for line in considered_lines(read, each)]
+    fitted = fitted_lines(read, [each.last_event for each in observers])
+    for line in dict.fromkeys((*considered, *fitted)):
+        say(printable(f"{bag}: {line}"), file=lines)
+    return result

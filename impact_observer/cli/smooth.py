@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.check.hit_times import doubts, first_times
-    from impact_observer.cli.observe import fitted_lines
+    from impact_observer.cli.observe import considered_lines, fitted_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import figure
     from impact_observer.io.observed_bag import MOST_ESTIMATES
@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.recordings import model_of
     from impact_observer.model.free_parameters import with_unit
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.observer import make_observer
     from impact_observer.smooth.bag_smoothing import smooth_bag
 
     chosen = observer_options(args, LAW)
@@ -52,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         read = model_of(reader, args.model)
         for line in doubts(args.bag, first_times(reader), read.system, has_covariance=True):
             progress.line(f"warning: {line}")
+        for line in considered_lines(read, make_observer(read, chosen).law.uncertainty.unknowns):
+            progress.line(line)
         smoothed = smooth_bag(
             reader,
             read,

@@ -16,11 +16,6 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.options import highest
 from impact_observer.states import Matrix, Vector, frozen
 
-_DEVIATION_RANGE = (1e-12, 1.0)
-"""Least and largest standard deviation of a parameter, relative to its size."""
-_GAP_FACTOR = 100.0
-"""Largest standard deviation of a gap over the gap, which may be small beside the motion."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownParameters:
@@ -57,8 +52,7 @@ class UnknownParameters:
             found = self.covariance.shape
             raise UsageError(f"covariance: shape {found} found; expected {(size, size)}")
         for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
-            least, most = (each.size * share for share in _DEVIATION_RANGE)
-            most *= _GAP_FACTOR if np.any(each.effect.gap) else 1.0
+            least, most = each.deviation_range
             if not least <= deviation <= most:
                 raise UsageError(
                     f"deviation of {each.name}: {deviation:g} found; expected {least:g} to"

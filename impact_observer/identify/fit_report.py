@@ -496,6 +496,11 @@ def why_useless(fitted: Identification) -> str:
     if fitted.undetermined:
         terms = (combination(direction) for direction in fitted.undetermined)
         return f"not determined: {listed(terms)}"
+    errors = zip(fitted.family.parameters, fitted.errors.tolist(), strict=True)
+    if vague := [
+        f"{p.name} +- {error:.2g}" for p, error in errors if error > p.deviation_range[1]
+    ]:
+        return f"not determined: {listed(vague)}"
     return f"at a bound: {listed(fitted.bounded)}" if fitted.bounded else ""
 
 

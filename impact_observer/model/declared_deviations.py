@@ -2,6 +2,7 @@
 """Deviations that stand beside the numbers of a model file: ``{value: 0.7, deviation: 0.01}``."""
 
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +12,23 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Value, number
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import parametric_family
-from impact_observer.model.parameter_places import Place, key_of, parameter_places
+from impact_observer.model.parameter_places import (
+    ParameterPlace,
+    Place,
+    key_of,
+    parameter_places,
+)
 from impact_observer.model.parameter_uncertainty import KEY, ParameterUncertainty
+from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.model.system import System
 
 _DEVIATION = "deviation"
 _BESIDE = ("provenance", KEY)
 """Keys of a model file that hold no numbers of the physics."""
+_NEARLY = 0.75
+"""Likeness to a key from which on another key is a misspelling of it."""
+_NOTHING_AT_ZERO = ("amplitude", "stiffness", "damping", "force")
+"""Keys of numbers that are no parameters where they are 0."""
 
 
 class PlainDocument(NamedTuple):
@@ -52,6 +63,7 @@ def _plain(value: Value, path: Place, deviations: dict[Place, float]) -> Value:
     if not isinstance(value, Mapping):
         return value
     if _DEVIATION not in value:
+        _check_spelling(value, path)
         return {key: _plain(each, (*path, key), deviations) for key, each in value.items()}
     key, rest = key_of(path), {name: each for name, each in value.items() if name != _DEVIATION}
     if "value" not in rest:
@@ -66,6 +78,16 @@ def _plain(value: Value, path: Place, deviations: dict[Place, float]) -> Value:
     return rest["value"] if alone else _plain(rest, path, deviations)
 
 
+def _check_spelling(value: Mapping[str, Value], path: Place) -> None:
+    """Raise ModelError if a key beside ``value`` is nearly ``deviation``."""
+    if "value" not in value:
+        return
+    for name in get_close_matches(_DEVIATION, map(str, value), 1, _NEARLY):
+        raise ModelError(
+            f"{key_of(path)}.{name}", f"is not known here; expected value and {_DEVIATION}"
+        )
+
+
 def with_deviations(
     known: ParameterUncertainty | None,
     plain: PlainDocument,
@@ -74,34 +96,63 @@ def with_deviations(
 ) -> ParameterUncertainty | None:
     """What the key ``uncertainty`` has, ``known``, and the deviations beside numbers.
 
+    A deviation that is smaller than the rounding of computed motions becomes 0.
+
     Raises:
-        ModelError: a deviation of what is no parameter, or of one that has a deviation already.
+        ModelError: a deviation of what is no parameter, or of one that has a deviation already,
+            or one so large that the value is of no use.
     """
-    before, variances = known.names if known else (), list[float]()
-    keys: dict[str, str] = {}
-    for key, name, deviation in _named(plain, system):
-        if name in keys or name in before:
-            where = f"in {KEY}" if name in before else f"at {keys[name]}"
+    places = {
+        name: (f"{KEY}.covariance[{i}][{i}]", 1.0)
+        for i, name in enumerate(known.names if known else ())
+    }
+    covariance = known.covariance if known else np.empty((0, 0))
+    variances, within = list[float](), [*places]
+    for place, deviation in _named(plain, system):
+        key, name = key_of(place.path), place.name
+        if name in places:
+            where = f"in {KEY}" if name in within else f"at {places[name][0]}"
             raise ModelError(
                 key, f"has a deviation, and {name} has one {where}; expected one of the two"
             )
-        keys[name] = key
-        variances.append(deviation**2)
-    if not keys:
-        return known
+        places[name] = key, abs(place.slope)
+        variances.append((deviation / place.slope) ** 2)
+    if not places:
+        return None
     try:
-        parametric_family(system, [*before, *keys], elements)
+        parameters = parametric_family(system, [*places], elements).parameters
     except UsageError as error:
-        named = (key for name, key in keys.items() if repr(name) in str(error))
-        raise ModelError(next(named, KEY), str(error)) from None
-    own = np.diag(variances)
-    covariance = linalg.block_diag(known.covariance, own) if known else own
+        beside = [name for name in places if name not in within and repr(name) in str(error)]
+        key = places[beside[0]][0] if beside else KEY
+        raise ModelError(key, str(error)) from None
+    covariance = linalg.block_diag(covariance, np.diag(variances))
+    deviations = np.sqrt(np.diag(covariance)).tolist()
+    used = [
+        _is_used(each, deviation, *places[each.name])
+        for each, deviation in zip(parameters, deviations, strict=True)
+    ]
     fitted_to = known.fitted_to if known else None
-    return ParameterUncertainty((*before, *keys), covariance, fitted_to)
+    return ParameterUncertainty((*places,), covariance * np.outer(used, used), fitted_to)
 
 
-def _named(plain: PlainDocument, system: System) -> Iterator[tuple[str, str, float]]:
-    """Key, parameter and deviation of each number that has one, in SI units of the parameter."""
+def _is_used(parameter: ModelParameter, deviation: float, key: str, slope: float) -> bool:
+    """Whether a ``deviation`` is larger than rounding; ``slope`` is that of the number at ``key``.
+
+    Raises:
+        ModelError: the deviation is so large that the value is of no use.
+    """
+    least, most = parameter.deviation_range
+    if deviation > most:
+        raise ModelError(
+            key if key.startswith(KEY) else f"{key}.{_DEVIATION}",
+            f"a deviation of {deviation * slope:g} found; expected at most {most * slope:g}: find"
+            " the value with identify",
+        )
+    return deviation >= least
+
+
+def _named(plain: PlainDocument, system: System) -> Iterator[tuple[ParameterPlace, float]]:
+    """The place of each number that has a deviation, and the deviation in the number's unit."""
     if not plain.deviations:
         return
     places = {each.path: each for each in parameter_places(plain.document, system)}
@@ -109,13 +160,22 @@ def _named(plain: PlainDocument, system: System) -> Iterator[tuple[str, str, flo
         key = key_of(path)
         if path not in places:
             raise ModelError(key, f"has a deviation; expected {_instead(path)}")
-        place = places[path]
-        if not place.slope:
+        beside: Any = plain.document
+        for part in path[:-1]:
+            beside = beside[part]
+        if path[-1] == "frequency" and beside.get("order"):
             raise ModelError(
                 key,
-                "is 0 with a deviation; expected another value: an amplitude has relative ones",
+                "has a deviation beside an order; expected a plain number: pulses of the drive"
+                " tell the frequency",
             )
-        yield key, place.name, deviation / abs(place.slope)
+        if not beside[path[-1]] and path[-1] in _NOTHING_AT_ZERO:
+            raise ModelError(
+                key,
+                "is 0 with a deviation; expected another value, or a plain 0: what is 0 is no"
+                " parameter here",
+            )
+        yield places[path], deviation
 
 
 def _instead(path: Place) -> str:

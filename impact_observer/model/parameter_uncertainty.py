@@ -11,6 +11,7 @@ from impact_observer.model.document import Section, Value, finite
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, parametric_family
 from impact_observer.model.system import System
+from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector, frozen
 
 KEY = "uncertainty"
@@ -47,11 +48,11 @@ class ParameterUncertainty:
         if self.fitted_to is None:
             return
         first, last = self.fitted_to
-        if not 0 <= first <= last:
+        if not 0 <= first <= last <= MAX_STAMP:
             raise ModelError(
                 f"{KEY}.fitted_to",
                 f"{first} to {last} found; expected the first and the last stamp of a recording,"
-                " ns",
+                f" ns, from 0 to {MAX_STAMP}",
             )
 
     @property
@@ -122,6 +123,10 @@ def read_uncertainty(
     section.value("names")
     names = tuple(str(value) for _, value in section.items("names"))
     check_names(f"{KEY}.names", names, system, elements)
+    if isinstance(given := section.value("covariance"), str):
+        raise ModelError(
+            section.key("covariance"), f"{given!r} found; expected one row of numbers a name"
+        )
     covariance = section.matrix("covariance", len(names), None)
     fitted_to = None
     if "fitted_to" in section:

@@ -16,6 +16,10 @@ from impact_observer.states import Matrix, Vector, frozen
 
 _OF_FORCING = {"amplitude", "phase", "frequency", "constant"}
 """Coefficients on which the forcing depends."""
+_DEVIATION_RANGE = (1e-12, 1.0)
+"""Least and largest standard deviation of a parameter, relative to its size."""
+_GAP_FACTOR = 100.0
+"""Largest standard deviation of a gap over the gap, which may be small beside the motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +121,12 @@ class ModelParameter:
         """Whether the motion between impacts depends on the parameter."""
         motion = {"M", "C", "K", "amplitude", "phase", "frequency", "constant", "friction"}
         return not motion.isdisjoint(self.effect.parts)
+
+    @property
+    def deviation_range(self) -> tuple[float, float]:
+        """Least and largest standard deviation with which the value is of use, in its unit."""
+        least, most = (self.size * share for share in _DEVIATION_RANGE)
+        return least, most * (_GAP_FACTOR if np.any(self.effect.gap) else 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

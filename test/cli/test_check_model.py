@@ -282,6 +282,25 @@ def test_an_undecided_question_is_a_warning(
     assert json.loads(capsys.readouterr().out)["nonexpansive"] is None
 
 
+def test_declared_deviations_are_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In SI units of the parameter, with what an observer makes of each; in JSON without words."""
+    text = rows(1).replace("limit: 1", "limit: {value: 1, deviation: 0.02}")
+    path = written(tmp_path, text.replace("mass: 1", "mass: {value: 1, deviation: 0}"))
+    output = printed(capsys, path)
+    assert "gap.s0 1 0.02 m as uncertain" in output
+    assert "mass.x0 1 0 kg as exact" in output
+    assert check_model.check(path, json=True) == 0
+    found = {each["name"]: each for each in json.loads(capsys.readouterr().out)["deviations"]}
+    assert found["gap.s0"] == {"name": "gap.s0", "value": 1.0, "deviation": 0.02, "unit": "m"}
+    assert found["mass.x0"]["deviation"] == 0.0
+    shaken = "{amplitude: {value: 0.1, deviation: 0.001}, frequency: 9}"
+    text = f"grounds: [{{name: table, motion: {{harmonics: [{shaken}]}}}}]\n" + rows(1)
+    output = printed(capsys, written(tmp_path, text.replace("[ground,", "[table,")))
+    assert "ground-amplitude.table.1 1 0.01 as exact: only identify learns it" in output
+
+
 def test_a_file_that_is_no_model_is_wrong_use(tmp_path: Path) -> None:
     """The error is one line, with exit code 2."""
     with pytest.raises(UsageError, match="no such file") as absent:

@@ -73,7 +73,9 @@ def test_a_model_that_says_nothing_has_no_uncertainty_and_exact_values_have_a_ze
         ("[1.0e-4, 2.0e-6], ", "", "uncertainty.covariance: 1 rows found; expected 2 rows"),
         ("1000000000", "1.5", "uncertainty.fitted_to.first: 1.5 found; expected a stamp, whole"),
         ("1000000000", "62000000000", "uncertainty.fitted_to: 62000000000 to 61000000001 found"),
+        ("61000000001", "9" * 23, "found; expected the first and the last stamp of a recording"),
         ("fitted_to", "fitted", "uncertainty.fitted: is not known here"),
+        ("[[1.0e-4, 2.0e-6], [2.0e-6, 4.0e-6]]", "abc", "'abc' found; expected one row of number"),
     ],
 )
 def test_each_mistake_in_an_uncertainty_is_one_line(old: str, new: str, line: str) -> None:
@@ -82,6 +84,17 @@ def test_each_mistake_in_an_uncertainty_is_one_line(old: str, new: str, line: st
     refused = line_that_refuses(ELEMENTS + UNCERTAIN.replace(old, new))
     assert refused.startswith("rig.yaml: uncertainty")
     assert line in refused
+
+
+def test_a_deviation_below_the_rounding_of_motions_counts_as_exact() -> None:
+    """In either form, and with it the covariances."""
+    tiny = ELEMENTS.replace("limit: 0.5", "limit: {value: 0.5, deviation: 1e-30}")
+    covariance = "[[1.0e-4, 1.0e-18], [1.0e-18, 4.0e-32]]"
+    given = "[[1.0e-4, 2.0e-6], [2.0e-6, 4.0e-6]]"
+    known = parse_model(tiny + UNCERTAIN.replace(given, covariance), "pair").uncertainty
+    assert known is not None
+    assert known.names == ("restitution.stop", "stiffness-scale", "gap.stop")
+    np.testing.assert_array_equal(known.covariance, np.diag([1e-4, 0.0, 0.0]))
 
 
 def test_rounding_of_printed_digits_is_no_mistake() -> None:
@@ -249,11 +262,31 @@ def test_a_deviation_of_what_is_no_parameter_is_one_line(old: str, new: str, lin
         ),
         (
             ELEMENTS.replace("amplitude: 4", "amplitude: {value: 0, deviation: 1}"),
-            "forces[0].amplitude: is 0 with a deviation",
+            "forces[0].amplitude: is 0 with a deviation; expected another value, or a plain 0",
+        ),
+        (
+            ELEMENTS.replace("damping: 0.1", "damping: {value: 0, deviation: 1}"),
+            "springs[0].damping: is 0 with a deviation; expected another value, or a plain 0",
+        ),
+        (
+            ELEMENTS.replace("limit: 0.5", "limit: {value: 0.5, deviaton: 1}"),
+            "stops[0].limit.deviaton: is not known here; expected value and deviation",
+        ),
+        (
+            ELEMENTS.replace("limit: 0.5", "limit: {value: 0.5, deviation: 60}"),
+            "stops[0].limit.deviation: a deviation of 60 found; expected at most 50: find the",
+        ),
+        (
+            ELEMENTS.replace("amplitude: 4", "amplitude: {value: -4, deviation: 5}"),
+            "forces[0].amplitude.deviation: a deviation of 5 found; expected at most 4: find the",
+        ),
+        (
+            ELEMENTS + UNCERTAIN.replace("4.0e-6", "4.0"),
+            "uncertainty.covariance[1][1]: a deviation of 2 found; expected at most 1: find the",
         ),
         (
             ELEMENTS.replace("frequency: 2.5", "order: 1, frequency: {value: 2.5, deviation: 1}"),
-            "forces[0].frequency: parameter 'forcing-frequency.1': this model has none",
+            "forces[0].frequency: has a deviation beside an order; expected a plain number",
         ),
         (
             ELEMENTS.replace(
