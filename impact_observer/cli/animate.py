@@ -15,7 +15,7 @@ from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observers,
-    not_negative,
+    add_part,
     positive,
 )
 from impact_observer.errors import UsageError
@@ -42,10 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
     speed = "recorded seconds a second of the film (default 1)"
     add("--speed", metavar="X", type=positive, default=1.0, help=speed)
-    start = "beginning of the film, s since the epoch (default 0)"
-    add("--start", metavar="S", type=not_negative, default=0.0, help=start)
-    duration = f"length of the recording to show, s (default: all, up to {LONGEST:g} s of film)"
-    add("--duration", metavar="S", type=positive, help=duration)
+    add_part(parser, duration=f"to the end, up to {LONGEST:g} s of film")
     fps = (
         f"pictures a second of the film (default {FPS:g}); a GIF takes the nearest of 50, 33.3,"
         " 25, 20 and so on"
@@ -76,7 +73,7 @@ def animate(
     output: Path,
     *,
     speed: float = 1.0,
-    start: float = 0.0,
+    start: float | None = None,
     duration: float | None = None,
     fps: float = FPS,
     observers: Sequence[str] | None = None,
@@ -89,7 +86,7 @@ def animate(
         bag: with truth, estimates, or both.
         output: the film; its suffix is the format.
         speed: recorded seconds a second of the film.
-        start: s since the epoch.
+        start: s since ``t = 0``; None for the beginning.
         duration: recorded seconds in the film; None for all, up to a minute of film.
         fps: pictures a second of the film.
         observers: prefixes of the estimates' topics; None for all.
@@ -111,7 +108,7 @@ def animate(
     from impact_observer.stamps import seconds_between
 
     span = LONGEST * speed if duration is None else duration
-    _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
+    _check(speed=speed, fps=fps, start=start or 0.0, duration=duration or 0.0)
     rate = picture_rate(output, fps)
     with BagReader(bag, namespace) as reader, Progress() as progress:
         progress.show(f"reading {bag}")

@@ -196,6 +196,35 @@ def add_estimates(parser: "argparse._ActionsContainer") -> None:
     )
 
 
+def add_part(
+    parser: "argparse._ActionsContainer",
+    *,
+    zero: str = "the epoch, or without one after the first impact",
+    start: str = "from the beginning",
+    duration: str = "to the end",
+) -> None:
+    """Add ``--start`` and ``--duration``, the part of a bag that a command reads.
+
+    Args:
+        parser: of the subcommand, or a group of it.
+        zero: the instant from which ``--start`` counts.
+        start: what the default of ``--start`` is.
+        duration: what the default of ``--duration`` is.
+    """
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        type=not_negative,
+        help=f"beginning of the part that is read, s after {zero} (default: {start})",
+    )
+    parser.add_argument(
+        "--duration",
+        metavar="S",
+        type=positive,
+        help=f"length of the part that is read, s (default: {duration})",
+    )
+
+
 def add_table(parser: "argparse._ActionsContainer") -> None:
     """Add the form of a table of times, which ``table_form`` returns."""
     parser.add_argument(
@@ -204,9 +233,9 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
         help="of the times (default: that in the header, else s)",
     )
     parser.add_argument(
-        "--start",
+        "--time-zero",
         metavar="S",
-        type=_start,
+        type=_time_zero,
         help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
     )
     column = (
@@ -249,7 +278,7 @@ def table_form(args: argparse.Namespace) -> "TableForm":
     )
 
 
-def _start(text: str) -> int:
+def _time_zero(text: str) -> int:
     """A stamp in seconds, or 0."""
     return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
 

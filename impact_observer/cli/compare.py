@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -19,6 +20,7 @@ from impact_observer.cli.arguments import (
     add_namespace,
     add_observer_arguments,
     add_observers,
+    add_part,
     installed_laws,
     not_negative,
     observer_options,
@@ -74,13 +76,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=SETTLED,
         help=f"V/V0 below which an estimate has settled (default {SETTLED:g})",
     )
+    add_part(parser)
     parser.add_argument(
         "--from",
         metavar="S",
         dest="since",
         type=not_negative,
-        help="leave out what is earlier than S seconds after the epoch, such as a wrong start"
-        " (default: all samples count)",
+        help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
+        " observers of --laws have the impacts before, too (default: all estimates count)",
     )
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
@@ -153,13 +156,17 @@ def _compare_one(
     from impact_observer.cli.observe import considered_lines, fitted_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
-    from impact_observer.io.reader import BagReader
+    from impact_observer.io.bag_part import read_part
+    from impact_observer.io.reader import BagReader, named_topic
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
 
     with BagReader(bag, args.namespace) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, args.model)
+        truth = named_topic(reader, args.truth) if args.truth else reader.truth_topic()
+        tell = partial(say, file=sys.stderr if args.json else sys.stdout)
+        read_part(reader, args.start, args.duration, [truth] if truth else [], tell=tell)
         # The ensemble is left out: no estimate depends on the ensemble.
         observers = [make_observer(read, replace(each, ensemble=1)) for each in options]
         result = compare_bag(

@@ -14,7 +14,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_bag_output, add_model, add_table, stamp, table_form
+from impact_observer.cli.arguments import (
+    add_bag_output,
+    add_model,
+    add_part,
+    add_table,
+    stamp,
+    table_form,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser, "a model file or a sample, to be put into the bag")
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
     add("--epoch", metavar="S", type=stamp, help=epoch)
+    add_part(
+        parser, zero="the epoch, or without one after the first message; of a signal, file time"
+    )
     picture = "a picture of the signals with threshold, impacts, dead times and what lay in them"
     add("--plot", metavar="FILE", type=Path, help=picture)
     add_bag_output(parser)
@@ -88,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
             if suppressed:
                 what += f", {suppressed} suppressed in it"
             progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
+        if result.part is not None:
+            progress.line(f"part: {result.part.words}")
         progress.line(f"{args.output}: {result.events} events")
         for line in (*result.doubts, *result.problems):
             progress.line(f"warning: {line}")
@@ -111,7 +123,7 @@ def _in_bag(
     from impact_observer.io.reader import BagReader
     from impact_observer.io.table_layout import TableForm
 
-    if table_form(args) != TableForm() or args.start is not None:
+    if table_form(args) != TableForm() or args.time_zero is not None:
         raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")
     sources = _sources(args, model)
     with BagReader(args.bag) as reader:
@@ -121,6 +133,8 @@ def _in_bag(
             args.output,
             model=model,
             epoch=args.epoch or 0,
+            start=args.start,
+            duration=args.duration,
             flush=args.flush,
             traced=args.plot is not None,
             progress=lambda done, total: progress.step("detecting", done, total),
@@ -132,10 +146,14 @@ def _in_signal(
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal
+    from impact_observer.io.bag_part import BagPart, TimeZero
     from impact_observer.io.signal_file import SignalFile
     from impact_observer.stamps import text
 
-    signal = SignalFile(args.bag, table_form(args), args.start)
+    signal = SignalFile(args.bag, table_form(args), args.time_zero)
+    if args.start is not None or args.duration is not None:
+        zero = TimeZero(signal.start, "the file's time 0")
+        signal.part = BagPart.between(zero, args.start, args.duration)
     epoch = signal.start if args.epoch is None else args.epoch
 
     def show(rows: int) -> None:

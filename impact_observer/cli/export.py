@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the states, errors or events of a bag to a CSV or Parquet file.
 
-Each row has its stamp in ns and seconds since the epoch. Coordinates are q_NAME and u_NAME, their
+Each row has its stamp in ns and seconds since the epoch, or without one since the first impact.
+Coordinates are q_NAME and u_NAME, their
 standard deviations, where an observer has them, deviation_q_NAME and deviation_u_NAME, errors
 dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_observer[parquet].
 """
@@ -10,7 +11,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, stamp
+from impact_observer.cli.arguments import add_model, add_namespace, add_part, stamp
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events}] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S] [--namespace NS]"
+        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -49,23 +50,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epoch",
         metavar="S",
         type=stamp,
-        help="stamp of t = 0 (default: as in the events, else the first stamp)",
+        help="stamp of t = 0 (default: as in the events, else the first impact)",
     )
+    add_part(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Export a bag and print how many rows were written."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.compare.bag_export import error_rows, event_rows, state_rows
+    from impact_observer.compare.bag_export import error_rows, event_rows, state_rows, state_topics
     from impact_observer.compare.table_files import write_table
+    from impact_observer.io.bag_part import read_part, time_zero, topic_of_impacts
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
 
     if args.topics is not None and args.what == EVENTS:
         raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        is_of_events = args.what == EVENTS
+        topics = topic_of_impacts(reader) if is_of_events else state_topics(reader, args.topics)
+        zero = partial(time_zero, epoch=args.epoch)
+        read_part(reader, args.start, args.duration, topics, zero=zero, tell=progress.line)
         show = partial(progress.step, f"exporting {args.bag.name}")
-        if args.what == EVENTS:
+        if is_of_events:
             blocks = event_rows(reader, args.epoch, show)
         elif args.what == ERRORS:
             system = system_of(reader, args.model)

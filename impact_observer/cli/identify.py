@@ -5,6 +5,7 @@ import argparse
 import json
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from impact_observer.cli.arguments import (
     add_measurements,
     add_model,
     add_namespace,
+    add_part,
     number,
     positive,
     stamp,
@@ -34,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
     add_namespace(parser)
     add_measurements(parser)
+    add_part(parser)
     parser.add_argument(
         "--free",
         metavar="LIST",
@@ -69,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--horizon",
         metavar="S",
         type=positive,
-        help="use only the first S seconds of the bag (default: all)",
+        help="use only the first S seconds of the bag, or of its part (default: all)",
     )
     parser.add_argument(
         "--trust-events",
@@ -128,6 +131,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.identify.fit_picture import fit_picture
     from impact_observer.identify.identification import identify
     from impact_observer.identify.written_uncertainty import refuse_scales_of_parts
+    from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.observed_bag import events_from
@@ -145,10 +149,12 @@ def run(args: argparse.Namespace) -> int:
     with BagReader(args.bag, args.namespace) as reader:
         given = text_of_model(reader, args.model)
         parsed = parse_model(*given)
+        declared = read_measurements(args.measurements)
+        part = (args.start, args.duration, args.epoch)
+        read_impacts_part(reader, *part, declared, tell=partial(say, file=lines))
         events = [replace(e, epoch=e.epoch or args.epoch) for e in events_from(reader, args.epoch)]
         lost: list[str] = []
         system = with_recorded(reader, parsed.system, epoch_of(events), lost.append)
-        declared = read_measurements(args.measurements)
         recorded = samples_in(reader, declared)
         for line in (
             *lost,

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
             truth=args.truth,
             samples=args.samples,
             form=table_form(args),
-            start=args.start,
+            start=args.time_zero,
             epoch=args.epoch,
             flush=args.flush,
             progress=show,
@@ -83,7 +83,7 @@ def _summary(imported: "Imported") -> str:
     zero = f"time 0 is stamp {text(imported.start)} s"
     epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
     if not (imported.epoch or imported.start):
-        epoch += ", as a stamp of 0 is none (--start 1 makes time 0 a stamp)"
+        epoch += ", as a stamp of 0 is none (--time-zero 1 makes time 0 a stamp)"
     events = f"{counted(imported.events, 'event')} of {counted(imported.rows, 'row')}"
     events += f", {imported.times}"
     states = f", {imported.states} true states" if imported.states else ""

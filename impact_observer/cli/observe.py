@@ -12,6 +12,7 @@ from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observer_arguments,
+    add_part,
     observer_options,
 )
 from impact_observer.options import AUTO, VERDICTS
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=AUTO,
         help="verdicts on samples: of sensors up to 50 Hz, of all, or of none (default auto)",
     )
+    add_part(parser)
     add_estimates(parser)
     add_bag_output(parser)
 
@@ -55,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.events import Remark, Ruling
     from impact_observer.filter.misfit import MISFIT
+    from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.measured_samples import MeasuredTopics
     from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
     from impact_observer.io.reader import BagReader
@@ -67,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
         sensors = read_measurements(args.measurements)
+        part = (args.start, args.duration, chosen.epoch)
+        read_impacts_part(reader, *part, sensors, tell=progress.line)
         observer = make_observer(read, chosen, measurements=sensors)
         measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
         has_covariance = observer.law.has_covariance

@@ -14,8 +14,8 @@ from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observers,
+    add_part,
     names,
-    not_negative,
     positive,
 )
 from impact_observer.errors import UsageError
@@ -39,9 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " of the coordinates that move most, at most eight)"
     )
     add("--select", metavar="WHAT,...", type=names, help=select)
-    start = "beginning of the plot, s since the epoch (default 0)"
-    add("--start", metavar="S", type=not_negative, default=0.0, help=start)
-    add("--duration", metavar="S", type=positive, help="length of the plot, s (default: all)")
+    add_part(parser)
     width = "of a picture, inches (default 10); one column of panels below 6.5"
     add("--width", metavar="INCHES", type=positive, default=10.0, help=width)
     add_namespace(parser)
@@ -57,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.draw.pictures import save
     from impact_observer.draw.plot.page import check_plotly, write_page
     from impact_observer.draw.plot.picture import recording_picture
-    from impact_observer.draw.plot.series import read_recording
+    from impact_observer.draw.plot.series import read_recording, topics_drawn
+    from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
     from impact_observer.model.measurements_file import read_measurements
@@ -70,14 +69,13 @@ def run(args: argparse.Namespace) -> int:
     if not low <= args.width <= high:
         raise UsageError(f"--width {args.width:g}: expected {low:g} to {high:g} inches")
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        read_part(reader, args.start, args.duration, topics_drawn(reader, args.observers))
         known = args.model is not None or reader.model_text() is not None
         recording = read_recording(
             reader,
             system_of(reader, args.model) if known else None,
             select=args.select,
             observers=args.observers,
-            start=args.start,
-            duration=args.duration,
             measurements=read_measurements(args.measurements),
             progress=lambda done, total: progress.step(f"reading {args.bag}", done, total),
             warn=lambda line: progress.line(f"warning: {line}"),

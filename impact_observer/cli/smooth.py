@@ -16,6 +16,7 @@ from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observer_arguments,
+    add_part,
     observer_options,
 )
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add_observer_arguments(parser)
     add_measurements(parser)
+    add_part(parser)
     add_estimates(parser)
     add_bag_output(parser)
 
@@ -40,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.observe import considered_lines, fitted_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import figure
+    from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.observed_bag import MOST_ESTIMATES
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -51,6 +54,9 @@ def run(args: argparse.Namespace) -> int:
     chosen = observer_options(args, LAW)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
+        sensors = read_measurements(args.measurements)
+        part = (args.start, args.duration, chosen.epoch)
+        read_impacts_part(reader, *part, sensors, tell=progress.line)
         for line in doubts(args.bag, first_times(reader), read.system, has_covariance=True):
             progress.line(f"warning: {line}")
         for line in considered_lines(read, make_observer(read, chosen).law.uncertainty.unknowns):
@@ -60,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             read,
             chosen,
             args.output,
-            measurements=read_measurements(args.measurements),
+            measurements=sensors,
             rate=args.rate,
             most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,

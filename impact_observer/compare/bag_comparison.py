@@ -17,9 +17,9 @@ from impact_observer.compare.comparison import (
 )
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in
+from impact_observer.io.bag_part import time_zero
 from impact_observer.io.pairing import Samples, sample_type, samples_of
-from impact_observer.io.reader import BagReader, first_stamp, named_states, named_topic
+from impact_observer.io.reader import BagReader, named_states, named_topic
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates
 from impact_observer.model import System
@@ -38,7 +38,7 @@ class BagComparison:
             ``/observer_geometric``, or by the named topic; estimates of observers that were run
             on the bag by the law's name.
         impacts: stamps of the impacts (ns), by contact.
-        epoch: stamp of ``t = 0``, ns; the first true stamp if no event has an epoch.
+        epoch: stamp of ``t = 0``, ns; without an epoch that of the first impact (``time_zero``).
     """
 
     system: System
@@ -67,7 +67,7 @@ def compare_bag(
         truth: the topic of the plant's true states; None for the only one in the bag.
         estimates: observers' prefixes, or topics of states; None for every observer.
         settled: V over V at the start below which an estimate has settled.
-        since: seconds after the epoch; samples before it are left out. None for all.
+        since: seconds after ``t = 0``; samples before it are left out. None for all.
         progress: receives the name of the work, the amount done, and the whole amount.
 
     Raises:
@@ -84,8 +84,8 @@ def compare_bag(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
-    epoch = epoch_in(reader, events) or first_stamp(reader, [true_topic]) or 0
-    begin = 0 if since is None else epoch + from_seconds(since)
+    zero = time_zero(reader).stamp
+    begin = 0 if since is None else zero + from_seconds(since)
     law_of, states = states_of_topics(
         reader, system, [true_topic, *topics.values()], partial(progress, "comparing")
     )
@@ -117,7 +117,7 @@ def compare_bag(
         if str(error).startswith(str(reader.path)):
             raise
         raise BagError(f"{reader.path}: {error}") from None
-    return BagComparison(system, comparisons, impacts_in(events), epoch)
+    return BagComparison(system, comparisons, impacts_in(events), zero)
 
 
 def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Comparison]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states, errors or events of a bag as rows of a table, block by block.
 
-In all functions ``epoch`` is the stamp of ``t = 0``, ns. If None, ``t = 0`` is the epoch of the
-events, or else the first stamp. ``topics`` are topics of states, or observers' prefixes; None
+In all functions ``epoch`` is the stamp of ``t = 0``, ns. If None, ``t = 0`` is that of
+``time_zero``. ``topics`` are topics of states, or observers' prefixes; None
 means all.
 """
 
@@ -17,8 +17,8 @@ from impact_observer.compare.comparison import compare_states
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in
-from impact_observer.io.reader import BagReader, first_block, first_stamp, named_states, states_of
+from impact_observer.io.bag_part import time_zero
+from impact_observer.io.reader import BagReader, first_block, named_states, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates
 from impact_observer.model import System
@@ -40,11 +40,11 @@ def state_rows(
         UsageError: a topic is not in the bag.
         BagError: there are no states, topics have different coordinates, or the bag is damaged.
     """
-    chosen = _state_topics(reader, topics)
+    chosen = state_topics(reader, topics)
     first = first_block(reader, chosen)
     if first is None:
         raise UnfitBagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
-    zero = _epoch(reader, int(first.stamps[0])) if epoch is None else epoch
+    zero = time_zero(reader, epoch).stamp
     done, total = 0, sum(reader.topics[topic].count for topic in chosen)
     with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
     for topic, block in reader.blocks(chosen, first.names, covariance=with_deviations):
@@ -77,10 +77,10 @@ def error_rows(
     truth = reader.truth_topic()
     if truth is None:
         raise UnfitBagError(f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic})")
-    chosen = [topic for topic in _state_topics(reader, topics) if topic != truth]
+    chosen = [topic for topic in state_topics(reader, topics) if topic != truth]
     if not chosen:
         raise UnfitBagError(f"{reader.path}: has no estimates; make them with observe")
-    zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
+    zero = time_zero(reader, epoch).stamp
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
     laws, states = states_of_topics(reader, system, [truth, *chosen], progress)
     for topic in chosen:
@@ -104,7 +104,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     events = events_in(reader)
     if not events:
         raise UnfitBagError(f"{reader.path}: has no events to export")
-    zero = _epoch(reader, events[0].stamp) if epoch is None else epoch
+    zero = time_zero(reader, epoch).stamp
     rows = [(event, switch) for event in events for switch in event.switches]
     words = {
         "contact": [switch.contact for _, switch in rows],
@@ -142,16 +142,10 @@ def _deviations(block: JointStates) -> NDArray[np.float64]:
     return np.full((block.stamps.size, 2 * len(block.names)), np.nan)
 
 
-def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
+def state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
     """Topics of states: the named ones, else the truth and the states of every observer."""
     if named is not None:
         return [*dict.fromkeys(named_states(reader, name) for name in named)]
     truth = reader.truth_topic()
     estimates = [states_of(reader, prefix) for prefix in reader.observers()]
     return [*([truth] if truth else []), *estimates]
-
-
-def _epoch(reader: BagReader, otherwise: int) -> int:
-    """The stamp of ``t = 0`` in the events, or of the first pulse of a drive, ns."""
-    topic = reader.find(interfaces.IMPACTS)
-    return epoch_in(reader, () if topic is None else reader.events(topic)) or otherwise

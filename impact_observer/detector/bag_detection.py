@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from impact_observer import __version__
@@ -10,6 +11,7 @@ from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
+from impact_observer.io.bag_part import BagPart, read_part, sensor_zero
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
@@ -34,6 +36,7 @@ class BagDetection:
         seconds: from the first row to the last one, s.
         suppressed: how many peaks, changes or messages of each source lay in dead times.
         traces: signals of the sources, if they were to be kept.
+        part: the part that was read; None for all.
     """
 
     sources: list[Source]
@@ -45,6 +48,7 @@ class BagDetection:
     seconds: float = 0.0
     suppressed: list[int] = field(default_factory=list)
     traces: list[SignalTrace] = field(default_factory=list)
+    part: BagPart | None = None
 
     def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
         """Count the events that the ``detector`` has detected in ``path``.
@@ -78,13 +82,17 @@ def detect_bag(
     *,
     model: Model | None = None,
     epoch: int = 0,
+    start: float | None = None,
+    duration: float | None = None,
     flush: float = FLUSH,
     traced: bool = False,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> BagDetection:
     """Write a bag with the impacts detected in another one; all other topics are copied.
 
-    The log time of an event is the time of its decision. Memory is constant.
+    The log time of an event is the time of its decision. Memory is constant. Where a part is read
+    that has a past, the events are numbered from 2, so that an observer takes the state at the
+    first of them for unknown, and does not think that nothing has happened since the epoch.
 
     Args:
         reader: the bag to read.
@@ -93,6 +101,9 @@ def detect_bag(
         model: the model of the new bag; None for the model of the bag that is read, if any.
         epoch: stamp of the forcing's ``t = 0``, ns. With 0 the first pulse of a drive is the
             epoch; without a pulse the epoch is unknown.
+        start: of the part that is read, s after the epoch, or without one after the first message
+            of the sensors; None for the beginning of the bag.
+        duration: of the part, s; None for all.
         flush: longest time until a message is on the disk, s.
         traced: whether to keep the signals, for a picture.
         progress: called with the messages read and how many there are.
@@ -107,8 +118,22 @@ def detect_bag(
     if model is not None or reader.model_text() is not None:
         known = model or model_of(reader)
         check_contacts(known, declared)
-    detector = Detector(declared, epoch=epoch or first_pulse(reader), traced=traced)
-    result = BagDetection(detector.sources, detector.counts, problems=problems)
+    topics = [*dict.fromkeys(source.topic for source in declared)]
+    part = read_part(
+        reader,
+        start,
+        duration,
+        topics,
+        zero=partial(sensor_zero, topics=topics, epoch=epoch),
+        received=[source.topic for source in declared if source.stamp == "receive"],
+    )
+    detector = Detector(
+        declared,
+        epoch=epoch or first_pulse(reader),
+        traced=traced,
+        joins_late=part is not None and part.is_late,
+    )
+    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
         _run(reader, writer, detector, copied=copied, progress=progress)

@@ -81,14 +81,20 @@ class Detector:
     """
 
     def __init__(
-        self, sources: Iterable[Source] = (), *, epoch: int = 0, traced: bool = False
+        self,
+        sources: Iterable[Source] = (),
+        *,
+        epoch: int = 0,
+        traced: bool = False,
+        joins_late: bool = False,
     ) -> None:
-        """The first event has sequence number 1.
+        """The first event has sequence number 1, or 2 where the detector joins late.
 
         Args:
             sources: as for :meth:`add_source`.
             epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
             traced: whether to keep the signals, for a picture.
+            joins_late: whether there may have been impacts before the first message.
         """
         self._is_traced = traced
         self.sources: list[Source] = []
@@ -99,7 +105,7 @@ class Detector:
         self._sensors: list[Sensor] = []
         self._paths: list[FieldPath] = []
         self._newest: list[int] = []
-        self._sequence = 0
+        self._sequence = int(joins_late)
         self._now = 0
         for source in sources:
             self.add_source(source)

@@ -13,6 +13,7 @@ from impact_observer.detector.bag_detection import (
     write_model,
 )
 from impact_observer.detector.sensors import MAX_DELAY
+from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import all_or_nothing
@@ -66,14 +67,21 @@ def detect_signal(
     )
     if model is not None:
         check_contacts(model, present_sources)
-    detector = Detector(present_sources, epoch=epoch, traced=traced)
-    result = BagDetection(detector.sources, detector.counts, problems=problems)
+    part = signal.part
+    is_late = part is not None and part.low > signal.first
+    detector = Detector(present_sources, epoch=epoch, traced=traced, joins_late=is_late)
+    result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
     with all_or_nothing(output, flush) as writer:
         if model is not None:
-            write_model(writer, model, signal.first)
+            write_model(writer, model, max(signal.first, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)
-        result.rows, last = _run(signal, writer, detector, progress)
-        result.seconds = seconds_between(signal.first, last)
+        result.rows, first, last = _run(signal, writer, detector, progress)
+        if not result.rows and part is not None:
+            raise UsageError(
+                f"{signal.path}: no row from {part.words}; choose another part with --start and"
+                " --duration"
+            )
+        result.seconds = seconds_between(first, last)
         result.doubts += signal.remarks()
         result.finish(signal.path, detector, model)
     return result
@@ -81,11 +89,11 @@ def detect_signal(
 
 def _run(
     signal: SignalFile, writer: BagWriter, detector: Detector, progress: Callable[[int], None]
-) -> tuple[int, int]:
+) -> tuple[int, int, int]:
     """Feed the detector with every row, as if each were received at its stamp.
 
     Returns:
-        The number of rows, and the stamp of the last one, ns.
+        The number of rows, and the stamps of the first and the last one, ns.
     """
     make = bag_messages()
     columns = {topic: column for column, topic in signal.topics.items()}
@@ -94,13 +102,14 @@ def _run(
         for decided, event in detections:
             writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
 
-    done, stamp = 0, signal.first
+    done, first, stamp = 0, 0, signal.first
     rows = signal.rows([columns[source.topic] for source in detector.sources])
     for done, (stamp, values) in enumerate(rows, start=1):
+        first = first or stamp
         for index, value in enumerate(values):
             if value is not None:
                 write(detector.feed(index, _Number(value), stamp))
         progress(done)
     # After the longest delay no message can be missing any more, as in a bag.
     write(detector.advance(stamp + MAX_DELAY))
-    return done, stamp
+    return done, first, stamp

@@ -12,7 +12,8 @@ from impact_observer.draw.estimates import chosen_observers, labels_by_law, law_
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in, with_recorded
+from impact_observer.io.bag_part import time_zero
+from impact_observer.io.live_inputs import with_recorded
 from impact_observer.io.pairing import HOLD, arrived
 from impact_observer.io.reader import BagReader, first_stamp, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
@@ -29,7 +30,7 @@ def read_film(
     reader: BagReader,
     system: System,
     *,
-    start: float,
+    start: float | None,
     duration: float,
     observers: Sequence[str] | None = None,
     warn: Callable[[str], object] = lambda _line: None,
@@ -39,7 +40,7 @@ def read_film(
     Args:
         reader: the bag.
         system: of the plant.
-        start: of the part, s since the epoch.
+        start: of the part, s since ``t = 0``; None for the first state.
         duration: of the part, s; may be longer than the bag.
         observers: prefixes of the estimates' topics, with or without the first slash; None for
             all.
@@ -59,9 +60,10 @@ def read_film(
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = epoch_in(reader, events) or first_stamp(reader, wanted) or 1
+    epoch = time_zero(reader).stamp
     system = with_recorded(reader, system, epoch, warn)
-    first = epoch + from_seconds(start)
+    first = min(epoch, first_stamp(reader, wanted) or epoch)
+    first = first if start is None else epoch + from_seconds(start)
     states = _states_between(reader, system, wanted, first, first + from_seconds(duration))
     impacts = {event.stamp for event in events}
     truth = None if truth_topic is None else _track("plant", states[truth_topic], impacts)

@@ -188,6 +188,8 @@ INTERFACES = (
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,
 )
+WHOLE = (PLANT_MODEL, FORCING, GROUND_MOTION, PHASE_REFERENCE)
+"""Topics that are read whole where a part of a bag is: what holds, or drives, from before on."""
 
 
 def absolute(topic: str) -> str:

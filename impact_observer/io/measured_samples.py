@@ -226,6 +226,12 @@ def topic_in(reader: BagReader, measurement: Measurement) -> str | None:
     return None
 
 
+def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> list[str]:
+    """Topics of sensors in a bag whose stamps are the times of recording."""
+    topics = [topic_in(reader, each) for each in measurements if each.stamp == "receive"]
+    return [topic for topic in topics if topic is not None]
+
+
 def _clock_of_impacts(reader: BagReader) -> float | None:
     """Median delay of the recording of impacts after their stamps, s; None without impacts."""
     topic = reader.find(interfaces.IMPACTS)

@@ -81,6 +81,11 @@ def observe_bag(
     events = events_from(reader, epoch)
     _check_events(reader, events, observer.system, epoch)
     stamps = sample_stamps(reader, events, rate, epoch)
+    if reader.low and min((each.sequence for each in events), default=0) > 1:
+        # What happened before the part is unknown: the initial state holds at its first stamp.
+        known = [each.stamp for each in events]
+        known += [each.stamp for each in measured.samples[:1]] if measured is not None else []
+        stamps = stamps[stamps >= min(known)]
     has_covariance = observer.law.has_covariance
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
@@ -180,7 +185,7 @@ def sample_stamps(
     used = [each.event for each in placed(events, epoch) if each.period >= 0]
     if not used:
         return np.empty(0, dtype=np.int64)
-    start = epoch or used[0].epoch or used[0].stamp
+    start = max(epoch or used[0].epoch or used[0].stamp, reader.low)
     last = max(each.stamp for each in used)
     if truth:
         last = max(last, int(_stamps_of(reader, truth).max()))

@@ -5,6 +5,7 @@ Messages are streamed, and checked where they are used. Every failure is one lin
 bag, what was found and what is expected.
 """
 
+import struct
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -39,7 +40,13 @@ from impact_observer.io.state_arrays import (
     StateCollector,
     joined,
 )
-from impact_observer.io.typestores import add_definition, deserialize, new_typestore
+from impact_observer.io.typestores import (
+    add_definition,
+    begins_with_stamp,
+    deserialize,
+    new_typestore,
+)
+from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps
 
 _Value = TypeVar("_Value")
@@ -74,6 +81,7 @@ class BagReader:
         start: log time of the first message, ns; 0 when the bag is empty.
         end: log time of the last message, ns; 0 when the bag is empty.
         message_count: messages on all topics.
+        low: first stamp of the part that is read, ns; 0 for the whole bag.
     """
 
     def __init__(self, path: Path | str, namespace: str = "") -> None:
@@ -106,6 +114,9 @@ class BagReader:
             self.close()
             raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {in_bag}")
         self._store: Typestore | None = None
+        self.low = 0
+        self._limits: tuple[int, int] | None = None
+        self._received: frozenset[str] = frozenset()
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
         self.end = self._reader.end_time - 1 if self.message_count else 0
@@ -177,6 +188,37 @@ class BagReader:
         for topic in wanted:
             self._topic(topic)
         return self._stream([c for topic in wanted for c in self._connections[topic]], start)
+
+    def read_between(self, low: int, high: int, received: Collection[str] = ()) -> None:
+        """Leave out, from now on, what is stamped before ``low`` or after ``high``, ns.
+
+        The stamp is that of the header, or of a message without one the log time. Topics that
+        make the rig known, ``interfaces.WHOLE``, are read whole.
+
+        Args:
+            low: first stamp, ns.
+            high: last stamp, ns.
+            received: topics whose stamp is the log time, whatever the headers say.
+        """
+        self.low, self._limits, self._received = low, (low, high), frozenset(received)
+
+    @contextmanager
+    def whole_bag(self) -> Iterator[None]:
+        """Read the whole bag, whatever ``read_between`` leaves out, until the context ends."""
+        limits, self._limits = self._limits, None
+        try:
+            yield
+        finally:
+            self._limits = limits
+
+    def all_stamps(self, topics: Collection[str]) -> Iterator[int]:
+        """Stamps (ns) of the messages of some topics, in bag order, as ``read_between`` has them.
+
+        Raises:
+            BagError: a topic is missing, or the bag is damaged.
+        """
+        stamp_of = {topic: self._stamp_reader(topic) for topic in topics}
+        return (stamp_of[raw.topic](raw) for raw in self.raw(topics))
 
     def messages(self, topic: str) -> Iterator[tuple[int, AnyMessage]]:
         """Log times (ns) and messages of a topic whose type is defined here or in the bag.
@@ -364,16 +406,36 @@ class BagReader:
             return
         count = 0
         names = {each.topic: interfaces.absolute(each.topic) for each in connections}
+        low, high = self._limits or (0, 0)
+        stamp_of = {
+            topic: self._stamp_reader(topic)
+            for topic in (names.values() if self._limits else ())
+            if interfaces.interface(topic) not in interfaces.WHOLE
+        }
         with self._translated():
             for own, log_time, data in self._reader.messages(connections, start=start or None):
                 count += 1
-                yield RawMessage(names[own.topic], log_time, data)
+                raw = RawMessage(names[own.topic], log_time, data)
+                if raw.topic in stamp_of and not low <= stamp_of[raw.topic](raw) <= high:
+                    continue
+                yield raw
         expected = sum(connection.msgcount for connection in connections)
         if count < expected and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {expected} promised by its index; "
                 "`impact-observer check --salvage` saves what is left"
             )
+
+    def _stamp_reader(self, topic: str) -> Callable[[RawMessage], int]:
+        """A function that gives the stamp (ns) of a message of a topic."""
+        has_header = topic not in self._received
+        if has_header:
+            try:
+                info = self._topic(topic)
+                has_header = begins_with_stamp(self._store_for(info), info.type)
+            except BagError:  # no definition: the message can only be copied
+                has_header = False
+        return _stamp_in if has_header else attrgetter("log_time")
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
@@ -397,6 +459,14 @@ class BagReader:
                 command = recover_command(self.path)
                 remedy = f"`{command}` writes what is left to a new file"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
+
+
+def _stamp_in(raw: RawMessage) -> int:
+    """The stamp with which a serialized message begins, ns; its log time if that is 0."""
+    if len(raw.data) < 12:
+        return raw.log_time
+    seconds, part = struct.unpack_from("<iI" if raw.data[1] else ">iI", raw.data, 4)
+    return int(seconds * NS_PER_S + part) or raw.log_time
 
 
 def _reason(error: BaseException) -> str:

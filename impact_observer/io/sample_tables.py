@@ -75,7 +75,7 @@ class SampleTable:
             self._file.wrong(
                 row.line,
                 f"the stamp would be {text(start + row.time)} s; expected more than 0, at most"
-                f" {text(MAX_STAMP)} s: choose --start, the stamp of time 0",
+                f" {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0",
             )
 
     def remarks(self, *, has_epoch: bool) -> list[str]:

@@ -3,10 +3,11 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, takewhile
 from pathlib import Path
 
 from impact_observer.errors import UsageError
+from impact_observer.io.bag_part import BagPart
 from impact_observer.io.bag_topics import SOUND_FILES
 from impact_observer.io.sound_file import SoundFile
 from impact_observer.io.table_file import TableFile, start_of
@@ -27,9 +28,11 @@ class SignalFile:
         start: stamp of the file's time zero, ns.
         first: stamp of the first row, ns.
         times: words for the form of the times, such as ``times in ms``; empty of a sound.
+        part: the part to which ``rows`` keeps; None for all.
     """
 
     times = ""
+    part: BagPart | None = None
 
     def __init__(
         self, path: Path, form: TableForm | None = None, start: int | None = None
@@ -56,7 +59,7 @@ class SignalFile:
         if not 0 < self.first <= MAX_STAMP:
             raise UsageError(
                 f"{path}: its first stamp would be {text(self.first)} s; expected more than 0, at"
-                f" most {text(MAX_STAMP)} s: choose --start, the stamp of time 0"
+                f" most {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0"
             )
 
     def rows(self, columns: Sequence[str]) -> Iterator[tuple[int, tuple[float | None, ...]]]:
@@ -65,7 +68,11 @@ class SignalFile:
         Raises:
             UsageError: names the line, what was found and what is expected.
         """
-        return self._table_rows(columns) if self._is_table else self._sound_rows(columns)
+        rows = self._table_rows(columns) if self._is_table else self._sound_rows(columns)
+        if (part := self.part) is None:
+            return rows
+        until = takewhile(lambda row: row[0] <= part.high, rows)
+        return (row for row in until if row[0] >= part.low)
 
     def _open_table(self, form: TableForm, start: int | None) -> None:
         what = "row of a signal"

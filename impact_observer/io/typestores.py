@@ -106,6 +106,15 @@ def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
     return [(field.lower(), kind) for field, kind in types[name][1]]
 
 
+def begins_with_stamp(store: Typestore, type_name: str) -> bool:
+    """Whether messages of a type begin with a stamp: with a header, or the stamp of a header."""
+    _, fields = store.fielddefs[type_name]
+    return bool(fields) and fields[0][1][1] in {
+        "std_msgs/msg/Header",
+        "builtin_interfaces/msg/Time",
+    }
+
+
 def deserialize(store: Typestore, data: bytes, type_name: str) -> Any:  # noqa: ANN401 (a class of rosbags)
     """The message in serialized ``data`` (CDR of either byte order).
 

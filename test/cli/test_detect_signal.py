@@ -115,7 +115,7 @@ def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     output = ["-o", str(tmp_path / "bag")]
-    assert main(["detect", str(path), "--sources", str(sources), "--start", "2", *output]) == 0
+    assert main(["detect", str(path), "--sources", str(sources), "--time-zero", "2", *output]) == 0
     with BagReader(tmp_path / "bag") as reader:
         events = events_in(reader)
     contacts = [event.switches[0].contact for event in events]
@@ -185,7 +185,7 @@ def test_what_is_no_signal_is_said_to_be_none(
     wavfile.write(sound, RATE, np.zeros(9, np.int16))
     assert main(["detect", str(sound), "--time-unit", "ms", *given]) == 2
     assert "leave out options of a table" in capsys.readouterr().err
-    assert main(["detect", str(tmp_path), "--start", "3", *given]) == 2
+    assert main(["detect", str(tmp_path), "--time-zero", "3", *given]) == 2
     assert "go with a signal, not with a bag" in capsys.readouterr().err
     assert main(["observe", str(sound), "-o", output]) == 2
     assert "`import` makes one of a table of impact times, `detect`" in capsys.readouterr().err

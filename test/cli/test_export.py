@@ -145,7 +145,7 @@ def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
     if suffix == ".csv":
         again = tmp_path / "again"
         file = str(tmp_path / "events.csv")
-        assert main(["import", file, "-o", str(again), "--start", "4"]) == 0
+        assert main(["import", file, "-o", str(again), "--time-zero", "4"]) == 0
         with BagReader(again) as reader:
             found = [(e.stamp, e.switches, e.epoch) for e in reader.events()]
         assert found == [(e.stamp, e.switches, e.epoch) for e in events]

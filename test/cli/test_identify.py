@@ -193,7 +193,7 @@ def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixtu
         events = events_in(reader)
     rows = [f"{each.stamp / NS_PER_S:.9f},stop" for each in events]
     Path("times.csv").write_text("\n".join(rows), encoding="utf-8")
-    assert main(["import", "times.csv", "--start", "0", "-o", "times"]) == 0
+    assert main(["import", "times.csv", "--time-zero", "0", "-o", "times"]) == 0
     words = ["times", "--model", "two_mass"]
     said = set[str]()
     ask = ["observe", "--rate", "10", "-o", "out"]

@@ -122,9 +122,9 @@ def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
         ("0,stop", (), EPOCH, EPOCH),
         ("1700000000.123456789,stop", (), 1_700_000_000_123_456_789, 0),
         ("1700000000.5,stop", ("--epoch", "1700000000"), 1_700_000_000_500_000_000, 17 * 10**17),
-        ("0.25,stop", ("--start", "7.5"), 7_750_000_000, 7_500_000_000),
-        ("0.25,stop", ("--start", "7.5", "--epoch", "7"), 7_750_000_000, 7_000_000_000),
-        ("0.25,stop", ("--start", "0"), 250_000_000, 0),
+        ("0.25,stop", ("--time-zero", "7.5"), 7_750_000_000, 7_500_000_000),
+        ("0.25,stop", ("--time-zero", "7.5", "--epoch", "7"), 7_750_000_000, 7_000_000_000),
+        ("0.25,stop", ("--time-zero", "0"), 250_000_000, 0),
         ("250,stop", ("--time-unit", "ms"), EPOCH + 250_000_000, EPOCH),
     ]
     for k, (text, options, stamp, epoch) in enumerate(cases):
@@ -179,10 +179,14 @@ def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture
         ("time,contact,contact\n", (), ", line 1: two columns contact found; expected one"),
         ("time_ms\n5\n", ("--time-unit", "s"), ", line 1: the header says ms, --time-unit s"),
         ("0.5,stop\n0.5,stop\n", (), ", line 2: impact of 'stop' stands in line 1 already"),
-        ("-1,stop\n", ("--start", "1"), ", line 1: the stamp would be 0.000000000 s; expected"),
+        (
+            "-1,stop\n",
+            ("--time-zero", "1"),
+            ", line 1: the stamp would be 0.000000000 s; expected",
+        ),
         (
             "0,stop\n",
-            ("--start", "0"),
+            ("--time-zero", "0"),
             ", line 1: the stamp would be 0.000000000 s; expected more",
         ),
         (

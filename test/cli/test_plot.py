@@ -30,7 +30,7 @@ def test_ending_says_what_is_made(
         (["-o", "a.html", "--select", "x9"], "--select x9: nothing of that name"),
         (["-o", "a.html", "--width", "900"], "--width 900: expected 2 to 60 inches"),
         (["-o", "a.html", "--observers", "nobody"], "observer /nobody: not in"),
-        (["-o", "a.html", "--start", "99"], "no states from 100.000000000 s on"),
+        (["-o", "a.html", "--start", "99"], "from 99 s to the end after the epoch"),
     ],
 )
 def test_wrong_use_is_one_line(

@@ -151,7 +151,7 @@ def groups() -> dict[str, list[str]]:
     ]
     made["tables"] = [
         "import events.csv --model two_mass -o imported",
-        "import no_header.csv --time-unit ms --start 2 --epoch 1 -o milliseconds",
+        "import no_header.csv --time-unit ms --time-zero 2 --epoch 1 -o milliseconds",
         "import backwards.csv --sort -o sorted",
         "detect signal.csv --contact stop --topic a --threshold 5 --time-unit ms -o detected",
         "export golden/version_0_2 --what events -o events_again.csv",

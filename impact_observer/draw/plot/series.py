@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.draw.estimates import chosen_observers, labels_by_law
 from impact_observer.draw.plot.between_samples import FreeMotion, with_states_between
@@ -19,7 +18,8 @@ from impact_observer.draw.plot.quantities import (
 )
 from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import epoch_in, with_recorded
+from impact_observer.io.bag_part import time_zero
+from impact_observer.io.live_inputs import with_recorded
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.pairing import arrived
 from impact_observer.io.reader import BagReader, first_block, states_of
@@ -28,7 +28,7 @@ from impact_observer.io.state_arrays import JointStates, ObserverStates
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.event_outcomes import EventOutcomes
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, text
+from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Stamps, Vector
 
 MOST_ESTIMATES = 6
@@ -112,8 +112,6 @@ def read_recording(
     *,
     select: Sequence[str] | None = None,
     observers: Sequence[str] | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
     measurements: Sequence[Measurement] = (),
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], object] = lambda _line: None,
@@ -128,17 +126,15 @@ def read_recording(
         select: words of ``quantities.selected``; None for positions and velocities of the
             coordinates that move most.
         observers: prefixes of the estimates' topics; None for all.
-        start: of the part that is drawn, s since the epoch.
-        duration: of the part, s; None for all.
         measurements: sensors; samples of sensors that measure one quantity are drawn as dots.
         progress: called with the number of states read, and of all.
         warn: called with a line for each reason why samples were left out.
 
     Raises:
         UsageError: a quantity or an observer that the bag lacks, or too many observers.
-        BagError: the bag has no states, has none in this part, or is damaged.
+        BagError: the bag has no states, or is damaged.
     """
-    topics = _topics(reader, observers)
+    topics = topics_drawn(reader, observers)
     first = first_block(reader, topics)
     if first is None:
         raise UnfitBagError(
@@ -149,10 +145,8 @@ def read_recording(
     every = quantities_of(names, system)
     shown = selected(every, ("positions", "velocities") if select is None else select)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = epoch_in(reader, events) or int(first.stamps[0])
+    epoch = time_zero(reader).stamp
     system = system and with_recorded(reader, system, epoch, warn)
-    low = epoch + from_seconds(start)
-    high = MAX_STAMP if duration is None else low + from_seconds(duration)
     counts = {topic: reader.topics[topic].count for topic in topics}
     reported = np.unique(np.array([each.stamp for each in events], dtype=np.int64))
     free = None if system is None or system.guides else FreeMotion(system, epoch)
@@ -168,7 +162,7 @@ def read_recording(
     }
     done, total = 0, sum(counts.values())
     for topic, block in reader.blocks(topics, names, covariance=True):
-        curves[topic].take_rows(block, (block.stamps >= low) & (block.stamps <= high))
+        curves[topic].take_states(block)
         progress(done := done + block.stamps.size, total)
     laws = {prefix: curves[topic].law for topic, prefix in topics.items() if prefix}
     labels = labels_by_law(laws)
@@ -177,11 +171,6 @@ def read_recording(
         for topic, prefix in topics.items()
         if curves[topic].count
     )
-    if not series:
-        raise UnfitBagError(
-            f"{reader.path}: no states from {text(low)} s on in the stretch that is asked for;"
-            " choose another with --start and --duration"
-        )
     recording = PlotContent(
         name="" if system is None else system.name,
         quantities=shown,
@@ -237,7 +226,7 @@ def _gap_motion(system: System | None, ns: Stamps) -> Matrix | None:
     return None if system is None or system.frame is None else system.gap_motion(ns)
 
 
-def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
+def topics_drawn(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
     """The observers' prefixes by the topics of their states; the prefix of the truth is empty."""
     truth = reader.truth_topic()
     topics = {} if truth is None else {truth: ""}
@@ -312,13 +301,14 @@ class _Curve:
         self._jumps = outcomes.instants if outcomes and reported is not None else reported
         self._kept: list[tuple[Stamps, Matrix, Matrix]] = []
 
-    def take_rows(self, block: JointStates, rows: NDArray[np.bool_]) -> None:
-        """Take the states of some rows of a block."""
+    def take_states(self, block: JointStates) -> None:
+        """Take the states of a block."""
+        rows = np.ones(block.stamps.size, dtype=bool)
         if isinstance(block, ObserverStates):
             self.law = block.law or self.law
             if self._outcomes is not None and block.last_event.any():
                 used = self._outcomes.reported
-                rows = rows & arrived(block.stamps, block.last_event, used)
+                rows = arrived(block.stamps, block.last_event, used)
         own = block.stamps[rows]
         x = np.hstack([block.q[rows], block.u[rows]])
         stamps = own

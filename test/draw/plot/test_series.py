@@ -57,14 +57,10 @@ def bag(
     return path
 
 
-def recording(
-    path: Path, *select: str, start: float = 0.0, duration: float | None = None
-) -> PlotContent:
+def recording(path: Path, *select: str) -> PlotContent:
     """The content of a bag's plot."""
     with BagReader(path) as reader:
-        return read_recording(
-            reader, SYSTEM, select=select or None, start=start, duration=duration
-        )
+        return read_recording(reader, SYSTEM, select=select or None)
 
 
 def test_every_sample_of_a_short_recording_is_drawn(sample_bag: Path) -> None:
@@ -95,16 +91,6 @@ def test_other_order_of_names_reorders_the_covariance(tmp_path: Path) -> None:
     (estimate,) = recording(path, "q_x1", "q_x2", "u_x1", "u_x2").series
     assert estimate.values.tolist() == [[-3.0, 3.0, 0.0, 30.0]]
     assert estimate.deviations.tolist() == [[2.0, 1.0, 4.0, 3.0]]
-
-
-def test_only_the_part_that_is_asked_for(tmp_path: Path) -> None:
-    """The part includes its start and its end; a part without states is an error of one line."""
-    path = bag(tmp_path, [estimated(k) for k in range(100)])
-    found = recording(path, "q_x1", start=0.2, duration=0.3)
-    assert found.series[0].values[:, 0].tolist() == list(range(20, 51))
-    assert found.series[0].samples == 31
-    with pytest.raises(BagError, match=r"no states from 6\.000000000 s on"):
-        recording(path, "q_x1", start=5.0)
 
 
 def test_estimates_published_before_their_event_arrived_are_left_out(tmp_path: Path) -> None:
