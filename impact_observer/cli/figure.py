@@ -59,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import print_facts, print_table
+    from impact_observer.io.bag_part import TimeZero
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
@@ -81,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
             " Baumann and Leine, ENOC 2014"
         )
         impacts = impacts_in(done.events)
-        drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=args.paper)
+        zero = TimeZero(EPOCH)
+        drawn = lyapunov_picture(comparisons, impacts, title=about, zero=zero, paper=args.paper)
         save(drawn, args.output, about=about.replace("\n", "; "))
     if args.json:
         metrics = {law: metrics_of(each) for law, each in comparisons.items()}

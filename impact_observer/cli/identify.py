@@ -4,10 +4,11 @@
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from impact_observer.cli.arguments import (
     add_measurements,
@@ -23,9 +24,16 @@ from impact_observer.options import Options
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from impact_observer.events import ImpactEvent
     from impact_observer.identify.fit_check import FitCheck
     from impact_observer.identify.identification import Identification
+    from impact_observer.io.bag_part import TimeZero
+    from impact_observer.model import Model, System
+    from impact_observer.model.measurement import Measurement
     from impact_observer.model.model_file import ModelText
+    from impact_observer.observer.samples import SensorSample
 
 _MOST_HELD_BACK = 0.5
 
@@ -123,7 +131,6 @@ def run(args: argparse.Namespace) -> int:
         0; 1 if a parameter is not determined or ends at its bound, no motion explains the impacts,
         or the model does not fit and is not accepted.
     """
-    from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
     from impact_observer.identify import fit_report
@@ -131,52 +138,29 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.identify.fit_picture import fit_picture
     from impact_observer.identify.identification import identify
     from impact_observer.identify.written_uncertainty import refuse_scales_of_parts
-    from impact_observer.io.bag_part import read_impacts_part
-    from impact_observer.io.live_inputs import with_recorded
-    from impact_observer.io.measured_samples import samples_in
-    from impact_observer.io.observed_bag import events_from
-    from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import epoch_of, text_of_model
-    from impact_observer.model import parse_model
     from impact_observer.model.free_parameters import parametric_family
-    from impact_observer.model.measurements_file import read_measurements
 
     free = tuple(name.strip() for name in args.free.split(",") if name.strip())
     clock = None if args.clock_error < 0 else args.clock_error
     dead_time = Options(dead_time=args.dead_time).dead_time
     _check_usage(args, free, clock)
     lines = sys.stderr if args.json else sys.stdout
-    with BagReader(args.bag, args.namespace) as reader:
-        given = text_of_model(reader, args.model)
-        parsed = parse_model(*given)
-        declared = read_measurements(args.measurements)
-        part = (args.start, args.duration, args.epoch)
-        read_impacts_part(reader, *part, declared, tell=partial(say, file=lines))
-        events = [replace(e, epoch=e.epoch or args.epoch) for e in events_from(reader, args.epoch)]
-        lost: list[str] = []
-        system = with_recorded(reader, parsed.system, epoch_of(events), lost.append)
-        recorded = samples_in(reader, declared)
-        for line in (
-            *lost,
-            *recorded.problems,
-            *doubts(args.bag, HitTimes(events), system, has_covariance=True),
-        ):
-            say(f"warning: {line}", file=lines)
+    given = _read(args, partial(say, file=lines))
     # Live signals are known now, as samples.
-    family = parametric_family(replace(system, live=None), free, parsed.elements)
-    refuse_scales_of_parts(family.names, parsed.uncertainty)
+    family = parametric_family(replace(given.system, live=None), free, given.model.elements)
+    refuse_scales_of_parts(family.names, given.model.uncertainty)
     with Progress() as progress:
         try:
             fit = identify(
                 family,
-                events,
+                given.events,
                 clock=clock,
                 horizon=args.horizon,
                 trust_events=args.trust_events,
                 held_back=args.held_back,
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
-                measurements=declared,
-                samples=recorded.samples,
+                measurements=given.measurements,
+                samples=given.samples,
                 dead_time=dead_time,
             )
         except BagError as error:
@@ -185,12 +169,68 @@ def run(args: argparse.Namespace) -> int:
     _print(args, fit, checked)
     good = not fit_report.why_useless(fit) and (checked.fits or args.accept)
     if args.output is not None:
-        good = _write(args, fit, checked, given) and good
+        good = _write(args, fit, checked, given.text) and good
     if args.plot is not None:
         title = f"{fit.family.system.name}: instants of the model minus stamps"
-        save(fit_picture(fit, title=title), args.plot)
+        save(fit_picture(fit, title=title, zero=given.zero), args.plot)
         say(f"picture: {args.plot}", file=lines)
     return 0 if good else 1
+
+
+class _Given(NamedTuple):
+    """What the bag and the files say.
+
+    Attributes:
+        text: of the model.
+        model: the model.
+        system: its system, with the live signals that the bag has.
+        events: of the bag, with their epoch, if any.
+        measurements: what sensors measure beside the impacts.
+        samples: of these sensors.
+        zero: time zero of the fit.
+    """
+
+    text: "ModelText"
+    model: "Model"
+    system: "System"
+    events: "list[ImpactEvent]"
+    measurements: "Sequence[Measurement]"
+    samples: "Sequence[SensorSample]"
+    zero: "TimeZero"
+
+
+def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
+    """Read bag and files; what is left out or doubtful is a line for ``tell``."""
+    from impact_observer.check.hit_times import HitTimes, doubts
+    from impact_observer.io.bag_part import TimeZero, assumed_epoch, read_impacts_part
+    from impact_observer.io.live_inputs import with_recorded
+    from impact_observer.io.measured_samples import samples_in
+    from impact_observer.io.observed_bag import events_from
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import epoch_of, text_of_model
+    from impact_observer.model import parse_model
+    from impact_observer.model.measurements_file import read_measurements
+
+    with BagReader(args.bag, args.namespace) as reader:
+        given = text_of_model(reader, args.model)
+        model = parse_model(*given)
+        declared = read_measurements(args.measurements)
+        part = (args.start, args.duration, args.epoch)
+        read_impacts_part(reader, *part, declared, tell=tell)
+        events = events_from(reader, args.epoch)
+        recorded = samples_in(reader, declared)
+        assumed = assumed_epoch(model.system, events, recorded.samples, args.epoch)
+        epoch = args.epoch or assumed.stamp
+        events = [replace(each, epoch=each.epoch or epoch) for each in events]
+        lost: list[str] = []
+        system = with_recorded(reader, model.system, epoch_of(events), lost.append)
+        if assumed.note:
+            tell(f"note: {assumed.note}")
+        hits = doubts(args.bag, HitTimes(events), system, has_covariance=True)
+        for line in (*lost, *recorded.problems, *hits):
+            tell(f"warning: {line}")
+    zero = TimeZero(epoch, assumed.instant)
+    return _Given(given, model, system, events, declared, recorded.samples, zero)
 
 
 def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck") -> None:

@@ -2,6 +2,7 @@
 """Run an observer on the impacts in a bag: the same observer that the node runs."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,13 +58,13 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.events import Remark, Ruling
     from impact_observer.filter.misfit import MISFIT
-    from impact_observer.io.bag_part import read_impacts_part
+    from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
     from impact_observer.io.measured_samples import MeasuredTopics
-    from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
+    from impact_observer.io.observed_bag import MOST_ESTIMATES, events_from, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
-    from impact_observer.observer import make_observer
+    from impact_observer.observer import law_named, make_observer
     from impact_observer.stamps import seconds_between
 
     chosen = observer_options(args, args.law)
@@ -72,13 +73,18 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        observer = make_observer(read, chosen, measurements=sensors)
         measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
+        used = measured.samples if law_named(chosen.law).uses_measurements else ()
+        assumed = assumed_epoch(read.system, events_from(reader, chosen.epoch), used, chosen.epoch)
+        chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
+        observer = make_observer(read, chosen, measurements=sensors)
         has_covariance = observer.law.has_covariance
         odd = doubts(args.bag, first_times(reader), read.system, has_covariance=has_covariance)
         start = far_start(read.system, chosen)
         for line in (*measured.problems, *unused_lines(observer), *odd, *start):
             progress.line(f"warning: {line}")
+        if assumed.note:
+            progress.line(f"note: {assumed.note}")
         for line in considered_lines(read, observer.law.uncertainty.unknowns):
             progress.line(line)
 

@@ -71,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
             most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,
             progress=progress.step,
+            tell=lambda line: progress.line(f"note: {line}"),
         )
         verdicts = ", ".join(
             f"{n} {ruling.name.lower().replace('_', ' ')}"

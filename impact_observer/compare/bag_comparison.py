@@ -17,7 +17,7 @@ from impact_observer.compare.comparison import (
 )
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.bag_part import time_zero
+from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.pairing import Samples, sample_type, samples_of
 from impact_observer.io.reader import BagReader, named_states, named_topic
 from impact_observer.io.recordings import events_in, outcomes_in
@@ -38,13 +38,13 @@ class BagComparison:
             ``/observer_geometric``, or by the named topic; estimates of observers that were run
             on the bag by the law's name.
         impacts: stamps of the impacts (ns), by contact.
-        epoch: stamp of ``t = 0``, ns; without an epoch that of the first impact (``time_zero``).
+        zero: time zero.
     """
 
     system: System
     comparisons: dict[str, Comparison]
     impacts: dict[str, Stamps]
-    epoch: int
+    zero: TimeZero
 
 
 def compare_bag(
@@ -84,8 +84,8 @@ def compare_bag(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
-    zero = time_zero(reader).stamp
-    begin = 0 if since is None else zero + from_seconds(since)
+    zero = time_zero(reader)
+    begin = 0 if since is None else zero.stamp + from_seconds(since)
     law_of, states = states_of_topics(
         reader, system, [true_topic, *topics.values()], partial(progress, "comparing")
     )

@@ -44,7 +44,7 @@ def state_rows(
     first = first_block(reader, chosen)
     if first is None:
         raise UnfitBagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
-    zero = time_zero(reader, epoch).stamp
+    zero = time_zero(reader, epoch)
     done, total = 0, sum(reader.topics[topic].count for topic in chosen)
     with_deviations = any(_has_covariance(reader, topic) for topic in chosen)
     for topic, block in reader.blocks(chosen, first.names, covariance=with_deviations):
@@ -80,7 +80,7 @@ def error_rows(
     chosen = [topic for topic in state_topics(reader, topics) if topic != truth]
     if not chosen:
         raise UnfitBagError(f"{reader.path}: has no estimates; make them with observe")
-    zero = time_zero(reader, epoch).stamp
+    zero = time_zero(reader, epoch)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
     laws, states = states_of_topics(reader, system, [truth, *chosen], progress)
     for topic in chosen:
@@ -104,7 +104,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     events = events_in(reader)
     if not events:
         raise UnfitBagError(f"{reader.path}: has no events to export")
-    zero = time_zero(reader, epoch).stamp
+    zero = time_zero(reader, epoch)
     rows = [(event, switch) for event in events for switch in event.switches]
     words = {
         "contact": [switch.contact for _, switch in rows],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of comparisons of any number of bags, each over the time since its own epoch."""
+"""Pictures of comparisons of any number of bags, each over the time since its own zero."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from impact_observer.compare.bag_comparison import BagComparison
 from impact_observer.compare.comparison import Comparison
 from impact_observer.draw.pictures import MOST_ROWS, Style, mark_rows, styles
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps, Vector
 
@@ -35,7 +36,13 @@ def distance_picture(
     since = {label: each for _, _, those in _by_bag(labelled, results) for label, each in those}
     names = ", ".join(dict.fromkeys(result.system.name for _, result in results))
     title = f"{names}: distance of the estimates from the truth"
-    return lyapunov_picture(since, _impacts(results), title=title, epoch=0)
+    zero = TimeZero(0, instants_of(results))
+    return lyapunov_picture(since, _impacts(results), title=title, zero=zero)
+
+
+def instants_of(results: Sequence[tuple[Path, BagComparison]]) -> str:
+    """What happens at time zero of the bags, in words."""
+    return " or ".join(dict.fromkeys(result.zero.instant for _, result in results))
 
 
 def error_pictures(
@@ -48,27 +55,28 @@ def error_pictures(
         bags.setdefault(result.system.coordinates, []).append(bag)
         alike.setdefault(result.system.coordinates, {}).update(those)
     for coordinates, comparisons in alike.items():
-        yield bags[coordinates], len(coordinates), _error_picture(comparisons)
+        picture = _error_picture(comparisons, TimeZero(0, instants_of(results)))
+        yield bags[coordinates], len(coordinates), picture
 
 
 def _by_bag(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[tuple[Path, BagComparison, list[tuple[str, Comparison]]]]:
-    """The estimates of each bag, with stamps since its epoch."""
+    """The estimates of each bag, with stamps since its time zero."""
     rest = iter(labelled.items())
     for bag, result in results:
         those = [next(rest) for _ in result.comparisons]
-        since = [(name, replace(c, stamps=c.stamps - result.epoch)) for name, c in those]
+        since = [(name, replace(c, stamps=c.stamps - result.zero.stamp)) for name, c in those]
         yield bag, result, since
 
 
 def _impacts(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Stamps]:
-    """Stamps of impacts since the epoch, by contact; also by bag where the bags' runs differ.
+    """Stamps of impacts since time zero, by contact; also by bag where the bags' runs differ.
 
     Empty if the rows are too many to distinguish.
     """
     runs = [
-        {contact: stamps - result.epoch for contact, stamps in result.impacts.items()}
+        {contact: stamps - result.zero.stamp for contact, stamps in result.impacts.items()}
         for _, result in results
     ]
     instants = [{contact: stamps.tolist() for contact, stamps in run.items()} for run in runs]
@@ -90,7 +98,7 @@ def lyapunov_picture(
     impacts: Mapping[str, Stamps],
     *,
     title: str,
-    epoch: int,
+    zero: TimeZero,
     paper: bool = False,
 ) -> Figure:
     """``V`` over time on a logarithmic axis, after Figure 2 of Baumann and Leine.
@@ -99,7 +107,7 @@ def lyapunov_picture(
         comparisons: one curve each, by label.
         impacts: stamps of the impacts (ns), by contact.
         title: of the picture.
-        epoch: stamp at which the time axis begins, ns.
+        zero: of the time axis.
         paper: whether the picture is as wide as a column and has no title.
     """
     room = _PAPER_ROOM if paper else _ROOM
@@ -109,13 +117,13 @@ def lyapunov_picture(
         drawn = styles([each.law for each in comparisons.values()])
         for (label, each), style in zip(comparisons.items(), drawn, strict=True):
             style["label"] = _shortened(label, room - _HANDLE)
-            seconds = (each.stamps - epoch) / NS_PER_S
+            seconds = (each.stamps - zero.stamp) / NS_PER_S
             _draw_curve(axes, seconds, each.V, len(comparisons), style)
-        axes.set_xlabel("time since the epoch [s]")
+        axes.set_xlabel(zero.axis)
         axes.set_ylabel("Lyapunov distance V [J]")
         axes.grid(visible=True, which="major", color="0.9")
         axes.margins(x=0.01)
-        _mark_impacts(axes, impacts, epoch, room - _HANDLE)
+        _mark_impacts(axes, impacts, zero.stamp, room - _HANDLE)
         axes.legend(
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),  # above the axes it covers no curve
@@ -127,7 +135,7 @@ def lyapunov_picture(
     return figure
 
 
-def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
+def _error_picture(comparisons: Mapping[str, Comparison], zero: TimeZero) -> Figure:
     """The size of each state's error over time, coordinates at the left, velocities at the right.
 
     If there are more than ``MOST_COORDINATES``, the coordinates with the largest errors are shown.
@@ -152,7 +160,7 @@ def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
                 axes.grid(visible=True, which="major", color="0.9")
                 axes.margins(x=0.01)
         for axes in grid[-1]:
-            axes.set_xlabel("time since the epoch [s]")
+            axes.set_xlabel(zero.axis)
         labels = [_shortened(label, _ROOM - _HANDLE) for label in comparisons]
         lines = grid[0, 0].lines[: len(labels)]
         figure.legend(lines, labels, loc="outside upper left", **_legend_style(labels, _ROOM))
@@ -182,10 +190,10 @@ def _shortened(label: str, most: int) -> str:
     return label if len(label) <= most else f"{label[:kept]}…{label[-kept:]}"
 
 
-def _mark_impacts(axes: Axes, impacts: Mapping[str, Stamps], epoch: int, most: int) -> None:
+def _mark_impacts(axes: Axes, impacts: Mapping[str, Stamps], zero: int, most: int) -> None:
     """A row of marks a contact; one row for very many contacts."""
     rows = {
-        _shortened(f"impacts at {contact}", most): (stamps - epoch) / NS_PER_S
+        _shortened(f"impacts at {contact}", most): (stamps - zero) / NS_PER_S
         for contact, stamps in impacts.items()
     }
     if len(rows) > MOST_ROWS:

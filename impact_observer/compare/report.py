@@ -11,6 +11,7 @@ from impact_observer.compare.error_pictures import (
     MOST_COORDINATES,
     distance_picture,
     error_pictures,
+    instants_of,
 )
 from impact_observer.compare.error_tables import errors_table, system_names, table_of_laws
 from impact_observer.compare.metrics import DISTANCE, IMPACTS
@@ -76,7 +77,7 @@ def _page(
     yield _note(f"Made by impact_observer {markup(__version__)}.")
     yield "<h2>Recordings</h2>"
     yield _html(_bags_table(results))
-    yield _note("Times since the epoch of each recording.")
+    yield _note(f"Times since {instants_of(results)} of each recording.")
     yield "<h2>Distance from the truth</h2>"
     picture = svg(distance_picture(labelled, results))
     yield _figure(picture, f"V over time, {_names(bags)}")
@@ -103,8 +104,8 @@ def _bags_table(results: Sequence[tuple[Path, BagComparison]]) -> TextTable:
         row = (
             str(bag),
             result.system.name,
-            f"{seconds_between(result.epoch, begin):.6g}",
-            f"{seconds_between(result.epoch, end):.6g}",
+            f"{seconds_between(result.zero.stamp, begin):.6g}",
+            f"{seconds_between(result.zero.stamp, end):.6g}",
             listed(f"{stamps.size} at {name}" for name, stamps in result.impacts.items()),
         )
         rows.append(row)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import BagError, UsageError
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.stamps import NS_PER_S, text
 from impact_observer.states import Stamps
 
@@ -25,14 +26,14 @@ class TableBlock(NamedTuple):
 
     Attributes:
         topic: the topic of the rows.
-        epoch: stamp of ``t = 0``, ns.
+        zero: time zero.
         stamps: ns, shape (rows,).
         words: columns of words, one a row.
         numbers: columns of numbers, shape (rows,).
     """
 
     topic: str
-    epoch: int
+    zero: TimeZero
     stamps: Stamps
     words: Mapping[str, Sequence[str]]
     numbers: Mapping[str, NDArray[np.float64] | NDArray[np.int64]]
@@ -93,7 +94,7 @@ def _write_csv(path: Path, blocks: Iterable[TableBlock]) -> None:
             if file.tell() == 0:
                 writer.writerow([*block.words, "stamp_ns", "time_s", *block.numbers])
             stamps = block.stamps.tolist()
-            times = [text(stamp - block.epoch) for stamp in stamps]
+            times = [text(stamp - block.zero.stamp) for stamp in stamps]
             numbers = [_cells(column) for column in block.numbers.values()]
             writer.writerows(zip(*block.words.values(), stamps, times, *numbers, strict=True))
 
@@ -122,7 +123,8 @@ def _arrow_table(block: TableBlock) -> "pa.Table":
     columns = {name: pa.array(words, pa.string()) for name, words in block.words.items()}
     columns["stamp_ns"] = pa.array(block.stamps)
     # Integers are subtracted first: a float of seconds since 1970 has no nanoseconds left.
-    columns["time_s"] = pa.array((block.stamps - block.epoch) / NS_PER_S)
+    columns["time_s"] = pa.array((block.stamps - block.zero.stamp) / NS_PER_S)
     for name, numbers in block.numbers.items():
         columns[name] = pa.array(np.ascontiguousarray(numbers))
-    return pa.table(columns, metadata={"epoch_ns": str(block.epoch)})
+    instant = block.zero.instant.removeprefix("the ").replace(" ", "_")
+    return pa.table(columns, metadata={f"{instant}_ns": str(block.zero.stamp)})

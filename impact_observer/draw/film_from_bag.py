@@ -60,7 +60,8 @@ def read_film(
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = time_zero(reader).stamp
+    zero = time_zero(reader)
+    epoch = zero.stamp
     system = with_recorded(reader, system, epoch, warn)
     first = min(epoch, first_stamp(reader, wanted) or epoch)
     first = first if start is None else epoch + from_seconds(start)
@@ -81,7 +82,7 @@ def read_film(
         estimates=tuple(estimates),
         distances=tuple(Distance.between(system, truth, each) for each in estimates if truth),
         contacts=ContactHistory.of_events(system, events),
-        epoch=epoch,
+        zero=zero,
         start=max(first, min(int(each.min()) for each in present)),
         end=max(int(each.max()) for each in present),
     )

@@ -5,12 +5,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from impact_observer.identify.identification import Identification
+from impact_observer.io.bag_part import TimeZero
 
 _MARKERS = "o^sDvx+*"
 
 
-def fit_picture(fitted: Identification, *, title: str) -> Figure:
-    """Errors of the stamps over time, with a band of two standard deviations of the clock."""
+def fit_picture(fitted: Identification, *, title: str, zero: TimeZero) -> Figure:
+    """Errors of the stamps over time, with a band of two standard deviations of the clock.
+
+    Args:
+        fitted: the fit.
+        title: of the picture.
+        zero: time zero of the fit.
+    """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     names = sorted({name for each in fitted.contacts for name in each})
@@ -27,7 +34,7 @@ def fit_picture(fitted: Identification, *, title: str) -> Figure:
     axes.axhspan(
         -2 * fitted.clock, 2 * fitted.clock, color="0.9", label="2 standard deviations", zorder=0
     )
-    axes.set_xlabel("time since the epoch [s]")
+    axes.set_xlabel(zero.axis)
     axes.set_ylabel("model's impact minus stamp [s]")
     axes.set_title(title, fontsize="medium", loc="left")
     axes.grid(visible=True, which="major", color="0.85")

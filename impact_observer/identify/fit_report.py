@@ -314,8 +314,10 @@ def _about_start(fitted: Identification) -> ReportLine:
     """The instant of the initial state, and whether a body is inside a stop then."""
     if fitted.recording.start:
         return ReportLine("note", f"The start is {fitted.recording.start:.9g} s after the epoch.")
-    at_impact = fitted.recording.episode.start == fitted.recording.episode.keys[0].stamp
-    where = "The start is the first impact." if at_impact else "The start is the epoch."
+    episode = fitted.recording.episode
+    ahead = seconds_between(episode.start, episode.keys[0].stamp)
+    before = f"{ahead:.6g} s before the first impact" if ahead else "the first impact"
+    where = f"The start is {before}."
     wrong = _inside(fitted)
     return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 

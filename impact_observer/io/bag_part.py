@@ -6,15 +6,21 @@ from functools import partial
 from typing import NamedTuple
 
 from impact_observer.errors import UnfitBagError, UsageError
+from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.live_inputs import epoch_in, first_pulse
 from impact_observer.io.measured_samples import received_topics
 from impact_observer.io.reader import BagReader, first_stamp, states_of
+from impact_observer.io.recordings import epoch_of
+from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
+from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between, text
 
 EPOCH, FIRST_IMPACT, FIRST_STATE = "the epoch", "the first impact", "the first state"
 """Instants at which the time of a bag may be zero, in words."""
+FIRST_SAMPLE = "the first sample"
+"""Where a motion begins if nothing says the epoch, and samples come before the first impact."""
 FIRST_MESSAGE = "the first message of the sensors"
 """The zero of time of a bag of sensors without an epoch, in which impacts are not found yet."""
 
@@ -29,6 +35,11 @@ class TimeZero(NamedTuple):
 
     stamp: int
     instant: str = EPOCH
+
+    @property
+    def axis(self) -> str:
+        """The label of an axis of time."""
+        return f"time since {self.instant} [s]"
 
 
 def time_zero(reader: BagReader, epoch: int | None = None) -> TimeZero:
@@ -69,6 +80,48 @@ def sensor_zero(reader: BagReader, topics: Collection[str], epoch: int = 0) -> T
         if known := epoch or first_pulse(reader):
             return TimeZero(known)
         return TimeZero(min(reader.all_stamps(topics), default=0), FIRST_MESSAGE)
+
+
+class AssumedEpoch(NamedTuple):
+    """What is taken for the epoch where nothing says it.
+
+    Attributes:
+        stamp: of the first sample, at which the initial state holds, ns. 0 where an epoch is
+            known, or no sample comes before the first impact.
+        note: a line on time zero; empty where an epoch is known.
+        instant: the instant from which a fit of all events counts time, in words.
+    """
+
+    stamp: int = 0
+    note: str = ""
+    instant: str = EPOCH
+
+
+def assumed_epoch(
+    system: System, events: Sequence[ImpactEvent], samples: Sequence[SensorSample], epoch: int
+) -> AssumedEpoch:
+    """The first of the ``samples`` that come before all ``events``, if no epoch is known.
+
+    Where nothing depends on time, the epoch is only the instant of the initial state, and any
+    instant will do.
+
+    Args:
+        system: of the rig.
+        events: of the bag.
+        samples: of sensors, by stamp; empty if they are not used.
+        epoch: the epoch that is given, ns; 0 for none.
+    """
+    if epoch or epoch_of(events) or not events:
+        return AssumedEpoch()
+    first = min(each.stamp for each in events)
+    note = f"no epoch, so time zero is the first impact, {text(first)} s"
+    early = sum(each.stamp < first for each in samples)
+    if not early or system.depends_on_time:
+        return AssumedEpoch(0, note, FIRST_IMPACT)
+    start = max(samples[0].stamp, 1)
+    samples_before = f"{early} of {len(samples)} samples come before it"
+    holds = f"the initial state holds at the first of them, {text(start)} s"
+    return AssumedEpoch(start, f"{note}; {samples_before}, and {holds}", FIRST_SAMPLE)
 
 
 class BagPart(NamedTuple):

@@ -142,7 +142,7 @@ def import_csv(
                 last = stamp
         remarks = table.remarks()
         for sensor in sensors:
-            remarks += sensor.remarks(has_epoch=zero > 0)
+            remarks += sensor.remarks()
     return Imported(
         events=counts[interfaces.IMPACTS.topic],
         rows=counts["rows"],

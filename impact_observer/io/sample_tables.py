@@ -37,7 +37,6 @@ class SampleTable:
         )
         self._path, self.topic, self.is_grid = path, topic_of(path.stem), self._file.is_grid
         self.columns = tuple(self._file.columns_of_numbers())
-        self._early = 0
         if not self.columns:
             self._file.wrong_header("no number beside the time; expected a column of samples")
 
@@ -60,7 +59,6 @@ class SampleTable:
             numbers = {name: self._file.value(row, name) for name in self.columns}
             some = {name: value for name, value in numbers.items() if value is not None}
             if some:
-                self._early += row.time < impact
                 stamp = start + row.time
                 yield stamp, self.topic, make.positions(stamp, [*some], [*some.values()])
 
@@ -78,23 +76,13 @@ class SampleTable:
                 f" {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0",
             )
 
-    def remarks(self, *, has_epoch: bool) -> list[str]:
+    def remarks(self) -> list[str]:
         """What was left out or is doubtful, a line each; complete after the last row.
-
-        Args:
-            has_epoch: whether the events have an epoch.
 
         Raises:
             UsageError: most rows cannot be read, or their times have lost their digits.
         """
-        lines = self._file.remarks()
-        if self._early and not has_epoch:
-            lines.append(
-                f"{self._path}: {self._early} samples come before the first impact, which is time"
-                " zero without an epoch: observers do not use them; --epoch S, the stamp of t = 0,"
-                " keeps them"
-            )
-        return lines
+        return self._file.remarks()
 
 
 def sample_tables(paths: Sequence[Path], form: TableForm) -> list[SampleTable]:

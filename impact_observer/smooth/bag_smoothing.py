@@ -3,8 +3,8 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 from impact_observer.errors import BagError
 from impact_observer.events import Ruling
 from impact_observer.io import interfaces
+from impact_observer.io.bag_part import assumed_epoch
 from impact_observer.io.estimate_messages import messages_of
 from impact_observer.io.live_inputs import give_recorded
 from impact_observer.io.measured_samples import samples_in
@@ -73,6 +74,7 @@ def smooth_bag(
     most: int = MOST_ESTIMATES,
     flush: float = FLUSH,
     progress: Progress = no_progress,
+    tell: Callable[[str], object] = lambda _line: None,
 ) -> BagSmoothing:
     """Smooth the events of a bag; everything else in it is copied.
 
@@ -86,15 +88,20 @@ def smooth_bag(
         most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
         progress: see ``Progress``.
+        tell: called with a note on time zero, where no epoch is known.
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
     """
     events = events_from(reader, options.epoch)
+    samples = samples_in(reader, measurements)
+    assumed = assumed_epoch(model.system, events, samples.samples, options.epoch)
+    options = replace(options, epoch=options.epoch or assumed.stamp)
+    if assumed.note:
+        tell(assumed.note)
     stamps = sample_stamps(reader, events, rate, options.epoch)
     check_size(reader, model.system, output, stamps, most, has_covariance=True)
     problems = list[str]()
-    samples = samples_in(reader, measurements)
 
     def give(observer: Observer) -> None:
         problems[:] = give_recorded(reader, observer.live)

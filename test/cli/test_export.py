@@ -16,6 +16,7 @@ from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.compare.table_files import TableBlock, write_table
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import model_of
 
@@ -242,7 +243,7 @@ def test_an_interruption_leaves_an_existing_file_unchanged(tmp_path: Path) -> No
 
     def interrupted() -> Iterator[TableBlock]:
         stamps = np.array([1], dtype=np.int64)
-        yield TableBlock("/x", 0, stamps, {"topic": ["/x"]}, {})
+        yield TableBlock("/x", TimeZero(0), stamps, {"topic": ["/x"]}, {})
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

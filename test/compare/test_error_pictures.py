@@ -12,6 +12,7 @@ from systems import sample
 from impact_observer.compare.comparison import Comparison, compare_states
 from impact_observer.compare.error_pictures import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
 from impact_observer.observer.event_outcomes import outcomes_of
 from impact_observer.stamps import NS_PER_S, grid
@@ -33,7 +34,7 @@ def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -
         {law: fading(law, decades) for law, decades in laws.items()},
         {f"stop {i}": STAMPS[3 :: 40 + i] for i in range(contacts)},
         title="one line\nand another",
-        epoch=NS_PER_S,
+        zero=TimeZero(NS_PER_S),
         paper=paper,
     )
     figure.draw_without_rendering()
@@ -79,7 +80,7 @@ def test_exact_estimates_leave_a_gap() -> None:
     """Zero, which has no logarithm, gives neither a warning nor a line down to nowhere."""
     exact = fading("geometric", 3.0)
     exact.V[200:300] = 0.0
-    figure = lyapunov_picture({"geometric": exact}, {}, title="", epoch=NS_PER_S)
+    figure = lyapunov_picture({"geometric": exact}, {}, title="", zero=TimeZero(NS_PER_S))
     drawn = np.asarray(figure.axes[0].lines[0].get_ydata(), dtype=float)
     assert np.flatnonzero(np.isnan(drawn)).tolist() == list(range(200, 300))
     figure.draw_without_rendering()

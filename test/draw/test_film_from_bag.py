@@ -52,7 +52,7 @@ def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
     assert film.truth is not None
     assert [each.label for each in film.tracks] == ["plant", "geometric"]
     assert film.truth.stamps.size == film.estimates[0].stamps.size == 51
-    assert (film.start, film.end, film.epoch) == (EPOCH, EPOCH + NS_PER_S // 2, EPOCH)
+    assert (film.start, film.end, film.zero.stamp) == (EPOCH, EPOCH + NS_PER_S // 2, EPOCH)
     assert film.distances[0].V.tolist() == [0.0] * 51
     assert film.contacts.hits[0].size == 11
     assert film.truth.jumps.tolist() == film.contacts.hits[0].tolist()
@@ -86,7 +86,7 @@ def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
         assert (film.truth is not None) is truth
         assert [each.label for each in film.tracks] == ["plant" if truth else "observer_rig"]
         assert film.distances == ()
-        assert film.epoch == film.start == EPOCH
+        assert film.zero.stamp == film.start == EPOCH
 
 
 def test_bag_without_states_is_one_line(tmp_path: Path) -> None:

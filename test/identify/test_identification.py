@@ -19,6 +19,7 @@ from impact_observer.identify.fit_picture import fit_picture
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.residuals import independence, whiteness
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
@@ -353,7 +354,8 @@ def test_the_picture_shows_every_contact() -> None:
     """A row of marks each, and the clock's error."""
     model = sample("three_mass").system
     found = identify(parametric_family(model, ["restitution"]), sensed("three_mass"))
-    axes = fit_picture(found, title="three").axes[0]
+    axes = fit_picture(found, title="three", zero=TimeZero(0, "the first impact")).axes[0]
+    assert axes.get_xlabel() == "time since the first impact [s]"
     legend = axes.get_legend()
     assert legend is not None
     assert [each.get_text() for each in legend.get_texts()] == [

@@ -125,17 +125,3 @@ def test_a_frame_rate_that_no_file_needs_is_an_error(
     """Both files have times."""
     assert imported(tmp_path, "time,x1\n0,1\n", "--frame-rate", "25") == 2
     assert "has a column of time; leave out --frame-rate" in capsys.readouterr().err
-
-
-def test_samples_before_the_first_impact_without_an_epoch_are_a_warning(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Times since 1970 have no epoch unless one is given; the bag keeps the samples."""
-    text = "time,x1\n1700000000.1,1\n1700000000.2,1\n1700000000.9,1\n"
-    impacts = "1700000000.5,stop\n"
-    assert imported(tmp_path, text, impacts=impacts) == 0
-    assert "2 samples come before the first impact, which is time zero" in capsys.readouterr().out
-    assert len(joints(tmp_path, "/encoder")) == 3
-    (tmp_path / "known").mkdir()
-    assert imported(tmp_path / "known", text, "--epoch", "1700000000", impacts=impacts) == 0
-    assert "come before the first impact" not in capsys.readouterr().out

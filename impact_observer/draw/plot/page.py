@@ -104,7 +104,7 @@ def page_figure(recording: PlotContent) -> "Figure":
             place = {"x": 1.0, "y": 1.0, "xref": "x domain", "yref": "y domain"}
             figure.add_annotation(text=cut_off, showarrow=False, **place, row=row, col=1)
     figure.update_xaxes(range=[recording.start, recording.end], showspikes=True)
-    figure.update_xaxes(title_text="time since the epoch [s]", row=len(heights), col=1)
+    figure.update_xaxes(title_text=recording.zero.axis, row=len(heights), col=1)
     figure.update_layout(
         template="simple_white",
         height=height + _EDGES,

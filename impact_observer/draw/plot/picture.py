@@ -131,7 +131,7 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
             last = column % height == height - 1 or column == count - 1
             axes.tick_params(labelbottom=last)
             if last:
-                axes.set_xlabel("time [s]" if width < _SHORT else "time since the epoch [s]")
+                axes.set_xlabel("time [s]" if width < _SHORT else recording.zero.axis)
             panels.append(axes)
         panels[0].set_xlim(recording.start, recording.end)
         for k in range(columns if rows else 0):

@@ -18,7 +18,7 @@ from impact_observer.draw.plot.quantities import (
 )
 from impact_observer.errors import UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.bag_part import time_zero
+from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.live_inputs import with_recorded
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.pairing import arrived
@@ -51,7 +51,7 @@ class Series:
     Attributes:
         label: name in the legend.
         law: of an estimate, or its topic's prefix if the law is not known; empty for the truth.
-        seconds: since the epoch, ascending in each column, shape (N, k).
+        seconds: since time zero, ascending in each column, shape (N, k).
         values: of k quantities, shape (N, k).
         deviations: standard deviations, shape (N, k); NaN of states without a covariance.
         samples: number of samples in the bag; more than N if the series is thinned, fewer if
@@ -72,7 +72,7 @@ class Dots:
 
     Attributes:
         name: of the sensor.
-        seconds: since the epoch, ascending, shape (N,).
+        seconds: since time zero, ascending, shape (N,).
         values: of the quantity, shape (N,).
     """
 
@@ -89,11 +89,12 @@ class PlotContent:
         name: of the model; empty without one.
         quantities: k of them.
         series: the truth, if the bag has one, then the estimates.
-        marks: instants of impacts, s since the epoch, ascending.
-        start: of the plot, s since the epoch.
-        end: of the plot, s since the epoch.
+        marks: instants of impacts, s since time zero, ascending.
+        start: of the plot, s since time zero.
+        end: of the plot, s since time zero.
         left_out: number of coordinates that are not drawn, because they move less than others.
         dots: samples of sensors, by the name of the quantity that they measure.
+        zero: time zero.
     """
 
     name: str
@@ -104,6 +105,7 @@ class PlotContent:
     end: float
     left_out: int = 0
     dots: Mapping[str, tuple[Dots, ...]] = field(default_factory=dict)
+    zero: TimeZero = field(default_factory=lambda: TimeZero(0))
 
 
 def read_recording(
@@ -145,7 +147,8 @@ def read_recording(
     every = quantities_of(names, system)
     shown = selected(every, ("positions", "velocities") if select is None else select)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = time_zero(reader).stamp
+    zero = time_zero(reader)
+    epoch = zero.stamp
     system = system and with_recorded(reader, system, epoch, warn)
     counts = {topic: reader.topics[topic].count for topic in topics}
     reported = np.unique(np.array([each.stamp for each in events], dtype=np.int64))
@@ -178,6 +181,7 @@ def read_recording(
         marks={},
         start=min(float(each.seconds.min()) for each in series),
         end=max(float(each.seconds.max()) for each in series),
+        zero=zero,
     )
     stamps = impact_marks(reader, {prefix: labels[prefix] for prefix in laws}, events)
     dots = _dots(reader, measurements, recording, epoch, warn) if measurements else {}

@@ -13,6 +13,7 @@ import numpy as np
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent, Kind
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.model import System
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.stamps import NS_PER_S
@@ -153,7 +154,7 @@ class Film:
         estimates: the estimates' tracks.
         distances: V of each estimate, as many; none without truth.
         contacts: impacts and persistent contact over time.
-        epoch: stamp of ``t = 0``, ns.
+        zero: time zero; the epoch, if the model depends on time.
         start: stamp of the first picture, ns.
         end: stamp of the last picture, ns.
     """
@@ -163,7 +164,7 @@ class Film:
     estimates: tuple[Track, ...]
     distances: tuple[Distance, ...]
     contacts: ContactHistory
-    epoch: int
+    zero: TimeZero
     start: int
     end: int
 
@@ -175,7 +176,7 @@ class Film:
     def ground_motion(self, stamp: int) -> Vector:
         """Addition of moving grounds to the gaps at ``stamp`` (ns), m, shape (m,)."""
         system = self.scene.system
-        return np.asarray(system.gap_motion(np.array([stamp - self.epoch]))[0])
+        return np.asarray(system.gap_motion(np.array([stamp - self.zero.stamp]))[0])
 
     def stamps(self, fps: float, speed: float) -> Stamps:
         """Stamps of the pictures, ns, the first at the start.
@@ -192,8 +193,8 @@ class Film:
         return int((self.end - self.start) / (NS_PER_S * speed / fps) + 1e-9) + 1
 
     def seconds(self, stamps: Stamps) -> Vector:
-        """``stamps`` as seconds since the epoch."""
-        return np.asarray((stamps - self.epoch) / NS_PER_S)
+        """``stamps`` as seconds since time zero."""
+        return np.asarray((stamps - self.zero.stamp) / NS_PER_S)
 
 
 def scene_of(system: System, tracks: Sequence[Track]) -> Scene:

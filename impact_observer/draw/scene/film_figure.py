@@ -67,7 +67,7 @@ class FilmFigure:
             row.show(stamp, truth, self._highlight)
         if self._distances is not None:
             self._distances.show(stamp)
-        self._clock.set_text(f"t = {(stamp - film.epoch) / NS_PER_S:7.3f} s")
+        self._clock.set_text(f"t = {(stamp - film.zero.stamp) / NS_PER_S:7.3f} s")
 
 
 def _rows(figure: Figure, film: Film, placement: Placement) -> list[SceneRow]:
@@ -114,7 +114,7 @@ class _DistancePlot:
             axes.semilogy(t, V, label=track.label, **plain)
             self._curves.append((each.stamps, V))
         axes.set_xlim(start, end if end > start else start + 1)
-        axes.set_xlabel("time since the epoch [s]")
+        axes.set_xlabel(film.zero.axis)
         axes.set_ylabel("V [J]")
         axes.grid(visible=True, which="major", color="0.9")
         for side in ("top", "right"):

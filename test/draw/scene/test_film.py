@@ -10,6 +10,7 @@ from systems import EPOCH, run, sample
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.stamps import NS_PER_S
 
 MS = NS_PER_S // 1000
@@ -142,7 +143,8 @@ def test_pictures_are_evenly_spaced_and_the_last_one_is_the_end(
     """Each stamp is rounded to a nanosecond, so rounding does not add up."""
     moving = track([0, NS_PER_S], [0.0, 1.0])
     model = sample("bouncing_ball").system
-    film = Film(scene_of(model, [moving]), moving, (), (), ContactHistory({}, {}), 0, 0, NS_PER_S)
+    contacts = ContactHistory({}, {})
+    film = Film(scene_of(model, [moving]), moving, (), (), contacts, TimeZero(0), 0, NS_PER_S)
     stamps = film.stamps(fps, speed)
     assert stamps.size == count
     assert stamps[1] == step

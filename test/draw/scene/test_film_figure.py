@@ -17,6 +17,7 @@ from systems import EPOCH, Array, chain, run, sample, system
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.draw.scene.film_figure import DPI, FilmFigure
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S
 
@@ -46,7 +47,7 @@ def film() -> Film:
         estimates=estimates,
         distances=tuple(Distance.between(model, truth, each) for each in estimates),
         contacts=ContactHistory.of_events(model, ran.events),
-        epoch=EPOCH,
+        zero=TimeZero(EPOCH),
         start=EPOCH,
         end=EPOCH + 4 * NS_PER_S,
     )
@@ -104,7 +105,7 @@ def still(model: System, q: Array, **changes: object) -> Film:
         estimates=(),
         distances=(),
         contacts=ContactHistory({}, {}),
-        epoch=EPOCH,
+        zero=TimeZero(EPOCH),
         start=EPOCH,
         end=EPOCH + NS_PER_S,
     )
