@@ -9,6 +9,7 @@ definitions (schema 3, Humble) and with them (schema 4).
 import json
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,14 @@ def humble_sqlite(source: Path, path: Path) -> Path:
     return path
 
 
+def converted(source: Path, path: Path) -> Path:
+    """A folder as ``ros2 bag convert`` of Humble makes it: qualities in metadata.yaml alone."""
+    with closing(sqlite3.connect(bare(humble_sqlite(source, path)))) as database:
+        database.execute("UPDATE topics SET offered_qos_profiles = ''")
+        database.commit()
+    return path
+
+
 def mcap_folder(
     source: Path, path: Path, *, distro: str, compression: str = "", chunk: int = 4096
 ) -> Path:
@@ -184,6 +193,7 @@ def bare(path: Path) -> Path:
 
 FORMS: dict[str, Callable[[Path, Path], Path]] = {
     "humble_sqlite3": humble_sqlite,
+    "humble_converted_sqlite3": converted,
     "humble_sqlite3_bare": lambda source, path: bare(humble_sqlite(source, path)),
     "humble_mcap_lz4": lambda s, p: mcap_folder(s, p, distro="humble", compression="lz4"),
     "jazzy_mcap": lambda s, p: mcap_folder(s, p, distro="jazzy"),

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are taken for bags of ROS 2 and are none: what they are, and what helps."""
 
+from contextlib import closing
 from pathlib import Path
 from shlex import quote
+from sqlite3 import Error as SqliteError
+from sqlite3 import connect
 from typing import NamedTuple
 
 from mcap.reader import make_reader
@@ -51,7 +54,7 @@ def foreign_file(path: Path) -> ForeignFile | None:
 
 
 def foreign_messages(path: Path) -> ForeignFile | None:
-    """What the messages in MCAP files are if none is of ROS 2; None if some are, or unknown.
+    """What the messages in a bag are if none is of ROS 2; None if some are, or unknown.
 
     Args:
         path: a file, or the folder of a bag.
@@ -69,16 +72,26 @@ def foreign_messages(path: Path) -> ForeignFile | None:
 
 
 def encodings_at(path: Path) -> list[str]:
-    """Encodings of the messages in MCAP files, as far as can be read, sorted: ``cdr`` of ROS 2.
+    """Encodings of the messages in a bag, as far as can be read, sorted: ``cdr`` of ROS 2.
 
     Args:
         path: a file, or the folder of a bag.
     """
-    files = [each for each in _files(path) if each.suffix == ".mcap"]
-    return sorted({encoding for file in files for encoding in _encodings_in(file)})
+    ways = {".mcap": _encodings_in_mcap, ".db3": _encodings_in_sqlite}
+    files = [each for each in _files(path) if each.suffix in ways]
+    return sorted({encoding for file in files for encoding in ways[file.suffix](file)})
 
 
-def _encodings_in(file: Path) -> set[str]:
+def _encodings_in_sqlite(file: Path) -> set[str]:
+    wanted = "SELECT DISTINCT serialization_format FROM topics"
+    try:
+        with closing(connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
+            return {encoding for (encoding,) in database.execute(wanted)}
+    except SqliteError:
+        return set()
+
+
+def _encodings_in_mcap(file: Path) -> set[str]:
     found: set[str] = set()
     with file.open("rb") as stream:
         try:

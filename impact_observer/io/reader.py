@@ -109,6 +109,10 @@ class BagReader:
                 topic: topic_info(topic, connections)
                 for topic, connections in self._connections.items()
             }
+            # `ros2 bag convert` leaves qualities out of files that metadata.yaml has; rosbags
+            # takes such a topic for another one unless it is given as the files have it, too.
+            files = getattr(self._reader.storage, "storages", ())
+            self._stored: list[Connection] = [each for file in files for each in file.connections]
         if self.topics and not any(map(self._is_here, self.topics)):
             in_bag = ", ".join(self.topics)
             self.close()
@@ -412,8 +416,10 @@ class BagReader:
             for topic in (names.values() if self._limits else ())
             if interfaces.interface(topic) not in interfaces.WHOLE
         }
+        stored = (each for each in self._stored if each.topic in names)
+        known = [*connections, *stored]
         with self._translated():
-            for own, log_time, data in self._reader.messages(connections, start=start or None):
+            for own, log_time, data in self._reader.messages(known, start=start or None):
                 count += 1
                 raw = RawMessage(names[own.topic], log_time, data)
                 if raw.topic in stamp_of and not low <= stamp_of[raw.topic](raw) <= high:
@@ -453,6 +459,9 @@ class BagReader:
             if others:
                 reason = f"has {' and '.join(others)} messages beside those of ROS 2 ({ROS_2})"
                 remedy = "`impact-observer check --salvage` writes those of ROS 2 to a new bag"
+            elif "Serialization format" in reason:  # of metadata.yaml alone
+                reason = f"its metadata.yaml has other messages than its files, which have {ROS_2}"
+                remedy = "`impact-observer check --salvage` writes them to a new bag"
             elif "files are missing" in reason:  # that metadata.yaml names
                 remedy = "move them back, or `impact-observer check --salvage` saves what is there"
             elif "database" in reason:  # as sqlite3 says

@@ -2,12 +2,15 @@
 """Files that are taken for bags: of ROS 1, of JSON, without a schema; pointers of Git LFS."""
 
 import json
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from foreign_bags import bare, humble_sqlite
 from mcap.writer import Writer as McapFileWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
@@ -186,3 +189,40 @@ def test_the_converter_that_is_named_makes_a_bag_that_is_read(tmp_path: Path) ->
     with BagReader(tmp_path / "new") as reader:
         messages = [(at, each.data) for at, each in reader.messages("/switch")]
     assert messages == [(START + k * MS, k == 1) for k in range(3)]
+
+
+def reencoded(bag: Path, *, files: bool) -> Path:
+    """A bag whose metadata.yaml, and whose files if wanted, name an encoding that is none."""
+    described = bag / "metadata.yaml"
+    text = described.read_text()
+    described.write_text(text.replace("format: cdr", "format: wrong_format"))
+    if files:
+        with closing(sqlite3.connect(bare(bag))) as database:
+            database.execute("UPDATE topics SET serialization_format = 'wrong_format'")
+            database.commit()
+    return bag
+
+
+def test_sqlite_messages_of_another_encoding_are_named(
+    sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No salvage is promised, which could not read them either."""
+    bag = reencoded(humble_sqlite(sample_bag, tmp_path / "humble"), files=True)
+    for command in ("info", "check"):
+        assert main([command, str(bag)]) != 0
+        said = said_by(capsys)
+        assert "holds wrong_format messages, expected those of ROS 2 (cdr)" in said
+        assert "salvage" not in said
+
+
+def test_an_encoding_that_metadata_alone_has_wrong_is_salvaged(
+    sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The files have messages of ROS 2; the salvaged bag reads as the first one."""
+    bag = reencoded(humble_sqlite(sample_bag, tmp_path / "humble"), files=False)
+    assert main(["info", str(bag)]) == 1
+    assert "metadata.yaml has other messages than its files, which have cdr" in said_by(capsys)
+    saved = tmp_path / "saved"
+    main(["check", str(bag), "--salvage", "-o", str(saved)])
+    with BagReader(saved) as reader, BagReader(sample_bag) as first:
+        assert reader.message_count == first.message_count
