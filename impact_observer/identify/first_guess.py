@@ -36,11 +36,21 @@ _FIRST = 8
 def start_of(problem: Problem) -> Vector:
     """A first guess of ``y``: the given parameters, the initial state with the smallest gaps."""
     n = problem.family.system.n
-    y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
+    at_rest = np.concatenate([np.zeros(2 * n), problem.family.nominal])
+    return state_of_least_gaps(problem, at_rest)[0]
+
+
+def state_of_least_gaps(problem: Problem, y: Vector) -> tuple[Vector, float]:
+    """``y`` with the initial state of the least gaps, and the gaps that are left, m.
+
+    ``y`` is given with an initial state of zero, shape (2n + p,).
+    """
+    state = slice(2 * problem.family.system.n)
     shot = problem.shot(y)
     values, by_start = problem.gaps_of(shot, problem.moved(shot))
-    y[: 2 * n] = linalg.lstsq(by_start[:, : 2 * n], -values, cond=RANK)[0]
-    return y
+    change = linalg.lstsq(by_start[:, state], -values, cond=RANK)[0]
+    left = float(np.linalg.norm(values + by_start[:, state] @ change))
+    return np.concatenate([change, y[change.size :]]), left
 
 
 def own_impacts(problem: Problem, y: Vector) -> Shot:
@@ -93,6 +103,11 @@ def by_gaps_near(problem: Problem, y: Vector) -> Vector:
     """``y`` of the least gaps near another one: of the first moments, then of all."""
     first = _least_gaps(problem, y, _FIRST, prior=_PRIOR_WEIGHT, tries=_FEW)
     return _least_gaps(problem, first, tries=_FEW)
+
+
+def least_gaps_from(problem: Problem, y: Vector) -> Vector:
+    """``y`` of the least gaps near another one, whatever the nominal parameters are."""
+    return _least_gaps(problem, y)
 
 
 def _least_gaps(

@@ -27,10 +27,12 @@ from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
 from impact_observer.identify.written_uncertainty import written_uncertainty
-from impact_observer.model import ParameterUncertainty, System, parse_model
+from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
+from impact_observer.model.free_parameters import is_phase
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.plain_text import say
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Vector
@@ -164,6 +166,8 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "clock_error_with_all_accepted": fitted.accepted,
         "doubted": fitted.doubted,
         "unsearched": fitted.unsearched,
+        "reached": fitted.reached
+        and {"impacts": fitted.reached.moments, "seconds": fitted.reached.end},
         "residual": fitted.rms,
         "degrees_of_freedom": fitted.freedom,
         "impacts": len(fitted.shifts),
@@ -254,9 +258,9 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
         yield ReportLine(
             "error",
             "The model does not fit: no motion of the model explains these stamps. Do not use"
-            " these values; they have no standard errors. Begin with other values, or free other"
-            f" parameters (docs/misfit.md).{_about_time(fitted.family.system)}"
-            f"{_about_others(fitted)}",
+            " these values; they have no standard errors. Begin with other values, free other"
+            f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
+            f"{_about_time(fitted.family)}{_about_others(fitted)}",
         )
     elif not check.fits:
         stamps = counted(len(fitted.shifts), "stamp")
@@ -276,6 +280,16 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     if fitted.converged and fitted.held_back and not fitted.held_back.carries_over:
         text = "The model does not carry over to the impacts that were held back."
         yield ReportLine("warning", text)
+
+
+def _about_horizon(fitted: Identification) -> str:
+    """How many of the first impacts a motion explains, and the horizon that has them; or empty."""
+    reached = fitted.reached
+    if reached is None:
+        return ""
+    horizon = np.ceil((reached.end - fitted.recording.start) * 1e3) / 1e3
+    impacts = counted(reached.moments, "impact")
+    return f" A motion explains the first {impacts}: --horizon {horizon:.10g} fits these alone."
 
 
 def _may_be_a_clock(fitted: Identification) -> bool:
@@ -375,15 +389,19 @@ def _declared(fitted: Identification) -> str:
     return f"; {figure(fitted.clock, 's')} was declared" if fitted.declared else ""
 
 
-def _about_time(system: System) -> str:
+def _about_time(family: ParametricFamily) -> str:
     """A question on epoch and frequencies where forces or grounds are harmonic, else empty."""
+    system = family.system
     frame, phases = system.frame, ["forcing-phase"] * bool(system.own_forcing.frequency.size)
     if frame is not None:
         phases += ["ground-phase"] * bool(frame.grounds.motion.frequency.size)
     if not phases:
         return ""
-    free = listed(phases, joint=" or ")
-    return f" Is the epoch right (free {free} to see)? Is every frequency in rad/s?"
+    if tried := [name for name in family.names if is_phase(name)]:
+        epoch = f"{listed(tried)} began all around the circle."
+    else:
+        epoch = f"Is the epoch right (free {listed(phases, joint=' or ')} to see)?"
+    return f" {epoch} Is every frequency in rad/s?"
 
 
 def _about_sensor(fit: SensorFit) -> ReportLine:
@@ -458,7 +476,7 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
             "warning",
             f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
             " the value into the model and leave the name out of --free."
-            f"{_about_time(fitted.family.system)}",
+            f"{_about_time(fitted.family)}",
         )
     if fitted.converged and fitted.family.size:
         text = "Standard errors hold if the model is right in all that was not free."

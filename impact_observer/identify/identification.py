@@ -13,6 +13,7 @@ from scipy import linalg
 from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
+from impact_observer.identify.growing import Grown, grown, phases_of, stage_of
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import usual_size
 from impact_observer.identify.other_parameters import (
@@ -108,6 +109,8 @@ class Identification:
             none where the model fits.
         unsearched: events after the first ones of a long recording, none of whose parts a motion
             explains: only the first ones are in ``recording``.
+        reached: the first impacts that a fit explains where none explains all; None if none does,
+            or where one does.
     """
 
     family: ParametricFamily
@@ -133,6 +136,7 @@ class Identification:
     missed: tuple[str, ...] = ()
     others: tuple[OtherParameter, ...] = ()
     unsearched: int = 0
+    reached: Grown | None = None
 
     @property
     def large(self) -> bool:
@@ -263,7 +267,11 @@ class _Fitted(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The input of ``identify``, and the ways to a fit; ``whole`` has all events accepted."""
+    """The input of ``identify``, and the ways to a fit.
+
+    ``whole`` has all events accepted; ``is_grown`` says whether fits of more and more impacts are
+    tried where others fail.
+    """
 
     family: ParametricFamily
     events: list[ImpactEvent]
@@ -273,6 +281,7 @@ class _Search(NamedTuple):
     measurements: Sequence[Measurement]
     samples: Sequence[SensorSample]
     report: _Report
+    is_grown: bool = True
 
     def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
@@ -284,13 +293,58 @@ class _Search(NamedTuple):
         first = _identification(self.whole, problem, solution, clock)
         accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
         first = replace(first, accepted=accepted)
-        if self.trust_events or self._explains(problem, solution):
-            return _Fitted(first, problem, solution)
-        if clock is None:
+        plain = _Fitted(first, problem, solution)
+        if self._explains(problem, solution) or (self.trust_events and first.converged):
+            return plain
+        reached: Grown | None = None
+        if phases_of(problem):  # a fit half a turn off rejects what is right
+            reached, begun = self._grown(problem)
+            if begun is not None:
+                return begun
+        fitted = plain if self.trust_events else self._searched(plain)
+        if not fitted.identification.converged and self.is_grown and reached is None:
+            reached, begun = self._grown(problem)
+            if begun is not None:
+                return begun
+        is_part = reached is not None and reached.moments < len(problem.moments)
+        own = replace(fitted.identification, reached=reached if is_part else None)
+        return fitted._replace(identification=own)
+
+    def _searched(self, plain: _Fitted) -> _Fitted:
+        """The fit that a search for outliers finds, after a ``plain`` one of all impacts."""
+        if self.clock is None:
+            problem = plain.problem
             smoothed = self._smoothed(_WRONG * problem.interval)
             if smoothed and smoothed.identification.converged:
                 return smoothed
-        return self._without_outliers(_Fitted(first, problem, solution))
+        return self._without_outliers(plain)
+
+    def _grown(self, problem: Problem) -> tuple[Grown | None, _Fitted | None]:
+        """How far fits of more and more impacts come, and the fit of all of them, if one is."""
+
+        def explains(part: Problem, solution: Solution) -> bool:
+            usual = usual_size(solution.shifts, solution.freedom)
+            return solution.converged and solution.is_outside and usual <= self._least(part)
+
+        self.report.stage(stage_of(problem))
+        reached = grown(problem, explains, self.report)
+        if reached is None or reached.moments < len(problem.moments):
+            return reached, None
+        problem, solution = gated(*fit(problem, reached.y))
+        recording = self.whole
+        if not self.trust_events and not self._explains(problem, solution):
+            self.report.stage("spurious and missed impacts")
+            try:
+                recording, problem, solution = without_outliers(
+                    self.whole, self.family, self.clock, reached.y
+                )
+            except IdentificationError:  # too few impacts are left
+                return reached, None
+            problem, solution = gated(problem, solution)
+        own = _identification(recording, problem, solution, self.clock)
+        accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
+        own = replace(own, doubted=recording.outliers, accepted=accepted)
+        return reached, _Fitted(own, problem, solution) if own.converged else None
 
     def unexplained(self) -> _Fitted | None:
         """The fit of the first events of a long recording, none of whose parts a motion explains.
@@ -310,7 +364,9 @@ class _Search(NamedTuple):
         starts = np.linspace(_FIRST, len(keys) - _PART, _PARTS).astype(int).tolist()
         for number, start in enumerate(starts):
             self.report.stage(f"part {number + 1} of {len(starts)}")
-            part = self._replace(whole=self._part(start, start + _PART), trust_events=True)
+            part = self._replace(
+                whole=self._part(start, start + _PART), trust_events=True, is_grown=False
+            )
             if part.explaining_fit().identification.converged:
                 return None
         left = replace(fitted.identification, unsearched=len(keys) - _FIRST)
@@ -350,9 +406,13 @@ class _Search(NamedTuple):
 
     def _explains(self, problem: Problem, solution: Solution) -> bool:
         """Whether a fit is good enough to need no search for outliers."""
+        is_one = solution.converged and solution.is_outside
+        return is_one and solution.rms <= self._least(problem)
+
+    def _least(self, problem: Problem) -> float:
+        """The usual shift up to which a fit needs no search for outliers, s."""
         clock = self.clock
-        least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
-        return solution.converged and solution.rms <= least
+        return _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
 
     def _smoothed(self, clock: float) -> _Fitted | None:
         """The fit that begins at the smoothed motion; None unless stamps are too near each other.
@@ -472,6 +532,7 @@ def _identification(
         singular=frozen(span.singular / span.singular[0]),
         undetermined=combinations_of(problem, np.hstack([span.undetermined, weak])),
         converged=solution.converged
+        and solution.is_outside
         and solution.rms <= max(_LOST * problem.usual_flight, _EXCESS * (clock or 0.0))
         and solution.counted.size >= _ACCEPTED * (solution.counted.size + recording.outliers),
     )

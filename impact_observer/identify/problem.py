@@ -56,6 +56,11 @@ class Problem(NamedTuple):
     report: Callable[[str], None] = no_report
 
     @property
+    def unknowns(self) -> int:
+        """Number of unknowns: initial state and parameters."""
+        return 2 * self.family.system.n + self.family.size
+
+    @property
     def stamps(self) -> Vector:
         """The recorded stamps, s since the epoch, shape (moments,)."""
         return np.array([each.t for each in self.moments])
@@ -154,6 +159,14 @@ class Solution(NamedTuple):
     converged: bool
     errors: tuple[float, ...] = ()
     cost: float = 0.0
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether most contacts approach where they hit.
+
+        The mirror image of a motion has the same impacts, from the inside of all stops.
+        """
+        return bool(np.median(self.shot.speeds) < 0.0)
 
     @property
     def rms(self) -> float:

@@ -111,7 +111,7 @@ def fit(
 
     ``robust`` says that some impacts may be wrong.
     """
-    unknowns = 2 * problem.family.system.n + problem.family.size
+    unknowns = problem.unknowns
     hits = sum(len(each.hit) for each in problem.moments if each.measured)
     samples = sum(each.t.size for each in problem.sensors)
     if hits + samples <= unknowns:

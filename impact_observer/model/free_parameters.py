@@ -58,6 +58,11 @@ def is_observed(name: str) -> bool:
     return name.partition(".")[0] not in _ONLY_IDENTIFIED
 
 
+def is_phase(name: str) -> bool:
+    """Whether the parameter of this name is a phase: any number of turns is the same."""
+    return name.partition(".")[0].endswith("-phase")
+
+
 def parametric_family(
     system: System,
     wanted: Sequence[str],
