@@ -258,8 +258,11 @@ class BetweenEvents:
         """Probability that the sensor could not report a switch of ``contact`` at ``t``, s.
 
         It cannot in its dead time after the last report, of which the stamp has an error, nor can
-        it report the end of a rest that it has not reported.
+        it report the end of a rest that it has not reported. A row of which it has reported the
+        first edge as CLOSE is not reported until the contact rests.
         """
+        if contact in h.ledger.unreported:
+            return 1.0
         if kind is Kind.OPEN and self._dead_time:
             return float(h.ledger.closed_unreported(contact))
         last = h.ledger.reported.get(contact)

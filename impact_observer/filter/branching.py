@@ -12,8 +12,11 @@ from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.likelihood import UNMEASURED, Likelihood
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.filter.weighing import Branch, Draft, weigh
+from impact_observer.filter.weighing import Branch, Draft, begins_row, weigh
 from impact_observer.states import Vector
+
+UNREPORTED_ROW = "accepted: the first edge of a row of bounces that are not reported"
+"""Reason of a CLOSE at a speed at which the contact does not rest."""
 
 
 class Extent(NamedTuple):
@@ -87,6 +90,7 @@ class Branching:
         self._errors = errors
         self._keeps_exact = keeps_exact
         self._trusts_estimate = uncertainty.trusts_estimate
+        self._inserts_bounces = not uncertainty.trusts_events
         self._next_clocks = {
             clock: tuple(clocks[i + k] for k in TUNING.clock_steps if 0 <= i + k < len(clocks))
             for i, clock in enumerate(clocks)
@@ -105,11 +109,15 @@ class Branching:
             elif here.is_nothing:
                 found.append(self._spurious(change, h, "its contact is not closed"))
             else:
-                prior = self.priors.reported + h.weight_without(here.contacts)
-                true.append(Draft(prior, h, here))
-                leads.append(is_leading)
+                drafts = [*self._as_reported(h, here)]
+                true += drafts
+                leads += [is_leading] * len(drafts)
                 clocks += [
-                    Draft(prior + TUNING.log_clock_change, h._replace(clock=clock), here)
+                    draft._replace(
+                        weight=draft.weight + TUNING.log_clock_change,
+                        before=h._replace(clock=clock),
+                    )
+                    for draft in drafts
                     for clock in (self._next_clocks.get(h.clock, ()) if is_leading else ())
                 ]
         weighed = weigh(self._filter, [*true, *clocks], root_energy)
@@ -122,8 +130,18 @@ class Branching:
             found += [
                 self._spurious(change, each.before, likelihood=each.likelihood)
                 for each in weighed[: len(true)]
+                if not each.is_row
             ]
         return [*found, *weighed, *weigh(self._filter, others, root_energy)]
+
+    def _as_reported(self, h: Hypothesis, here: ContactChange) -> Iterator[Draft]:
+        """The event happened, and a contact that closes rests, or began a row of bounces."""
+        prior = self.priors.reported + h.weight_without(here.contacts)
+        yield Draft(prior, h, here)
+        if self._inserts_bounces and begins_row(self._filter, h, here):
+            bounced = here._replace(closed=tuple(i for i in here.closed if i not in here.hit))
+            weight = prior + TUNING.log_unreported_row
+            yield Draft(weight, h, bounced, UNREPORTED_ROW, is_row=True)
 
     def is_expected(self, branch: Branch) -> bool:
         """Whether the event came about when it was predicted."""
@@ -149,9 +167,9 @@ class Branching:
         """The model began to err before the event of the branch ``true``, or its error ended."""
         if self._errors is None or true.here is None:
             return
-        prior = self.priors.reported + true.before.weight_without(true.here.contacts)
+        prior = self._prior(true, true.here)
         for other in self._errors.others(true.before, true.here, true.likelihood):
-            yield Draft(prior + TUNING.log_error_change, other, true.here)
+            yield true.again(prior + TUNING.log_error_change, other)
 
     def _wider(self, true: Branch, largest: Vector) -> Iterator[Draft]:
         """The covariance before a surprising event of the branch ``true`` was too small."""
@@ -159,16 +177,23 @@ class Branching:
         if depth <= TUNING.surprise or self._trusts_estimate or true.here is None:
             return
         h, part = true.before, self._filter.part_of(true.here.contacts)
-        prior = self.priors.reported + h.weight_without(true.here.contacts)
+        prior = self._prior(true, true.here)
         for factor in (TUNING.widening, TUNING.large_widening):
             wider = h._replace(state=self._filter.widened(h.state, factor * depth, largest, part))
             reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
-            yield Draft(prior + TUNING.log_restart, wider, true.here, reason)
+            weight = prior + TUNING.log_restart
+            yield Draft(weight, wider, true.here, reason, is_row=true.is_row)
+
+    def _prior(self, true: Branch, here: ContactChange) -> float:
+        """Logarithm of the prior probability of the branch ``true``, in which the event was so."""
+        row = TUNING.log_unreported_row if true.is_row else 0.0
+        return self.priors.reported + true.before.weight_without(here.contacts) + row
 
     def _other_contacts(self, change: ContactChange, true: Branch) -> Iterator[Draft]:
         """An unexpected impact of the branch ``true`` was of another contact."""
         here, h = true.here, true.before
         is_impact = here is not None and len(change.hit) == 1 and here.before == here.closed
+        is_impact = is_impact and not true.is_row
         if not is_impact or self.priors.mislabelled == -math.inf or self.is_expected(true):
             return
         closed, system = h.state.closed, self._filter.system

@@ -75,7 +75,9 @@ class Correcting:
             pairs = zip(change.contacts, switched, strict=True)
             innovations = {i: innovations[j] for i, j in pairs if j in innovations}
         ruling = (Ruling.APPLIED, branch.reason)
-        ledger = h.ledger.with_event(change, ruling, innovations, switched, kind=kind)
+        ledger = h.ledger.with_event(
+            change, ruling, innovations, switched, kind=kind, is_dead=branch.is_row
+        )
         posterior = Hypothesis(
             state,
             h.clock,
@@ -85,6 +87,11 @@ class Correcting:
             innovation=likelihood.innovation if innovations else None,
             subset=h.subset,
         )
+        if branch.is_row or ledger.unreported:
+            row = here.hit if branch.is_row else ()
+            others = (i for i in ledger.unreported if i not in here.contacts)
+            ledger = posterior.ledger._replace(unreported=(*others, *row))
+            posterior = posterior._replace(ledger=ledger)
         if self._errors is None:
             return posterior
         return self._errors.after(h, here, likelihood, posterior)

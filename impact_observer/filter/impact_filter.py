@@ -122,10 +122,15 @@ class ImpactFilter:
         """The contact speed of a state, m/s; positive where the contact opens."""
         return float(self.system.W[:, contact].dot(state.x[self.system.n :]))
 
+    def gap(self, contact: int, state: GaussianState) -> float:
+        """The gap of a contact by an estimate and its parameters, m."""
+        found = float(self.system.W[:, contact] @ state.x[: self.system.n])
+        by_theta = self.members.gap_sensitivity((contact,))[0]
+        return found + float(self.system.q_r[contact] + by_theta @ self.members.change(state))
+
     def since_root(self, contact: int, state: GaussianState) -> float:
         """How long ago a negative gap was zero, to first order, s; 0 for an opening contact."""
-        gap = float(self.system.gap(state.x[: self.system.n])[contact])
-        speed = self.speed(contact, state)
+        gap, speed = self.gap(contact, state), self.speed(contact, state)
         return min(gap / speed, self.conditioning.longest) if gap < 0 and speed < 0 else 0.0
 
     def speed_deviation(self, contact: int, state: GaussianState) -> float:

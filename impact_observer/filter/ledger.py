@@ -25,7 +25,8 @@ class Note(NamedTuple):
         switched: index of the contact that has switched: another one where it was mislabelled.
         kind: how it has switched, of an inserted one; of others CLOSE where a contact has settled
             though it was reported to bounce on.
-        is_dead: whether it was in the sensor's dead time, which could not report it.
+        is_dead: whether it was in the sensor's dead time, which could not report it, or the CLOSE
+            that began a row of bounces that the sensor does not report.
     """
 
     event: tuple[int, int]
@@ -77,6 +78,7 @@ class Ledger(NamedTuple):
         last_error: number of the last event that an error of the model explains; 0 for none.
         reported: when the sensor has reported each contact last, s since the epoch.
         settled: closed contacts of which bounces may still be reported.
+        unreported: contacts whose bounces the sensor does not report until they rest.
     """
 
     notes: tuple[Note, ...] = ()
@@ -85,6 +87,7 @@ class Ledger(NamedTuple):
     last_error: int = 0
     reported: Mapping[int, float] = MappingProxyType({})
     settled: Mapping[int, Rest] = MappingProxyType({})
+    unreported: Contacts = ()
 
     def later(self, s: float) -> "Ledger":
         """The same ``s`` seconds later: the missed switches are longer ago."""
@@ -92,8 +95,12 @@ class Ledger(NamedTuple):
 
     def with_missed(self, switch: MissedSwitch, rest: Rest | None) -> "Ledger":
         """The same with a missed ``switch``; with the ``rest`` of a contact that closes there."""
-        settled = self.settled if rest is None else {**self.settled, switch.contact: rest}
-        return self._replace(missed=(*self.missed, switch), settled=settled)
+        missed = (*self.missed, switch)
+        if rest is None:
+            return self._replace(missed=missed)
+        unreported = tuple(i for i in self.unreported if i != switch.contact)
+        settled = {**self.settled, switch.contact: rest}
+        return self._replace(missed=missed, settled=settled, unreported=unreported)
 
     def with_event(
         self,
@@ -103,6 +110,7 @@ class Ledger(NamedTuple):
         switched: Contacts = (),
         *,
         kind: Kind = Kind.IMPACT,
+        is_dead: bool = False,
     ) -> "Ledger":
         """The same with notes on an event, and on the missed switches before the event.
 
@@ -112,6 +120,7 @@ class Ledger(NamedTuple):
             innovations: absolute innovation by contact, in standard deviations.
             switched: the contacts that have switched; empty for those of the event.
             kind: how these contacts have switched.
+            is_dead: whether the sensor does not report the bounces after it.
         """
         event = (change.stamp, change.sequence)
         inserted = [
@@ -129,7 +138,7 @@ class Ledger(NamedTuple):
             for each in self.missed
         ]
         own = [
-            Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j, kind)
+            Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j, kind, is_dead)
             for i, j in zip(change.contacts, switched or change.contacts, strict=True)
         ]
         notes = (*self.notes, *inserted, *own)

@@ -181,6 +181,10 @@ class Members:
         """The member with the parameters of an estimate."""
         return self.at(estimate.theta)
 
+    def change(self, estimate: HasTheta) -> Vector:
+        """How the parameters of an estimate differ from those of the model, shape (p,)."""
+        return np.asarray(estimate.theta - self._nominal)
+
     def with_given_restitution(self, member: Member) -> Member:
         """``member`` with the restitutions of the model."""
         values = np.where(self._still, self._nominal, member.values)

@@ -139,7 +139,7 @@ class Fit(NamedTuple):
     def beside(self, change: float) -> "Fit":
         """The same beside an account with other parameters.
 
-        ``change`` of the parameters is the largest, in standard deviations.
+        ``change`` of the parameters is that of all together, in standard deviations.
         """
         is_refuted = False
         if change >= TUNING.notable_change and len(self.residuals) >= TUNING.recent:

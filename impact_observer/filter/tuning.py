@@ -70,6 +70,17 @@ class Tuning:
     log_least_disorder: float = -50.0
     """Least probability of two stamps in a wrong order: no hypothesis becomes impossible by it."""
 
+    log_unreported_row: float = math.log(0.01)
+    """Prior probability that a CLOSE is the first edge of a row of bounces that the sensor does
+    not report.
+    """
+    neglected_flight: float = 1e-3
+    """Longest flight that a plant, or a user who simulates one, may neglect before a rest,
+    relative to the time scale.
+    """
+    log_least_rest: float = -50.0
+    """Least probability that a contact rests after a fast hit: restitution may be other."""
+
     # Pruning
     most_hypotheses: int = 64
     """Hypotheses that are kept, besides restarts; twice as many before an event."""
@@ -247,7 +258,7 @@ class Tuning:
     clearly_nearer: float = 0.5
     """Most that those of the account may be to refute the model."""
     significant_change: float = 5.0
-    """Change of a parameter, in deviations, that refutes the model then."""
+    """Change of all parameters together, in deviations, that refutes the model then."""
     notable_change: float = 3.0
     """The same where an error of the model is established and the account is ``nearer``."""
     least_considered: float = 0.1

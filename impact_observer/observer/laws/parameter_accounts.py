@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accounts of a doubted model: its parameters are estimated beside the law's own bank."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -142,8 +143,7 @@ class ParameterAccounts:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
         residual = before.residual
         if change.hit:
-            w, n = self._system.W[:, change.hit[0]], self._system.n
-            residual = float(w.dot(prior.x[:n]) + self._system.q_r[change.hit[0]])
+            residual = self._bank.filter.gap(change.hit[0], prior)
         return Account(corrected, fit, residual)
 
     def measured(self, reading: Reading, before: Account, largest: Vector) -> Account:
@@ -186,8 +186,14 @@ class ParameterAccounts:
         }
 
     def change(self, account: Account) -> float:
-        """The largest change of a parameter, in standard deviations."""
-        return max((change for _, change in self.changes(account).values()), default=0.0)
+        """How far the parameters are from those of the model together, in standard deviations.
+
+        Their Mahalanobis distance, beyond what as many parameters have by chance.
+        """
+        found = self.estimate(account)
+        d, p = found.x.size, found.parameters
+        far = np.linalg.lstsq(found.root[d : d + p], found.theta - self._nominal)[0]
+        return math.sqrt(max(float(far @ far) - p, 0.0))
 
     def text(self, account: Account) -> str:
         """What explains the impacts, or some of them, for the warning."""

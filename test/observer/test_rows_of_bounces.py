@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of bounces: a debounced switch reports their first edges, and a force may be other."""
+
+import numpy as np
+import pytest
+
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.model import System, parse_model
+from impact_observer.observer import make_observer, replay
+from impact_observer.options import Options
+from impact_observer.plant import Plant, simulate
+from impact_observer.plant.simulation import Run
+from impact_observer.stamps import from_seconds, grid
+from impact_observer.states import Estimate, Matrix, Stamps
+
+EPOCH = 1_700_000_000 * 10**9
+PRESS = """
+name: press
+bodies: [{{name: ram, mass: 1.6}}, {{name: tool, mass: 0.6}}]
+springs:
+  - {{between: [ground, ram], stiffness: 38, damping: 0.5}}
+  - {{between: [ram, tool], stiffness: 55, damping: 0.5}}
+forces: [{{body: tool, constant: {0}}}, {{body: ram, amplitude: 13, frequency: 2.5}}]
+stops: [{{name: die, body: tool, limit: 0.05, side: above, restitution: {1}}}]
+"""
+SECONDS = 30.0
+ROW = 0.15
+"""Longest time between two hits of a row, s."""
+
+
+def press(force: float = 4.5, restitution: float = 0.3) -> System:
+    """A tool that is pressed onto its die in every period, and bounces until it rests."""
+    return parse_model(PRESS.format(force, restitution), "press").system
+
+
+def stroke(system: System, start: float) -> Run:
+    """The motion from rest at a position of both bodies, m, with samples every 20 ms."""
+    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), 50.0)
+    return simulate(Plant(system, np.full(2, start), np.zeros(2), epoch=EPOCH), stamps)
+
+
+def numbered(hits: list[tuple[int, Kind]]) -> list[ImpactEvent]:
+    """Events of stamps, ns, and kinds."""
+    return [
+        ImpactEvent(stamp, (Switch("die", kind),), k, 1, EPOCH)
+        for k, (stamp, kind) in enumerate(hits, start=1)
+    ]
+
+
+def switched(run: Run) -> list[tuple[int, Kind]]:
+    """Stamp and kind of each switch of a plant."""
+    return [(s.instant.stamp, each.kind) for s in run.switchings for each in s.switches]
+
+
+def debounced(hits: list[tuple[int, Kind]]) -> list[tuple[int, Kind]]:
+    """The first edge of each row of hits, as CLOSE if the row ends at rest, and each OPEN."""
+    found, last = list[tuple[int, Kind]](), -from_seconds(1.0)
+    for stamp, kind in hits:
+        if kind is Kind.OPEN or stamp - last > from_seconds(ROW):
+            found.append((stamp, kind))
+        elif kind is Kind.CLOSE:
+            found[-1] = found[-1][0], Kind.CLOSE
+        last = stamp
+    return found
+
+
+def observed(
+    model: System, hits: list[tuple[int, Kind]], stamps: Stamps
+) -> tuple[list[Estimate], set[str]]:
+    """Estimates with defaults, and the reasons of applied events."""
+    observer = make_observer(model, Options(law="minimum-variance", epoch=EPOCH))
+    found = [*replay(observer, numbered(hits), stamps)]
+    reasons = {
+        each.reason.partition(":")[2].strip()
+        for each in found
+        if not isinstance(each, Estimate) and each.ruling is Ruling.APPLIED
+    }
+    return [each for each in found if isinstance(each, Estimate)], reasons
+
+
+def errors(found: list[Estimate], run: Run) -> tuple[Matrix, Matrix]:
+    """Errors and deviations of (q, u) in the last half of a run, shape (samples, 2n)."""
+    half = found[len(found) // 2 :]
+    states = np.array([np.concatenate([each.q, each.u]) for each in half])
+    n = states.shape[1]
+    variances = [np.diag(np.reshape(each.covariance, (n, n))) for each in half]
+    return states - run.states[-len(half) :], np.sqrt(variances)
+
+
+@pytest.mark.parametrize("start", [-0.2])
+def test_the_bounces_that_a_debounced_switch_does_not_report_are_inserted(start: float) -> None:
+    """A CLOSE at speed is the first edge of a row: the estimate bounces until it rests."""
+    run = stroke(press(), start)
+    hits = debounced(switched(run))
+    assert len(hits) < len(switched(run)) / 4
+    found, reasons = observed(press(), hits, run.stamps)
+    error, deviation = errors(found, run)
+    assert np.max(np.abs(error)) < 1e-7
+    assert np.mean(np.abs(error) <= 3 * deviation) > 0.9
+    assert all(each.synchronized for each in found[len(found) // 2 :])
+    assert "the first edge of a row of bounces that are not reported" in reasons
+
+
+def test_a_close_without_restitution_is_a_rest_at_once() -> None:
+    """Nothing bounces on a plastic die, so that no CLOSE is taken for a first edge."""
+    run = stroke(press(restitution=0.0), 0.0)
+    found, reasons = observed(press(restitution=0.0), switched(run), run.stamps)
+    assert np.max(np.abs(errors(found, run)[0])) < 1e-7
+    assert not any("first edge" in each for each in reasons)
+
+
+def test_a_close_after_reported_bounces_is_a_rest() -> None:
+    """The row of a switch that reports all bounces ends with a slow CLOSE."""
+    run = stroke(press(), 0.0)
+    found, reasons = observed(press(), switched(run), run.stamps)
+    assert np.max(np.abs(errors(found, run)[0])) < 1e-7
+    assert not any("first edge" in each for each in reasons)
+
+
+@pytest.mark.parametrize("force", [4.5 * 1.03, 4.5 * 0.98])
+def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain(force: float) -> None:
+    """A press whose force is a few percent off is refuted, and its covariance contains that."""
+    run = stroke(press(force), 0.0)
+    found, _ = observed(press(), switched(run), run.stamps)
+    error, deviation = errors(found, run)
+    assert found[-1].misfit
+    assert not found[-1].synchronized
+    assert np.mean(np.abs(error) <= 3 * deviation + 1e-12) > 0.9
