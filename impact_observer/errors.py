@@ -67,6 +67,12 @@ class ModelError(UsageError):
         self.key = key
         self.problem = problem
 
+    def in_file(self, source: str) -> "ModelError":
+        """The error with the name of the file before the key, unless it is there."""
+        if self.key.startswith(source):
+            return self
+        return ModelError(f"{source}: {self.key}" if self.key else source, self.problem)
+
 
 class BagError(ImpactObserverError):
     """A bag that cannot be read, written or used for the job."""

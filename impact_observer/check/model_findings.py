@@ -2,7 +2,7 @@
 """Remarks on a checked model: each a fact with its consequence for an observer."""
 
 from collections.abc import Iterator, Sequence
-from math import tau
+from math import degrees, tau
 
 import numpy as np
 
@@ -11,10 +11,13 @@ from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.draw.reports import ReportLine, counted, figure, listed
 from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
+from impact_observer.model.system import unit_of
 from impact_observer.states import Vector
 
 _SHOWN = 3
 """Most remarks of one kind, and most terms of a list, that are shown."""
+_LARGE_ANGLE = 2.0
+"""Gap of a stop that is doubted, rad: most degrees that are taken for rad are more."""
 
 
 def findings(checked: ModelCheck) -> list[ReportLine]:
@@ -26,6 +29,7 @@ def findings(checked: ModelCheck) -> list[ReportLine]:
         *_closing(checked),
         *_modes(checked),
         *_unseen(checked),
+        *_angles(checked.system),
         *_forced(checked.system),
         *_size(checked.system),
     ]
@@ -194,9 +198,23 @@ def _unseen(checked: ModelCheck) -> Iterator[ReportLine]:
         )
 
 
+def _angles(system: System) -> Iterator[ReportLine]:
+    """Stops at angles that hardly anybody means in rad."""
+    for contact in system.contacts if system.unit == "rad" else ():
+        gap = contact.gap
+        if abs(gap) > _LARGE_ANGLE:
+            yield ReportLine(
+                "warning",
+                f"{contact.name} has a gap of {gap:.4g} rad, which is {degrees(gap):.4g} degrees."
+                f" If {gap:.4g} degrees are meant, write unit: deg: it converts all angles.",
+            )
+
+
 def _forced(system: System) -> Iterator[ReportLine]:
     """Numbers that no rig has: mostly mm taken for m, or Hz for rad/s."""
     motion, names = forced_motion(system), system.contact_names
+    lengths = "angles in rad" if system.unit == "rad" else "lengths in m"
+    acceleration = unit_of("m/s^2", system.unit)
     for i in motion.never_reached()[:_SHOWN]:
         moved = abs(float(motion.sag[i])) + float(motion.swing[i])
         yield ReportLine(
@@ -216,15 +234,16 @@ def _forced(system: System) -> Iterator[ReportLine]:
         yield ReportLine(
             "warning",
             f"Without impacts the gap of {names[i]} changes at up to"
-            f" {figure(motion.speed[i], 'm/s')}: are all lengths in m, and frequencies in rad/s?",
+            f" {figure(motion.speed[i], unit_of('m/s', system.unit))}: are all {lengths}, and"
+            " frequencies in rad/s?",
         )
     rests = [i for i in motion.never_left() if not system.rebounds[i].drives]
     for i in rests[:_SHOWN]:
         yield ReportLine(
             "warning",
             f"A body that rests on {names[i]} never leaves {names[i]}: constant forces press with"
-            f" {figure(motion.pull[i], 'm/s^2')}, harmonic forces and grounds shake with only"
-            f" {figure(motion.shake[i], 'm/s^2')}. Frequencies are in rad/s: 2 pi times Hz.",
+            f" {figure(motion.pull[i], acceleration)}, harmonic forces and grounds shake with only"
+            f" {figure(motion.shake[i], acceleration)}. Frequencies are in rad/s: 2 pi times Hz.",
         )
     for omega, place in motion.odd_frequencies(system)[:_SHOWN]:
         yield ReportLine(

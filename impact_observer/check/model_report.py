@@ -21,12 +21,11 @@ from impact_observer.model import Forcing, System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.parametric_family import ModelParameter
+from impact_observer.model.system import UNITS, unit_of
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
 _FORCE = "force on "
-_FORCES = {"m": ("N", "kg"), "rad": ("N m", "kg m^2")}
-"""Units of forces and masses by the unit of the coordinates, where all have one."""
 _ENDS = 4
 """Rows shown at either end of a long table."""
 
@@ -166,8 +165,8 @@ def _excitations(system: System) -> Iterator[_Excitation]:
 
 def _tables(checked: ModelCheck) -> Iterator[TextTable]:
     """Forces and grounds, frequencies without damping, modes with damping, contacts."""
-    length = checked.system.unit if checked.system.unit in _FORCES else ""
-    of_force, of_mass = _FORCES.get(length, ("", ""))
+    length = checked.system.unit if checked.system.unit in UNITS else ""
+    of_force, of_mass = (unit_of(each, length) if length else "" for each in ("N", "kg"))
     excitations = [
         (
             name,

@@ -148,7 +148,7 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
             strict=True,
         )
         texts = [
-            f"{with_unit(name)} {figure(value, deviation=deviation)}"
+            f"{with_unit(name, model.system.unit)} {figure(value, deviation=deviation)}"
             for name, considered, value, deviation in each
             if considered
         ]
@@ -182,6 +182,7 @@ def far_start(system: "System", options: "Options") -> "Iterator[str]":
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":
     """Counts of accepted and other samples of each sensor, and learned deviations."""
+    from impact_observer.model.system import unit_of
     from impact_observer.observer.samples import MOST_KEPT
     from impact_observer.plain_text import part_left_out
 
@@ -195,7 +196,8 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
             yield f"warning: {sensor.name}: {part}"
         line = f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
         if sensor.name in learned:
-            declared, unit = sensor.measurement.deviation, sensor.measurement.unit
+            declared = sensor.measurement.deviation
+            unit = unit_of(sensor.measurement.unit, observer.system.unit)
             line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
             if declared is not None:
                 line += f", much larger than the declared {declared:g} {unit}"
@@ -215,4 +217,5 @@ def parameter_lines(observer: "Observer") -> "Iterator[str]":
     for name, value, deviation in observer.estimate(observer.last_event).parameters:
         is_learned = deviation < _UNDETERMINED * prior.get(name, float("inf"))
         words = "learned" if is_learned else "not determined by these impacts"
-        yield f"{words}: {with_unit(name)} {figure(value, deviation=deviation)}"
+        known = figure(value, deviation=deviation)
+        yield f"{words}: {with_unit(name, observer.system.unit)} {known}"

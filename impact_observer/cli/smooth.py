@@ -80,18 +80,21 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {smoothed.estimates} estimates, verdicts: {verdicts}")
         for line in smoothed.problems:
             progress.line(f"warning: {line}")
+        unit = read.system.unit
         for each in smoothed.runs:
             for line in fitted_lines(read, (m.change.stamp for m in each.account.moments)):
                 progress.line(line)
             for name, value, deviation in each.parameters:
-                progress.line(f"learned: {with_unit(name)} {figure(value, deviation=deviation)}")
+                progress.line(
+                    f"learned: {with_unit(name, unit)} {figure(value, deviation=deviation)}"
+                )
             if not each.smoothed.is_settled:
                 progress.line(
                     "warning: the last linearisation still changed the motion by"
                     f" {each.smoothed.change:.2g} standard deviations"
                 )
             for name, value, deviation in each.filtered_parameters:
-                learned = f"{with_unit(name)} {figure(value, deviation=deviation)}"
+                learned = f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
                 progress.line(f"learned by the filter: {learned}")
             far = each.misfit if each.unexplained else ""
             for line in filter(None, (far, each.model_doubt, each.early_doubt[0])):

@@ -207,7 +207,12 @@ def _repeated(each: object, system: System, learned: Sequence[str]) -> Iterator[
     elif each == "parameter":
         for i, name in enumerate(learned):
             words = name.replace("_", " ")
-            yield {"parameter": name, "words": words, "titled": with_unit(name), "i": i}
+            yield {
+                "parameter": name,
+                "words": words,
+                "titled": with_unit(name, system.unit),
+                "i": i,
+            }
     elif isinstance(each, list):
         for word in each:
             yield {"word": word}

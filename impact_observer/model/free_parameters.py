@@ -14,7 +14,7 @@ from impact_observer.model.elements import Element
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
-from impact_observer.model.system import LONGEST_CONTACT, System
+from impact_observer.model.system import LONGEST_CONTACT, System, unit_of
 from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
@@ -39,7 +39,7 @@ UNITS = {
     OFFSET: "s",
     CONTACT_TIME: "s",
 }
-"""Kinds of free parameters and their SI units; empty for a ratio."""
+"""Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
@@ -136,9 +136,15 @@ def _unknown(name: str, available: Collection[str], elements: Sequence[Element])
     )
 
 
-def with_unit(name: str) -> str:
-    """The name of an estimated parameter in words, with its unit."""
+def with_unit(name: str, coordinates: str) -> str:
+    """The name of an estimated parameter in words, with its unit.
+
+    Args:
+        name: of the parameter.
+        coordinates: unit of the coordinates, as ``System.unit``.
+    """
     unit = UNITS.get(name.partition(".")[0], _OTHER_UNITS.get(name, ""))
+    unit = unit_of(unit, coordinates)
     words = name.replace("_", " ")
     return f"{words} [{unit}]" if unit else words
 
@@ -155,7 +161,8 @@ def _parameter(
     size: float,
     **change: Matrix,
 ) -> ModelParameter:
-    unit, effect = UNITS[name.partition(".")[0]], Coefficients.change(system, **change)
+    unit = unit_of(UNITS[name.partition(".")[0]], system.unit)
+    effect = Coefficients.change(system, **change)
     return ModelParameter(name, value, *bounds, size, unit, effect)
 
 

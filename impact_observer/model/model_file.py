@@ -17,6 +17,7 @@ from ruamel.yaml.representer import SafeRepresenter
 from impact_observer.errors import ModelError
 from impact_observer.model import elements, sampled_files
 from impact_observer.model.declared_deviations import with_deviations, without_deviations
+from impact_observer.model.degrees import DEGREES, is_in_degrees, radians
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
@@ -239,7 +240,17 @@ def model_text(source: str | Path) -> ModelText:
         UsageError: the file does not exist.
     """
     path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
-    return ModelText(text, str(path), path.parent)
+    return ModelText(_in_radians(text, str(path)), str(path), path.parent)
+
+
+def _in_radians(text: str, source: str) -> str:
+    """The ``text`` of a model file with angles in radians; errors name the ``source``."""
+    if not is_in_degrees(text):
+        return text
+    try:
+        return edited(text, radians(load_yaml(text)))
+    except ModelError as error:
+        raise error.in_file(source) from None
 
 
 def read_model(source: str | Path) -> Model:
@@ -259,10 +270,9 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and the expected value.
     """
     try:
-        return replace(_model(load_yaml(text), folder), source=source)
+        return replace(_model(load_yaml(_in_radians(text, source)), folder), source=source)
     except ModelError as error:
-        key = f"{source}: {error.key}" if error.key else source
-        raise ModelError(key, error.problem) from None
+        raise error.in_file(source) from None
 
 
 def load_yaml(text: str) -> Value:
@@ -343,7 +353,8 @@ def _model(document: Value, folder: Path | None) -> Model:
         system = _system_of_matrices(name, section, folder)
     unit = _unit_of(elements=form is elements.KEYS)
     if "unit" in section and (unit := section.text("unit")) not in UNITS:
-        raise ModelError("unit", f"{unit!r} found; expected {UNKNOWN_UNIT}, of the coordinates")
+        units = f"m, rad or {DEGREES}"
+        raise ModelError("unit", f"{unit!r} found; expected {units}, of the coordinates")
     system = replace(system, unit=unit)
     position, velocity = _initial_state(section, system)
     provenance = section.value("provenance") if "provenance" in section else {}

@@ -25,6 +25,17 @@ from impact_observer.states import Matrix, Vector, frozen
 UNITS = ("m", "rad")
 """Units of coordinates."""
 UNKNOWN_UNIT = " or ".join(UNITS)
+_OF_ANGLES = {
+    "m": "rad",
+    "m/s": "rad/s",
+    "m/s^2": "rad/s^2",
+    "m/s^1.5": "rad/s^1.5",
+    "N": "N m",
+    "N/m": "N m/rad",
+    "Ns/m": "N m s/rad",
+    "kg": "kg m^2",
+}
+"""The units that quantities of angles have, by those of the same quantities of lengths."""
 LARGEST_STATE = 1e9
 """Largest accepted magnitude of a coordinate or velocity."""
 LONGEST_CONTACT = 0.1
@@ -42,6 +53,16 @@ _SINGULAR = 1e-14
 def per_second(unit: str) -> str:
     """The unit of velocities of coordinates in ``unit``."""
     return " or ".join(f"{each}/s" for each in unit.split(" or "))
+
+
+def unit_of(quantity: str, unit: str) -> str:
+    """The unit of a quantity whose unit is ``quantity`` where coordinates are in m.
+
+    Args:
+        quantity: such as ``N/m``; units without a length stay.
+        unit: of the coordinates; other units than ``rad`` count as m.
+    """
+    return _OF_ANGLES.get(quantity, quantity) if unit == "rad" else quantity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,9 +109,10 @@ class System:
     Attributes:
         name: name of the model.
         coordinates: names of the coordinates, as in ``JointState``.
-        M: mass matrix, shape (n, n), symmetric positive definite, kg or kg m2.
-        C: damping matrix, shape (n, n), symmetric part positive semidefinite, Ns/m.
-        K: stiffness matrix, shape (n, n), symmetric positive semidefinite, N/m.
+        M: mass matrix, shape (n, n), symmetric positive definite, kg or kg m^2.
+        C: damping matrix, shape (n, n), symmetric part positive semidefinite, Ns/m or
+            N m s/rad.
+        K: stiffness matrix, shape (n, n), symmetric positive semidefinite, N/m or N m/rad.
         forcing: ``f(t)``, in the frame in which no stop moves.
         contacts: the stops.
         frame: the frame in which no stop moves, and the moving grounds; None without grounds.

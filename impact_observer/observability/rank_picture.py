@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from impact_observer.draw.pictures import mark_rows
+from impact_observer.model.system import unit_of
 from impact_observer.observability.rank import Observability
 from impact_observer.states import Vector
 
@@ -22,7 +23,8 @@ def rank_picture(observed: Observability, *, title: str) -> Figure:
     t = observed.seconds
     _draw_values(upper, observed, t)
     _mark_impacts(upper, observed, t)
-    upper.set_ylabel("gaps moved by an initial\nerror of one standard deviation [m]")
+    unit = unit_of("m", observed.system.unit)
+    upper.set_ylabel(f"gaps moved by an initial\nerror of one standard deviation [{unit}]")
     upper.set_title(title)
     upper.grid(visible=True, which="major", color="0.9")
     upper.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)

@@ -14,6 +14,7 @@ from impact_observer.draw.reports import (
     print_facts,
     print_table,
 )
+from impact_observer.model.system import unit_of
 from impact_observer.observability.rank import Observability
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
@@ -163,7 +164,8 @@ def print_observability(observed: Observability) -> None:
 
 def growth_table(observed: Observability) -> TextTable:
     """The impacts and releases at which the rank rises, and the last one."""
-    headings = ("event", "s", "contact", "rank", "most [m]", "least [m]", "condition")
+    sizes = (f"{each} [{unit_of('m', observed.system.unit)}]" for each in ("most", "least"))
+    headings = ("event", "s", "contact", "rank", *sizes, "condition")
     rises = [k for k, r in enumerate(observed.rank) if r > (observed.rank[k - 1] if k else 0)]
     shown = sorted({*rises, observed.rank.size - 1})
     rows = [_row(observed, k) for k in shown]

@@ -129,7 +129,7 @@ class ObserverDiagnostics:
             "largest latency [s]": f"{self._latency:.6f}",
             "large innovations": self.counts["large innovations"],
             **self._input_values(now),
-            **({} if last is None else _estimate_values(last)),
+            **({} if last is None else _estimate_values(last, observer.system.unit)),
             **self._obstacle(last),
         }
         name, hardware = f"{self._node}: impacts", observer.system.name
@@ -256,12 +256,12 @@ def _doubt(last: Estimate | None) -> str:
     return "events contradict the model or initial_deviation" if last.inconsistent else last.misfit
 
 
-def _estimate_values(last: Estimate) -> dict[str, object]:
-    """The parameters, deviations and bounds that an estimate reports."""
+def _estimate_values(last: Estimate, unit: str) -> dict[str, object]:
+    """The parameters, deviations and bounds of an estimate; ``unit`` is of the coordinates."""
     bound, differences = last.bound, last.convergence
     without = "refuted" if last.inconsistent else "none"
     estimated = {
-        with_unit(name): f"{value:.6g} +- {deviation:.2g}"
+        with_unit(name, unit): f"{value:.6g} +- {deviation:.2g}"
         for name, value, deviation in last.parameters
     }
     return {

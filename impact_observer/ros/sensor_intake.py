@@ -12,6 +12,7 @@ from impact_observer.events import Verdict
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage
+from impact_observer.model.system import unit_of
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.options import AUTO, NONE
@@ -274,5 +275,6 @@ class SensorIntake:
             return f"{dropped} samples were dropped: more than {MOST_KEPT} waited to be used"
         if learned and declared.deviation is not None:
             given = f"{declared.deviation:g} is declared"
-            return f"samples err by {learned:.3g} {declared.unit}; {given}"
+            unit = unit_of(declared.unit, self._observer.system.unit)
+            return f"samples err by {learned:.3g} {unit}; {given}"
         return f"{new} samples were rejected" if new else ""

@@ -40,6 +40,7 @@ from impact_observer.io.messages import (
 )
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import with_unit
+from impact_observer.model.system import per_second, unit_of
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -114,6 +115,7 @@ class ObserverView:
         bound: certified bound of V, J; -1 where no bound is certified, None before a message.
         closed: contacts that the replica holds closed.
         learned: estimated parameters: name, value, standard deviation, SI units.
+        unit: of the coordinates; ``m`` where no model says otherwise.
         verdicts: the last verdicts with the latency of each, s, newest first.
         counts: number of verdicts so far, by ruling.
         health: level (0 ok, 1 warning, 2 error, 3 stale) and message of the diagnostics; None
@@ -134,6 +136,7 @@ class ObserverView:
     bound: float | None = None
     closed: tuple[str, ...] = ()
     learned: tuple[tuple[str, float, float], ...] = ()
+    unit: str = "m"
     verdicts: tuple[tuple[Verdict, float], ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     health: tuple[int, str] | None = None
@@ -337,12 +340,13 @@ class Listener:
         stamp = next((each for each in reversed(estimates) if each in truths), newest)
         names, estimate = estimates[stamp]
         truth = _ordered(truths[stamp], names) if stamp in truths else None
-        v = self._distance(name, names, estimate, truth)
+        v, system = self._distance(name, names, estimate, truth), self._system_of(name)
+        unit = "m" if system is None else unit_of("m", system.unit)
         return replace(
             view,
             law=estimate.law,
             stamp=stamp,
-            lines=_state_lines(names, estimate, truth),
+            lines=_state_lines(names, unit, estimate, truth),
             v=v,
             history=tuple(self._histories.get(name, {}).values()),
             convergence=estimate.convergence,
@@ -350,7 +354,12 @@ class Listener:
             obstacle="" if estimate.synchronized else view.obstacle,
             closed=estimate.closed,
             learned=estimate.parameters,
+            unit=unit,
         )
+
+    def _system_of(self, name: str) -> System | None:
+        """The system of an observer; None if no model of it is known."""
+        return self._system or self._systems.get(_beside(name, interfaces.PLANT_MODEL))
 
     def _distance(
         self,
@@ -360,7 +369,7 @@ class Listener:
         truth: tuple[Vector, Vector] | None,
     ) -> float | None:
         """V of an estimate, J; None without a truth or a model of the same coordinates."""
-        system = self._system or self._systems.get(_beside(name, interfaces.PLANT_MODEL))
+        system = self._system_of(name)
         if truth is None or system is None or sorted(system.coordinates) != sorted(names):
             return None
         order = [names.index(each) for each in system.coordinates]
@@ -405,15 +414,15 @@ def _ordered(truth: JointState, names: tuple[str, ...]) -> tuple[Vector, Vector]
 
 
 def _state_lines(
-    names: tuple[str, ...], estimate: Estimate, truth: tuple[Vector, Vector] | None
+    names: tuple[str, ...], unit: str, estimate: Estimate, truth: tuple[Vector, Vector] | None
 ) -> tuple[StateLine, ...]:
-    """Coordinates, then velocities."""
+    """Coordinates in ``unit``, then velocities."""
     size = 2 * len(names)
     values = np.concatenate([estimate.q, estimate.u]).tolist()
     true = [None] * size if truth is None else np.concatenate(truth).tolist()
     variances = np.diag(estimate.covariance) if estimate.covariance.size else None
     deviations = [None] * size if variances is None else np.sqrt(variances.clip(0.0)).tolist()
-    units = ["m"] * len(names) + ["m/s"] * len(names)
+    units = [unit] * len(names) + [per_second(unit)] * len(names)
     return tuple(
         StateLine(*each)
         for each in zip((*names, *names), units, values, true, deviations, strict=True)
@@ -514,7 +523,7 @@ def _own_error(view: ObserverView) -> list[str]:
         bound = f"V <= {view.bound:.3g} J" if view.bound >= 0 else "none"
         rows.append(f"bound  {bound} certified")
     rows += [
-        f"learned  {with_unit(name)} {figure(value, deviation=deviation)}"
+        f"learned  {with_unit(name, view.unit)} {figure(value, deviation=deviation)}"
         for name, value, deviation in view.learned
     ]
     if view.closed:

@@ -105,7 +105,7 @@ IN_MATRIX_FORM = (
 )
 IN_ELEMENT_FORM = (
     ("name: pair", "name: pair\nmass: [[1]]", "mass: does not go with bodies; write matrices or"),
-    ("name: pair", "name: pair\nunit: cm", "unit: 'cm' found; expected m or rad"),
+    ("name: pair", "name: pair\nunit: cm", "unit: 'cm' found; expected m, rad or deg"),
     ("{name: b, mass: 1}", "{name: b, mass: 0}", "bodies[1].mass: is 0; expected a p"),
     ("{name: b,", "{name: ground,", "bodies[1].name: 'ground' is reserved"),
     (

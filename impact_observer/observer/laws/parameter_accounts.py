@@ -28,6 +28,7 @@ from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import UNITS, usual_force
+from impact_observer.model.system import unit_of
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import predicted_by
@@ -197,11 +198,12 @@ class ParameterAccounts:
 
     def text(self, account: Account) -> str:
         """What explains the impacts, or some of them, for the warning."""
-        found = self.changes(account)
+        found, unit = self.changes(account), self._system.unit
         names = [name for name, (_, change) in found.items() if change > TUNING.named_change]
         names = names or [max(found, key=lambda name: found[name][1])] if found else []
         values = ", ".join(
-            f"{name} {found[name][0]:.4g} {UNITS[kind_of(name)]}".rstrip() for name in names
+            f"{name} {found[name][0]:.4g} {unit_of(UNITS[kind_of(name)], unit)}".rstrip()
+            for name in names
         )
         better = "" if account.is_explained else " better, not fully"
         return f"; {values} would explain the impacts{better}"
