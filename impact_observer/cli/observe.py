@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 _SMALL = 0.1
 """Suggested deviation of a position below which a deviation of 1 m is far outside the rig, m."""
+_COMPONENTS = 12
+"""Most positions and velocities whose deviations are printed."""
+_SOURCES, _SMALL_SHARE = 3, 0.05
+"""Most sources of a deviation that are printed, and the least share of its variance."""
 _UNDETERMINED = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
@@ -113,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
             decided += f"; {share:.0%} of {predicted} predicted impacts were reported"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         used_twice = fitted_lines(read, (observer.last_event,))
-        for line in (*parameter_lines(observer), *sample_lines(observer), *used_twice):
+        learned = (*parameter_lines(observer), *sample_lines(observer))
+        for line in (*source_lines(observer), *learned, *used_twice):
             progress.line(line)
         if observer.last_event and observer.epoch:
             seconds = seconds_between(observer.epoch, observer.last_event)
@@ -123,6 +128,24 @@ def run(args: argparse.Namespace) -> int:
             latest = observer.estimate(observer.last_event).misfit
             progress.line(f"warning: at {unexplained} events {latest or MISFIT}")
     return 0
+
+
+def source_lines(observer: "Observer") -> "Iterator[str]":
+    """The deviation of each component in the last flights, and its largest sources."""
+    from impact_observer.draw.reports import figure, listed
+
+    if (found := observer.deviation_sources()) is None:
+        return
+    system = observer.system
+    names = [(name, system.unit) for name in system.coordinates]
+    names += [(f"d{name}/dt", system.speed_unit) for name in system.coordinates]
+    for i, (name, unit) in enumerate(names[:_COMPONENTS]):
+        shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
+        largest = [f"{share:.0%} {of}" for share, of in shares[:_SOURCES] if share > _SMALL_SHARE]
+        deviation = figure(float(found.deviations[i]), unit)
+        yield f"deviation of {name}: {deviation}, from {listed(largest)}"
+    if (more := len(names) - _COMPONENTS) > 0:
+        yield f"and {more} more deviations"
 
 
 def unused_lines(observer: "Observer") -> "Iterator[str]":

@@ -28,6 +28,8 @@ SILENCE = (
     "not reported: the sensor or its line may be dead, or the"
     " plant has stopped; see docs/misfit.md"
 )
+EXPLAINED = "the model explains the impacts again"
+"""What is said when a misfit has ended."""
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
 
 

@@ -43,6 +43,12 @@ class Tuning:
     parameter_deviation: float = 0.05
     """The same of any other parameter, relative to its size."""
 
+    undeclared_error: float = 1e-5
+    """Least deviation that is published, over the motion, where a model file declares no number
+    exact: a relative 1e-6 of stiffness, mass, damping, amplitude, gaps and restitutions makes
+    errors of up to ten times that. See docs/theory/filter.md.
+    """
+
     # Branching
     surprise: float = 3.0
     """Gate of the innovation, in deviations: beyond it a wider covariance is tried too."""

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import UsageError
+from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.options import Options, highest
@@ -55,6 +56,8 @@ class Uncertainty:
         mislabelled: of an impact, that it was one of another contact.
         unknowns: parameters of the model that are estimated or considered; None for none.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
+        undeclared: deviation of a published component, over its motion, for errors of a model
+            that declares none; 0 for an exact model. Estimates do not depend on it.
     """
 
     deviation: Vector | float = float(Options.initial_deviation)
@@ -66,6 +69,7 @@ class Uncertainty:
     mislabelled: float = Options.mislabelled
     unknowns: UnknownParameters | None = None
     dead_time: float = Options.dead_time
+    undeclared: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.
@@ -96,6 +100,16 @@ class Uncertainty:
         Uncertain parameters may make it wrong though every event is true.
         """
         return self.trusts_events and self.unknowns is None
+
+    def published_covariance(self, root: Matrix, sizes: Vector) -> Matrix:
+        """The covariance ``root root^T`` as published: with rounding and what is undeclared.
+
+        ``sizes`` are those of the motion of (q, u), shape (2n,), see ``Scales.sizes``.
+        """
+        covariance = root @ root.T
+        least = max(self.undeclared, STATE_ROUNDING)
+        covariance.flat[:: len(root) + 1] += (least * sizes) ** 2
+        return frozen(covariance)
 
     @property
     def estimates_parameters(self) -> bool:

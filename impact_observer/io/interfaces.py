@@ -101,6 +101,7 @@ HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+DIAGNOSTIC = "diagnostic_msgs/msg/DiagnosticStatus"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 
 

@@ -27,6 +27,7 @@ from impact_observer.events import (
     Switch,
     Verdict,
 )
+from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
@@ -272,6 +273,18 @@ class Messages:
         empty = frozen(np.empty(0))
         error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), empty, empty)
         return self.estimate_error(error)
+
+    def misfit(self, estimate: Estimate, node: str) -> AnyMessage:
+        """The misfit of an estimate, or that there is none, as the ``node`` diagnoses it."""
+        status = self._classes(interfaces.DIAGNOSTIC)(
+            level=1 if estimate.misfit else 0,
+            name=f"{node}: impacts",
+            message=estimate.misfit or EXPLAINED,
+            hardware_id="",
+            values=[],
+        )
+        header = self._header("DiagnosticArray", estimate.stamp)
+        return self._classes(interfaces.DIAGNOSTICS)(header=header, status=[status])
 
     def pulse(self, stamp: int) -> AnyMessage:
         """An index pulse of a drive."""

@@ -21,7 +21,7 @@ from impact_observer.events import (
     final_rulings,
 )
 from impact_observer.io import interfaces
-from impact_observer.io.estimate_messages import in_log_order, messages_of
+from impact_observer.io.estimate_messages import OBSERVER, in_log_order, messages_of
 from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_recorded
 from impact_observer.io.measured_samples import MeasuredTopics
 from impact_observer.io.messages import bag_messages
@@ -255,6 +255,7 @@ class _ObserverMessages:
         self._names = names
         self._progress = progress
         self._bound = -1.0
+        self._misfit = ""
 
     def serialized(
         self, items: Iterable[Estimates | Verdict | MeasurementVerdict]
@@ -280,5 +281,8 @@ class _ObserverMessages:
                 self._bound = item.bound
                 topic = interfaces.OBSERVER_BOUND.topic
                 yield log_time, topic, serialize(topic, make.bound(item))
+            if item.misfit != self._misfit:
+                self._misfit, topic = item.misfit, interfaces.DIAGNOSTIC_ARRAYS.topic
+                yield log_time, topic, serialize(topic, make.misfit(item, f"/{OBSERVER}"))
             self.estimates += 1
             self._progress(self.estimates)

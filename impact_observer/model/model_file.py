@@ -77,6 +77,11 @@ class Model:
     element_form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
 
+    @property
+    def has_exact_numbers(self) -> bool:
+        """Whether the file declares some number to be exact, by a deviation of 0."""
+        return self.uncertainty is not None and not self.uncertainty.deviations.all()
+
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from impact_observer.errors import UsageError
+from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
@@ -30,16 +31,21 @@ def make_observer(
     """An observer of a ``model`` that has received no event yet.
 
     Of a model with elements their parameters can be estimated one by one, and parameters with
-    deviations are considered. ``options`` are None for the defaults. The ``others`` are initial
-    states of the replicas that run beside the estimate, shape (ensemble - 1, 2n); by default they
-    are drawn. Another ``law`` than that of the options may be given. The ``measurements`` are made
-    beside the impacts. The ``unknowns`` take the place of those that options and model name.
+    deviations are considered. Where its file declares no number exact, published deviations
+    contain small errors of all numbers; a ``System`` is exact. ``options`` are None for the
+    defaults. The ``others`` are initial states of the replicas that run beside the estimate, shape
+    (ensemble - 1, 2n); by default they are drawn. Another ``law`` than that of the options may be
+    given. The ``measurements`` are made beside the impacts. The ``unknowns`` take the place of
+    those that options and model name.
 
     Raises:
         UsageError: an option cannot be used; the line names the option.
     """
     options = options or Options()
-    model = model if isinstance(model, Model) else Model(model)
+    undeclared = TUNING.undeclared_error
+    if not isinstance(model, Model):
+        model, undeclared = Model(model), 0.0
+    undeclared = 0.0 if model.has_exact_numbers else undeclared
     system, live = connected(model.system)
     law = law or law_named(options.law)
     uncertainty = Uncertainty(
@@ -52,6 +58,7 @@ def make_observer(
         options.mislabelled,
         unknowns or _unknown_parameters(system, options, model),
         options.dead_time,
+        undeclared,
     )
     return Observer(
         system,

@@ -5,6 +5,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -26,6 +27,7 @@ from impact_observer.filter.uncertainty import covariance_root, spread
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
+from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
@@ -455,6 +457,19 @@ class Observer:
         """
         self._follow()
         return self._run.silence(stamp)
+
+    def deviation_sources(self, most: int = 8) -> DeviationSources | None:
+        """What the deviations come from in the last flights, at ``most`` so many.
+
+        None before two events, or for a law that has no hypotheses.
+        """
+        self._follow()
+        entries = self.timeline.entries[-most - 1 :] if self.timeline else []
+        pairs = [(a.since, b.since) for a, b in pairwise(entries) if a.since < b.since]
+        parts = [self._run.variance_parts((a + b) // 2) for a, b in pairs]
+        if not any(parts):
+            return None
+        return DeviationSources.of_parts(len(parts), chain.from_iterable(parts))
 
     def obstacle(self, stamp: int) -> str:
         """Why the estimate at ``stamp`` (ns) is not synchronized; empty where it is.

@@ -10,11 +10,12 @@ from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.filter.readings import SampleOutcome
-from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.tuning import TUNING
+from impact_observer.observer.deviation_sources import VariancePart, variance_parts
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
@@ -26,7 +27,6 @@ from impact_observer.states import (
     Matrix,
     Stamps,
     Vector,
-    frozen,
 )
 
 MOST_EVENTS = 5000
@@ -240,7 +240,10 @@ class RunHistory:
         x, root = self._before_jump(entry, s, x, root)
         closed, silence = prediction.closed(s), prediction.silence(s)
         root = self._with_missed_rests(entry, s, x, root, closed)
-        covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
+        covariance = NO_COVARIANCE
+        if root is not None:
+            sizes = self._scales.sizes(x, s)
+            covariance = law.uncertainty.published_covariance(root, sizes)
         if self._system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
@@ -263,6 +266,16 @@ class RunHistory:
             last_sequence=entry.last[1],
             last_event=entry.last[0],
         )
+
+    def variance_parts(self, stamp: int) -> list[VariancePart]:
+        """The parts of the variances at ``stamp`` (ns); none for a law without hypotheses."""
+        entry, law = self._entry(stamp), self.update.law
+        s = seconds_between(entry.since, stamp)
+        belief = self.update.prediction(entry).belief(s)
+        if not (isinstance(law, MinimumVariance) and belief.hypotheses):
+            return []
+        sizes = self._scales.sizes(belief.x, s)
+        return variance_parts(law, belief, self.estimate(stamp).covariance, sizes)
 
     def _entry(self, stamp: int) -> Entry:
         """The last entry up to ``stamp`` (ns).
@@ -343,12 +356,6 @@ class RunHistory:
             kick = -speed * moving.newton.stops((i,))[:, 0]
             columns.append(np.concatenate([shift, kick])[:, None])
         return np.hstack(columns) if len(columns) > 1 else root
-
-    def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
-        """Returns the covariance of ``x``, ``s`` seconds after an event, with its rounding."""
-        covariance = root @ root.T
-        covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
-        return frozen(covariance)
 
     def estimates(self, stamps: Stamps, *, only_states: bool) -> Iterator[Estimates]:
         """See ``Observer.estimates``."""

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Remark, Ruling, Verdict
+from impact_observer.filter.misfit import EXPLAINED
 from impact_observer.io import interfaces
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
@@ -242,7 +243,7 @@ class MisfitNews:
         """
         was_misfit, self._is_misfit = self._is_misfit, bool(estimate.misfit)
         if not estimate.misfit:
-            return "the model explains the impacts again" if was_misfit else ""
+            return EXPLAINED if was_misfit else ""
         names = frozenset(name for name, *_ in estimate.parameters)
         is_new = not was_misfit or not names <= self._told
         self._told = names | self._told if was_misfit else names

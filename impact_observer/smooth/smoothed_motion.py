@@ -24,7 +24,7 @@ from impact_observer.smooth.linearised import IMPOSSIBLE
 from impact_observer.smooth.smoother import Smoothed, at_samples
 from impact_observer.stamps import Elapsed, from_seconds
 from impact_observer.stamps import text as stamp_text
-from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
+from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector
 
 LAW = "smoother"
 """The name of the law in estimates of the smoother."""
@@ -223,6 +223,8 @@ class SmoothedMotion:
     ) -> Estimates:
         n, system = self._law.system.n, self.smoothed.arc.filter.system
         last_event, last_sequence = self._last_event(k, stamp)
+        sizes = self._law.moving.phases.scales.sizes(x)
+        covariance = self._law.uncertainty.published_covariance(self._widened * root, sizes)
         (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
         warning, until = self.early_doubt
@@ -232,7 +234,7 @@ class SmoothedMotion:
             law=LAW,
             q=x[:n],
             u=x[n:],
-            covariance=frozen(self._widened**2 * (root @ root.T)),
+            covariance=covariance,
             closed=tuple(self._names[i] for i in held),
             synchronized=self.smoothed.is_settled and not misfit,
             misfit=misfit,

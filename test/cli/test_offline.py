@@ -2,6 +2,7 @@
 """simulate, observe, compare: from a model to a comparison, without ROS."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from systems import jammed
 
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
+from impact_observer.filter.misfit import MISFIT
 from impact_observer.io.messages import bag_messages, read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
@@ -387,4 +389,34 @@ def test_observe_says_how_many_of_the_predicted_impacts_came(
     """Of a sensor that misses some; the verdicts in the bag have as many."""
     bag, out = shared("bags") / "missed", tmp_path / "out"
     assert main(["observe", str(bag), "--law", "minimum-variance", "-o", str(out)]) == 0
-    assert "19 applied, 2 inserted; 90% of 21 predicted impacts" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert "19 applied, 2 inserted; 90% of 21 predicted impacts" in output
+    assert "deviation of dx2/dt: " in output
+    assert " from " in output
+
+
+@pytest.mark.slow
+def test_a_misfit_stands_in_the_bag_as_in_the_diagnostics_of_a_node(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """When the warning changes, on the topic and under the name that a node has; else nothing."""
+    text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    (tmp_path / "wrong.yaml").write_text(text.replace("[0, 4]", "[0, 5]"))
+    bag, out, exact = (str(tmp_path / name) for name in ("bag", "out", "exact"))
+    assert main(["simulate", "two_mass", "--duration", "50", "--rate", "10", "-o", bag]) == 0
+    law = ("--law", "minimum-variance", "--ensemble", "1")
+    assert main(["observe", bag, *law, "-o", exact]) == 0
+    capsys.readouterr()
+    arguments = ["--model", str(tmp_path / "wrong.yaml"), *law, "-o", out]
+    assert main(["observe", bag, *arguments]) == 0
+    assert MISFIT in capsys.readouterr().out
+    with BagReader(Path(exact)) as reader:
+        assert "/diagnostics" not in reader.topics
+    with BagReader(Path(out)) as reader:
+        arrays = [message for _, message in reader.messages("/diagnostics")]
+    statuses = [status for array in arrays for status in array.status]
+    assert {status.name for status in statuses} == {"/observer: impacts"}
+    assert statuses[0].message.startswith(MISFIT)
+    assert all((status.level == 1) is (MISFIT in status.message) for status in statuses)
+    texts = [status.message for status in statuses]
+    assert all(one != next_ for one, next_ in pairwise(texts))
