@@ -74,41 +74,57 @@ def observe(
     """
     from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
+    from impact_observer.draw.reports import print_table
     from impact_observer.filter.readings import sensors_of
     from impact_observer.filter.uncertainty import deviation_of
+    from impact_observer.io.live_inputs import give_recorded
     from impact_observer.io.measured_samples import samples_in
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import events_in, system_of
+    from impact_observer.io.recordings import events_in, model_of
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.observability.parameter_limit import parameter_limit
     from impact_observer.observability.rank import TOLERANCE, observability
     from impact_observer.observability.rank_picture import rank_picture
     from impact_observer.observability.rank_report import for_json, print_observability
+    from impact_observer.options import Options
 
     if plot is not None:
         check_output(plot)
     with BagReader(bag, namespace) as reader:
-        system = system_of(reader, model)
-        events = events_in(reader)
+        read = model_of(reader, model)
+        system, events = read.system, events_in(reader)
         declared = read_measurements(measurements)
         sensors = sensors_of(declared, system)
         recorded = samples_in(reader, declared)
-    for problem in () if json else recorded.problems:
-        say(f"warning: {problem}")
-    try:
-        result = observability(
-            system,
+        for problem in () if json else recorded.problems:
+            say(f"warning: {problem}")
+        try:
+            result = observability(
+                system,
+                events,
+                deviation=deviation_of(deviation, system),
+                tolerance=TOLERANCE if tolerance is None else tolerance,
+                sensors=sensors,
+                samples=recorded.samples,
+            )
+        except BagError as error:
+            raise type(error)(f"{bag}: {error}") from None
+        limit = parameter_limit(
+            read,
             events,
-            deviation=deviation_of(deviation, system),
-            tolerance=TOLERANCE if tolerance is None else tolerance,
-            sensors=sensors,
+            Options(initial_deviation=deviation),
+            measurements=declared,
             samples=recorded.samples,
+            give=lambda observer: give_recorded(reader, observer.live),
         )
-    except BagError as error:
-        raise type(error)(f"{bag}: {error}") from None
     if json:
-        say(json_module.dumps(for_json(result), indent=2, allow_nan=False))
+        own = {} if limit is None else {"deviations": limit.for_json}
+        say(json_module.dumps({**for_json(result), **own}, indent=2, allow_nan=False))
     else:
         print_observability(result)
+        if limit is not None:
+            say("")
+            print_table(limit.table(read))
     if plot is not None:
         title = f"{system.name}: what the impacts determine of the initial state"
         save(rank_picture(result, title=title), plot)

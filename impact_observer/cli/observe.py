@@ -116,9 +116,7 @@ def run(args: argparse.Namespace) -> int:
             share = (predicted - inserted) / predicted
             decided += f"; {share:.0%} of {predicted} predicted impacts were reported"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
-        used_twice = fitted_lines(read, (observer.last_event,))
-        learned = (*parameter_lines(observer), *sample_lines(observer))
-        for line in (*source_lines(observer), *learned, *used_twice):
+        for line in closing_lines(read, observer):
             progress.line(line)
         if observer.last_event and observer.epoch:
             seconds = seconds_between(observer.epoch, observer.last_event)
@@ -128,6 +126,14 @@ def run(args: argparse.Namespace) -> int:
             latest = observer.estimate(observer.last_event).misfit
             progress.line(f"warning: at {unexplained} events {latest or MISFIT}")
     return 0
+
+
+def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
+    """What is said of the estimate, of what was learned, and of data used twice."""
+    yield from source_lines(observer)
+    yield from parameter_lines(observer)
+    yield from sample_lines(observer)
+    yield from fitted_lines(model, (observer.last_event,))
 
 
 def source_lines(observer: "Observer") -> "Iterator[str]":

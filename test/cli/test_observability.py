@@ -127,6 +127,26 @@ def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.slow
+def test_declared_deviations_stand_beside_exact_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On exact stamps only the declared deviation blurs; without one there is no such table."""
+    text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "declared.yaml"
+    path.write_text(text + "uncertainty: {names: [restitution.stop], covariance: [[1.0e-4]]}\n")
+    plain = printed(capsys, TWO_MASS)
+    output = printed(capsys, TWO_MASS, "--model", str(path))
+    assert "parameters exact" not in plain
+    assert "deviation of parameters exact as declared unit" in output
+    printed_json = printed(capsys, TWO_MASS, "--model", str(path), "--json")
+    deviations = {
+        name: np.array(each) for name, each in json.loads(printed_json)["deviations"].items()
+    }
+    assert np.all(deviations["exact"] < 1e-7)
+    assert np.all(deviations["declared"] > 1e-5)
+    assert np.all(deviations["declared"] < 0.1)
+
+
 @pytest.mark.parametrize(
     "ending", ["png", *(pytest.param(each, marks=pytest.mark.slow) for each in ("svg", "pdf"))]
 )
