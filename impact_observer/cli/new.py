@@ -12,6 +12,7 @@ A stop without a sensor gets a switch on the topic of its name.
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,9 +27,16 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     from impact_observer.new.parts import MODEL_KINDS, SENSOR
+    from impact_observer.new.rig import COORDINATE_UNITS
 
     parser.add_argument(
         "name", metavar="NAME", type=Path, help="of the rig and its files, perhaps in a folder"
+    )
+    parser.add_argument(
+        "--unit",
+        choices=COORDINATE_UNITS,
+        help="of the coordinates: m (default), or rad or deg of what turns: then kg stands for"
+        " kg m^2, N for N m, N/m for N m/rad, and Ns/m for N m s/rad",
     )
     for kind in (*MODEL_KINDS, SENSOR):
         parser.add_argument(
@@ -36,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="PART",
             action="append",
             default=[],
-            help=f"{' or '.join(kind.forms)}: {kind.meaning}; may be repeated",
+            help=f"{' or '.join(kind.forms)}: {kind.words('m')}; may be repeated",
         )
 
 
@@ -46,13 +54,14 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.new.parts import MODEL_KINDS, SENSOR
     from impact_observer.new.rig import NewRig, complete, write
 
-    rig, kinds = NewRig(args.name.name), (*MODEL_KINDS, SENSOR)
+    rig, kinds = NewRig(args.name.name, unit=args.unit or "m"), (*MODEL_KINDS, SENSOR)
     if any(getattr(args, kind.name) for kind in kinds):
         for kind in kinds:
             for text in getattr(args, kind.name):
                 rig = rig.with_part(kind, text)
     elif sys.stdin.isatty():
-        say("The parts of the rig, one a line; an empty line goes on to the next kind. SI units.")
+        say("The parts of the rig, one a line; an empty line goes on to the next kind.")
+        rig = rig if args.unit else _with_unit(rig)
         for kind in MODEL_KINDS:
             rig = _asked(rig, kind)
         for stop in rig.stops_without_sensor:
@@ -78,9 +87,20 @@ for impact-observer, and the nodes lie in .venv/bin:
     return code
 
 
+def _with_unit(rig: "NewRig") -> "NewRig":
+    """The rig with the unit of its coordinates that the user gives."""
+    from impact_observer.new.rig import COORDINATE_UNITS
+
+    unit = ""
+    while unit not in COORDINATE_UNITS:
+        unit = _answer("unit: m of what moves along a line, rad or deg of what turns (m): ") or "m"
+    return replace(rig, unit=unit)
+
+
 def _asked(rig: "NewRig", kind: "PartKind") -> "NewRig":
     """The rig with the parts of a kind that the user gives, one a line."""
-    say(f"\n{kind.name}: {kind.meaning}\n  {' or '.join(kind.forms)}, such as {kind.example}")
+    say(f"\n{kind.name}: {kind.words(rig.unit)}")
+    say(f"  {' or '.join(kind.forms)}, such as {kind.example}")
     while text := _answer(f"{kind.name} {len(rig.items(kind)) + 1} (empty: no more): "):
         rig = _tried(rig, kind, text)
     return rig
@@ -90,7 +110,7 @@ def _sensor_asked(rig: "NewRig", stop: str) -> "NewRig":
     """The rig with the sensor of a stop."""
     from impact_observer.new.parts import SENSOR
 
-    say(f"\nsensor {SENSOR.meaning}\n  TOPIC[,THRESHOLD]")
+    say(f"\nsensor {SENSOR.words(rig.unit)}\n  TOPIC[,THRESHOLD]")
     while stop in rig.stops_without_sensor:
         rig = _tried(
             rig, SENSOR, f"{stop},{_answer(f'sensor of {stop} (/{stop}): ') or '/' + stop}"

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A URDF of a model: one prismatic joint a coordinate, with its name, and the stops.
+"""A URDF of a model: one joint a coordinate, with its name, and the stops.
+
+What moves along a line has prismatic joints. What turns (``unit: rad``) has revolute joints: each
+coordinate is an arm, which stands upright at an angle of zero, and its stops are posts.
 
 The joint states of plant or observer move the robot through robot_state_publisher. Springs and
 bars are left out: no link of a URDF changes its length.
@@ -10,6 +13,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from impact_observer.draw.scene.arrangement import Wall
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.draw.scene.shapes import ROD_HEIGHT, ROWS, STOP_HEIGHT, Box, grounds, pads
 from impact_observer.errors import UsageError
@@ -18,13 +22,17 @@ from impact_observer.plain_text import printable_lines
 _BODY, _STOP = (0.40, 0.61, 0.78), (0.45, 0.45, 0.45)
 _ROD = 0.06
 """Thickness of a bumper's rod, in heights of a body."""
+_ARM, _POST, _PITCH = 0.1, 0.3, 2.5
+"""Width of an arm, height of a post beside its end, and distance of two arms, in arm lengths."""
 _FIXED = "_fixed"
 """Suffix of the name of a stop's joint."""
 _LIMIT = {"lower": "-1e+09", "upper": "1e+09", "effort": "0", "velocity": "0"}
 """Limits of every joint. A URDF requires numbers; coordinates are limited by their stops."""
 
 
-def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int = 0) -> str:
+def urdf_text(
+    scene: Scene, *, prefix: str = "", frame: str = "world", row: int = 0, length: float = 1.0
+) -> str:
     """A scene as the text of a URDF.
 
     Args:
@@ -32,28 +40,39 @@ def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int 
         prefix: before the names of all links but the first.
         frame: name of the first link.
         row: number of the viewer's row; rows go along -y.
+        length: of the arms of what turns, m: a model does not have it.
 
     Raises:
         UsageError: a body's link would have the name of the first.
     """
-    height = 2 * scene.half
+    turns = scene.system.unit == "rad"
+    height = length if turns else 2 * scene.half
+    depth = _ARM * length if turns else height
     y = -row * ROWS * height
     robot = ET.Element("robot", name=f"{prefix}{scene.system.name}")
-    _add_link(robot, frame, grounds(scene), _STOP, height=height, y=y)
+    _add_link(robot, frame, () if turns else grounds(scene), _STOP, size=(height, depth), y=y)
     used = {frame}
     for slot, name in enumerate(scene.names):
         child = f"{prefix}{name}"
         if child == frame:
             raise UsageError(f"frame {frame!r}: a coordinate has this name; give another one")
         used.add(child)
-        _add_link(robot, child, _body(scene, slot), _BODY, height=height)
-        joint = _add_joint(robot, name, "prismatic", (frame, child))
-        _add_origin(joint, float(scene.homes[slot]), y)
-        ET.SubElement(joint, "axis", xyz="1 0 0")
+        boxes = [Box(-depth / 2, 0.0, depth, 1.0)] if turns else _body(scene, slot)
+        _add_link(robot, child, boxes, _BODY, size=(height, depth))
+        joint = _add_joint(robot, name, "revolute" if turns else "prismatic", (frame, child))
+        _add_origin(joint, slot * _PITCH * length if turns else float(scene.homes[slot]), y)
+        ET.SubElement(joint, "axis", xyz="0 1 0" if turns else "1 0 0")
         ET.SubElement(joint, "limit", _LIMIT)
-    for child, face, box in _walls(scene, prefix, used):
-        _add_link(robot, child, [box], _STOP, height=height)
-        _add_origin(_add_joint(robot, f"{child}{_FIXED}", "fixed", (frame, child)), face, y)
+    for child, wall in _walls(scene, prefix, used):
+        if turns:
+            left = depth / 2 if wall.side > 0 else -3 * depth / 2
+            box, x = Box(left, 1.0 - _POST, depth, _POST), wall.slot * _PITCH * length
+        else:
+            left = -scene.thickness if wall.side < 0 else 0.0
+            box, x = Box(left, 0.0, scene.thickness, STOP_HEIGHT), scene.face(wall)
+        _add_link(robot, child, [box], _STOP, size=(height, depth))
+        joint = _add_joint(robot, f"{child}{_FIXED}", "fixed", (frame, child))
+        _add_origin(joint, x, y, pitch=wall.travel if turns else 0.0)
     ET.indent(robot)
     return printable_lines(ET.tostring(robot, encoding="unicode", xml_declaration=True)) + "\n"
 
@@ -69,15 +88,14 @@ def _body(scene: Scene, slot: int) -> Iterator[Box]:
             yield pad._replace(left=pad.left - home)
 
 
-def _walls(scene: Scene, prefix: str, used: set[str]) -> Iterator[tuple[str, float, Box]]:
-    """Name of the link, position of the face, and box in the frame of the face, of each wall."""
+def _walls(scene: Scene, prefix: str, used: set[str]) -> Iterator[tuple[str, Wall]]:
+    """Each wall, with the name of its link, which is put into ``used``."""
     for wall in scene.walls:
         name = f"{prefix}{scene.system.contact_names[wall.contact]}"
         while name in used or f"{name}{_FIXED}" in scene.names:
             name += "_stop"
         used.add(name)
-        left = -scene.thickness if wall.side < 0 else 0.0
-        yield name, scene.face(wall), Box(left, 0.0, scene.thickness, STOP_HEIGHT)
+        yield name, wall
 
 
 def _add_joint(robot: ET.Element, name: str, kind: str, links: tuple[str, str]) -> ET.Element:
@@ -93,32 +111,35 @@ def _add_link(
     boxes: Iterable[Box],
     colour: tuple[float, ...],
     *,
-    height: float,
+    size: tuple[float, float],
     y: float = 0.0,
 ) -> None:
-    """A link of boxes, each as deep as a body is wide.
+    """A link of boxes.
 
     Args:
         robot: gets the link.
         name: of the link.
         boxes: in the frame of the link.
         colour: red, green, blue.
-        height: of a body, m.
+        size: height of a body and depth of all boxes, m.
         y: of all boxes, m.
     """
-    link = ET.SubElement(robot, "link", name=name)
+    link, (height, depth) = ET.SubElement(robot, "link", name=name), size
     for box in boxes:
         visual = ET.SubElement(link, "visual")
         _add_origin(visual, box.left + box.width / 2, y, (box.bottom + box.height / 2) * height)
-        size = _numbers(box.width, height, box.height * height)
-        ET.SubElement(ET.SubElement(visual, "geometry"), "box", size=size)
+        sides = _numbers(box.width, depth, box.height * height)
+        ET.SubElement(ET.SubElement(visual, "geometry"), "box", size=sides)
         material = ET.SubElement(visual, "material", name="_".join(f"{c:g}" for c in colour))
         ET.SubElement(material, "color", rgba=" ".join(f"{c:g}" for c in (*colour, 1.0)))
 
 
-def _add_origin(element: ET.Element, x: float, y: float, z: float = 0.0) -> None:
-    """Write the position of an element in the frame of its parent, m."""
-    ET.SubElement(element, "origin", xyz=_numbers(x, y, z), rpy="0 0 0")
+def _add_origin(
+    element: ET.Element, x: float, y: float, z: float = 0.0, *, pitch: float = 0.0
+) -> None:
+    """Write position, m, and ``pitch``, rad, of an element in the frame of its parent."""
+    rpy = f"0 {float(pitch)!r} 0" if pitch else "0 0 0"
+    ET.SubElement(element, "origin", xyz=_numbers(x, y, z), rpy=rpy)
 
 
 def _numbers(*values: float) -> str:

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from impact_observer.errors import UsageError
+from impact_observer.model.system import unit_of
 
 Item = dict[str, str | float | list[str]]
 """A member of a list in a file: its keys and values, in order."""
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_UNITS = {"mass": "kg", "force": "N", "stiffness": "N/m", "damping": "Ns/m"}
+"""Units of quantities, where coordinates are in m."""
 _WORDS = {"null", "true", "false"}
 """Words that YAML does not take for text."""
 
@@ -23,7 +26,7 @@ class PartKind:
         name: the option ``--NAME`` of the command line, and the word in questions.
         forms: the ways to write a part; examples have the first one.
         example: of the first form.
-        meaning: in a few words, with units.
+        meaning: in a few words, with names of units in braces; see :meth:`words`.
         read: makes an item from the fields between commas.
     """
 
@@ -32,6 +35,13 @@ class PartKind:
     example: str
     meaning: str
     read: Callable[[list[str]], Item]
+
+    def words(self, unit: str) -> str:
+        """The meaning, for coordinates in this unit."""
+        is_angle = unit != "m"
+        of = {name: unit_of(one, "rad" if is_angle else "m") for name, one in _UNITS.items()}
+        of["length"] = unit
+        return self.meaning.format(moves="turns" if is_angle else "moves along a line", **of)
 
     def parse(self, text: str) -> Item:
         """Returns the item that ``text`` describes.
@@ -115,36 +125,36 @@ def _sensor(given: list[str]) -> Item:
     return item | {"kind": "switch"}
 
 
-MASS = PartKind("mass", ("NAME,MASS",), "x1,1.5", "a body that moves along a line, kg", _mass)
+MASS = PartKind("mass", ("NAME,MASS",), "x1,1.5", "a body that {moves}, {mass}", _mass)
 GROUND = PartKind(
     "ground",
     ("NAME,AMPLITUDE,FREQUENCY[,PHASE]",),
     "table,0.003,75",
-    "what moves by itself, by AMPLITUDE cos(FREQUENCY t + PHASE), m, rad/s (6.283 times Hz), rad,"
-    " such as a shaker",
+    "what moves by itself, by AMPLITUDE cos(FREQUENCY t + PHASE), {length}, rad/s (6.283 times"
+    " Hz), rad, such as a shaker",
     _ground,
 )
 SPRING = PartKind(
     "spring",
     ("A,B,STIFFNESS[,DAMPING]",),
     "ground,x1,100,0.5",
-    "between two bodies, or a body and ground or a ground that moves; N/m, Ns/m",
+    "between two bodies, or a body and ground or a ground that moves; {stiffness}, {damping}",
     _spring,
 )
 FORCE = PartKind(
     "force",
     ("BODY,AMPLITUDE,FREQUENCY[,PHASE[,ORDER]]", "BODY,CONSTANT"),
     "x1,4,2.5",
-    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s (6.283 times Hz), rad; with ORDER it turns so"
-    " often in a revolution of a drive with index pulses; or a constant, N",
+    "AMPLITUDE cos(FREQUENCY t + PHASE), {force}, rad/s (6.283 times Hz), rad; with ORDER it turns"
+    " so often in a revolution of a drive with index pulses; or a constant, {force}",
     _force,
 )
 STOP = PartKind(
     "stop",
     ("NAME,BODY,above|below,LIMIT,RESTITUTION", "NAME,A,B,GAP,RESTITUTION"),
     "anvil,x1,above,0.5,0.7",
-    "the BODY reaches it at LIMIT, m; above or below says where it is. Or of two bodies, which"
-    " touch when B has moved by GAP towards A, m; one may be a ground that moves",
+    "the BODY reaches it at LIMIT, {length}; above or below says where it is. Or of two bodies,"
+    " which touch when B has moved by GAP towards A, {length}; one may be a ground that moves",
     _stop,
 )
 SENSOR = PartKind(

@@ -13,34 +13,39 @@ from impact_observer.detector import parse_sources
 from impact_observer.errors import UsageError
 from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import Model, System, parse_model
+from impact_observer.model.degrees import DEGREES
+from impact_observer.model.system import UNITS, unit_of
 from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
 from impact_observer.states import Vector
 
+COORDINATE_UNITS = (*UNITS, DEGREES)
+"""Units of coordinates in model files."""
 _CLEAR = 0.01
 """Gap of a start outside its stops, relative to the penetration at zero."""
 _NONE = 1e-9
 """Residual below which no positions are outside all stops."""
 _FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
 _MODEL = """\
-# {name}: a model of a rig, made by `impact-observer new`. SI units: kg, m, s, N, rad.
+# {name}: a model of a rig, made by `impact-observer new`. Units: {units}.
 # After each change: impact-observer check-model {name}.yaml. All keys are in docs/model.md.
 name: {name}
-
-# Bodies move along one line. Positions are displacements from where the springs have no load.
+{unit}
+# Bodies {move}. Positions are displacements from where the springs have no load.
 bodies:
 {mass}
-# What moves by itself: amplitude cos(frequency t + phase), in m, rad/s and rad, t from the epoch.
+# What moves by itself: amplitude cos(frequency t + phase), in {length}, rad/s and rad, t from the
+# epoch.
 grounds:{ground}
-# Stiffness in N/m, damping in Ns/m. `ground` does not move.
+# Stiffness in {stiffness}, damping in {damping}. `ground` does not move.
 springs:{spring}
-# amplitude cos(frequency t + phase), in N, rad/s and rad, t from the epoch; or constant, in N.
+# amplitude cos(frequency t + phase), in {of_force}, rad/s and rad, t from the epoch; or constant.
 # With an order it turns with a drive, whose index pulses arrive on phase_reference.
 forces:{force}
 # side: where the stop is, so that a body stays below a stop `above`. Between two bodies a and b
 # the gap is q_b - q_a + gap.
 # Restitution lies between 0 and 1; for what you do not know see docs/identify.md.
 stops:{stop}
-# Where a simulation begins, m and m/s. No observer reads it.
+# Where a simulation begins, {length} and {length}/s. No observer reads it.
 {start}
 """
 _SENSORS = """\
@@ -104,16 +109,20 @@ class NewRig:
     Attributes:
         name: of the model and of its files.
         parts: items of the lists in its files, by their kind.
+        unit: of the coordinates, one of ``COORDINATE_UNITS``.
 
     Raises:
-        UsageError: the name cannot be that of a file.
+        UsageError: the name cannot be that of a file, or the unit is none.
     """
 
     name: str
     parts: Mapping[PartKind, tuple[Item, ...]] = field(default_factory=dict)
+    unit: str = UNITS[0]
 
     def __post_init__(self) -> None:
-        """Check the name."""
+        """Check name and unit."""
+        if self.unit not in COORDINATE_UNITS:
+            raise UsageError(f"unit: {self.unit!r} found; expected {', '.join(COORDINATE_UNITS)}")
         if not _FILE_NAME.fullmatch(self.name):
             raise UsageError(
                 f"NAME: {self.name!r} found; expected letters, digits, - and _, such as my_rig"
@@ -172,7 +181,9 @@ class NewRig:
         without_start = self._model_text("")
         q = outside_stops(parse_model(without_start, f"{self.name}.yaml").system)
         speed = 0.0 if self.needs_epoch else 1.0  # else nothing would ever move
-        position, velocity = (", ".join(f"{x:.6g}" for x in each) for each in (q, q * 0 + speed))
+        written = np.degrees if self.unit == DEGREES else np.asarray
+        state = (written(each) for each in (q, q * 0 + speed))
+        position, velocity = (", ".join(f"{x:.6g}" for x in each) for each in state)
         return self._model_text(
             f"initial_state: {{position: [{position}], velocity: [{velocity}]}}"
         )
@@ -181,7 +192,21 @@ class NewRig:
         """Returns the text of the model file with the line of its initial state."""
         parts = {kind.name: _lines(self.items(kind)) for kind in (GROUND, SPRING, FORCE, STOP)}
         mass = _lines(self.items(MASS)).removeprefix("\n")
-        return _MODEL.format(name=self.name, mass=mass, start=start, **parts)
+        angle = "" if self.unit == UNITS[0] else "rad"
+        names = {"of_force": "N", "stiffness": "N/m", "damping": "Ns/m"}
+        units = {name: unit_of(one, angle) for name, one in names.items()}
+        used = (unit_of("kg", angle), self.unit, "s", units["of_force"], "rad")
+        return _MODEL.format(
+            name=self.name,
+            mass=mass,
+            start=start,
+            units=", ".join(dict.fromkeys(used)),
+            unit=f"unit: {self.unit}\n" if angle else "",
+            move="turn" if angle else "move along one line",
+            length=self.unit,
+            **units,
+            **parts,
+        )
 
     def sensors_text(self) -> str:
         """Returns the text of the file of sensors."""

@@ -165,13 +165,18 @@ def test_in_a_terminal_it_asks(
     lines = {kind: [text for key, text in pairs if key == f"--{kind}"] for kind in ("mass",)}
     asked = answers(
         monkeypatch,
-        *("x1,heavy", *lines["mass"], "", ""),
+        *("cm", "", "x1,heavy", *lines["mass"], "", ""),
         *("ground,x1,10,0.1", "x1,x2,10,0.1", ""),
         *("x2,4,2.5", "", "anvil,x2,above,0.5,0.7", "", "/switch"),
     )
     assert main(["new", "asked"]) == 0
     assert "'heavy' is no number; expected NAME,MASS" in capsys.readouterr().out
-    assert asked[:3] == ["mass 1 (empty: no more): "] * 2 + ["mass 2 (empty: no more): "]
+    assert (
+        asked[0]
+        == asked[1]
+        == ("unit: m of what moves along a line, rad or deg of what turns (m): ")
+    )
+    assert asked[2:5] == ["mass 1 (empty: no more): "] * 2 + ["mass 2 (empty: no more): "]
     assert asked[-1] == "sensor of anvil (/anvil): "
     assert main(["new", "hammer", *HAMMER]) == 0
     for name in FILES:
@@ -180,11 +185,34 @@ def test_in_a_terminal_it_asks(
 
 
 @pytest.mark.usefixtures("in_tmp_path")
+def test_questions_and_comments_of_what_turns_have_its_units(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The model is that of radians, and its start is outside the stops, in degrees."""
+    answers(
+        monkeypatch,
+        *("deg", "arm,0.02", "", "", "ground,arm,0.5,0.002", "", "arm,0.4,6", ""),
+        *("left,arm,below,30,0.6", "", "/switch"),
+    )
+    assert main(["new", "pendulum"]) == 0
+    printed = capsys.readouterr().out
+    assert "mass: a body that turns, kg m^2" in printed
+    assert "N m/rad, N m s/rad" in printed
+    assert "reaches it at LIMIT, deg" in printed
+    text = Path("pendulum.yaml").read_text(encoding="utf-8")
+    assert "unit: deg" in text
+    assert "# Stiffness in N m/rad, damping in N m s/rad." in text
+    model = read_model("pendulum.yaml")
+    assert model.system.q_r[0] == pytest.approx(-np.pi / 6)
+    assert model.system.gap(model.initial_state()[0])[0] > 0
+
+
+@pytest.mark.usefixtures("in_tmp_path")
 def test_an_end_of_the_input_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The input ends with Ctrl-D in the middle of the questions."""
-    answers(monkeypatch, "x1,1")
+    answers(monkeypatch, "m", "x1,1")
     assert main(["new", "hammer"]) == 2
     assert "the input has ended: nothing is written" in capsys.readouterr().err
     assert not list(Path.cwd().iterdir())

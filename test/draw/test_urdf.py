@@ -9,7 +9,7 @@ from systems import system
 
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.draw.urdf_text import urdf_text
-from impact_observer.model import read_model
+from impact_observer.model import parse_model, read_model
 
 
 def numbers(element: ET.Element | None, key: str) -> list[float]:
@@ -115,3 +115,37 @@ def test_stop_with_the_name_of_a_body_gets_another() -> None:
     robot = ET.fromstring(urdf_text(Scene.of_system(both)))
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert links == ["world", "x1", "x1_stop"]
+
+
+def test_what_turns_has_revolute_joints_and_posts_where_its_stops_are() -> None:
+    """An arm that stands upright at zero touches a post exactly at the angle of its stop."""
+    model = parse_model(
+        """name: pendulum
+unit: rad
+bodies: [{name: arm, mass: 0.02}, {name: hand, mass: 0.01}]
+springs: [{between: [ground, arm], stiffness: 1}, {between: [arm, hand], stiffness: 1}]
+stops:
+  - {name: right, body: arm, limit: 0.5, side: above, restitution: 0.7}
+  - {name: left, body: arm, limit: -0.3, side: below, restitution: 0.7}
+""",
+        "pendulum",
+    )
+    robot = ET.fromstring(urdf_text(Scene.of_system(model.system), length=2.0))
+    joints = {each.attrib["name"]: each for each in robot.findall("joint")}
+    for name in ("arm", "hand"):
+        assert joints[name].attrib["type"] == "revolute"
+        assert numbers(joints[name].find("axis"), "xyz") == [0.0, 1.0, 0.0]
+    apart = [numbers(joints[name].find("origin"), "xyz")[0] for name in ("arm", "hand")]
+    assert apart[1] - apart[0] > 2 * 2.0
+    links = {each.attrib["name"]: each for each in robot.findall("link")}
+    arm = numbers(links["arm"].find("visual/geometry/box"), "size")
+    middle = numbers(links["arm"].find("visual/origin"), "xyz")
+    assert (middle[2] - arm[2] / 2, middle[2] + arm[2] / 2) == (0.0, 2.0)
+    for name, angle, side in (("right", 0.5, 1.0), ("left", -0.3, -1.0)):
+        origin = joints[f"{name}_fixed"].find("origin")
+        assert numbers(origin, "rpy") == pytest.approx([0.0, angle, 0.0])
+        assert numbers(origin, "xyz")[0] == apart[0]
+        post = numbers(links[name].find("visual/geometry/box"), "size")
+        at = numbers(links[name].find("visual/origin"), "xyz")
+        face = at[0] - side * post[0] / 2
+        assert face == pytest.approx(side * arm[0] / 2)  # in the frame of an arm at that angle
