@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One row of a film: the bodies, springs and stops of the plant or an estimate.
 
-A stop is vermilion, after Okabe and Ito, during an impact or persistent contact. In grey vermilion
-is darker than the other stops. A star marks an impact.
+A body of what turns has a hand at the body's angle, upright at zero. A stop is vermilion, after
+Okabe and Ito, during an impact or persistent contact. In grey vermilion is darker than the other
+stops. A star marks an impact.
 """
 
 from dataclasses import dataclass
@@ -23,12 +24,14 @@ from impact_observer.draw.scene.shapes import (
     Box,
     couplings,
     grounds,
+    hands,
     pads,
     pins,
     plates,
     rails,
     rods,
 )
+from impact_observer.model.system import unit_of
 from impact_observer.states import Vector
 
 LARGE, NAMED = 10.0, 7.0
@@ -95,6 +98,7 @@ class SceneRow:
             _box(axes, placed, width, **dashed) for _ in (scene.order if compared else ())
         ]
         self._strokes, self._rods = (_lines(axes, placed, width) for width in (1.1, 3.0))
+        self._hands = _lines(axes, placed, 2.0)
         edge: Style = {"edgecolor": "0.15"}
         self._pins = [_box(axes, placed, 0.0, facecolor="white", **edge) for _ in scene.bars]
         self._pads = [_box(axes, placed, 0.0, facecolor="0.15", **edge) for _ in scene.bumpers]
@@ -121,6 +125,7 @@ class SceneRow:
             *self._pins,
             *self._pads,
             *self._bodies,
+            self._hands,
             *self._names,
             *self._walls.values(),
         ]
@@ -155,6 +160,7 @@ class SceneRow:
             body.set_x(x - scene.half)
             name.set_x(x)
         self._strokes.set_segments(list(couplings(scene, frame)))
+        self._hands.set_segments(list(hands(scene, frame)))
         self._rods.set_segments(list(rods(frame)))
         for patches, shapes in ((self._pins, pins), (self._pads, pads)):
             for patch, (_, box) in zip(patches, shapes(scene, frame), strict=True):
@@ -195,7 +201,9 @@ def draw_scale(axes: Axes, placement: Placement) -> None:
     for x, y in ends:
         (dx, dy) = across
         axes.plot([x - dx, x + dx], [y - dy, y + dy], color="black", linewidth=1.4)
-    axes.text(*place, f"{length:g} m  ", ha="right", va="center", size=LARGE - 1)
+    unit = unit_of("m", placement.scene.system.unit)
+    shown = f"{length:g} {unit}" + (f" = {np.degrees(length):.3g}°" if unit == "rad" else "")
+    axes.text(*place, f"{shown}  ", ha="right", va="center", size=LARGE - 1)
 
 
 def write_note(axes: Axes, placement: Placement, text: str) -> None:

@@ -14,6 +14,8 @@ SPRING_HEIGHT, ROD_HEIGHT, STOP_HEIGHT = 0.72, 0.24, 0.46
 """Heights of springs between faces, of a bumper's rod, of a wall's top, over a body's height."""
 ROWS = 2.2
 """Distance between rows of bodies, over a body's height."""
+_HAND = 0.9
+"""Length of a hand, over half a body's height."""
 _PAD, _PIN, _WIDE = 0.14, 0.11, 0.1
 """Half the heights of a bumper's pad, of a bar's pin, and of a spring's teeth, over a body's."""
 _LANE, _FIRST_LANE = 0.3, 1.26
@@ -71,6 +73,15 @@ def pads(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
     width = scene.thickness / 2
     for each, (_, end) in zip(scene.bumpers, frame.bumpers.tolist(), strict=True):
         yield each.contact, Box(end - width, ROD_HEIGHT - _PAD, width, 2 * _PAD)
+
+
+def hands(scene: Scene, frame: Frame) -> Iterator[Matrix]:
+    """The hand of each body of what turns, from its middle, upright at zero, shape (2, 2)."""
+    if scene.system.unit != "rad":
+        return
+    for middle, angle in zip(frame.bodies.tolist(), frame.bodies - scene.homes, strict=True):
+        along, across = _HAND * scene.half * np.sin(angle), _HAND / 2 * np.cos(angle)
+        yield np.array([[middle, 0.5], [middle + along, 0.5 + across]])
 
 
 def pins(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:

@@ -16,9 +16,11 @@ from systems import EPOCH, Array, chain, run, sample, system
 
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.draw.scene.film_figure import DPI, FilmFigure
+from impact_observer.draw.scene.scene import Scene
+from impact_observer.draw.scene.shapes import hands
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io.bag_part import TimeZero
-from impact_observer.model import System
+from impact_observer.model import System, parse_model
 from impact_observer.stamps import NS_PER_S
 
 Picture = NDArray[np.uint8]
@@ -320,3 +322,36 @@ def test_a_coordinate_on_a_spring_lies() -> None:
     for model in (replace(ball, K=np.eye(1)), sample("two_mass").system):
         assert still(model, np.zeros(model.n)).scene.up == 0
     assert still(ball, np.zeros(1)).scene.up == 1
+
+
+def test_what_turns_has_a_hand_at_its_angle() -> None:
+    """The hand stands upright at zero and leans by the angle; the scale is in radians."""
+    model = parse_model(
+        """name: pendulum
+unit: rad
+bodies: [{name: arm, mass: 0.02}]
+springs: [{between: [ground, arm], stiffness: 1}]
+stops: [{name: right, body: arm, limit: 0.5, side: above, restitution: 0.7}]
+""",
+        "pendulum",
+    ).system
+    scene = Scene.of_system(model)
+    for angle in (0.0, 0.4, -0.3):
+        (hand,) = hands(scene, scene.frame(np.array([angle])))
+        along, across = (hand[1] - hand[0]) / [scene.half, 0.5]
+        assert np.arctan2(along, across) == pytest.approx(angle)
+    stamps = np.array([EPOCH, EPOCH + NS_PER_S])
+    truth = Track.of_states("plant", "", (stamps, np.array([[0.0], [0.4]]), np.zeros((2, 1))), ())
+    film = Film(
+        scene=scene_of(model, [truth]),
+        truth=truth,
+        estimates=(),
+        distances=(),
+        contacts=ContactHistory({}, {}),
+        zero=TimeZero(EPOCH),
+        start=EPOCH,
+        end=EPOCH + NS_PER_S,
+    )
+    drawn = FilmFigure(film, title="", speed=1.0)
+    texts = [text.get_text() for axes in drawn.figure.axes for text in axes.texts]
+    assert any(" rad = " in text for text in texts)
