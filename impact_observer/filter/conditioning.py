@@ -9,6 +9,7 @@ contact times, and parameters of masses and forces. Tests compare both wherever 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,28 @@ _NO_TIME = 1e-15
 """Time in which nothing moves, s."""
 _NEGLECTED_FLIGHT = 1e-8
 """Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
+
+
+class _Jump(NamedTuple):
+    """The state after a jump at the instant ``e`` before that of a joint.
+
+    Attributes:
+        x: for ``e = 0``, shape (2n,).
+        H: derivatives by ``e`` and the state before, shape (2n, 1 + 2n).
+        E: second derivative by ``e``, shape (2n,).
+        mean: of what is not linear, shape (2n,).
+        noise: a root of its covariance, shape (2n, any).
+        whole: the root of the joint, the columns of parameters first.
+        by_theta: derivatives by the parameters, shape (p, 2n); None without parameters.
+    """
+
+    x: Vector
+    H: Matrix
+    E: Vector
+    mean: Vector
+    noise: Matrix
+    whole: Matrix
+    by_theta: Matrix | None = None
 
 
 class Conditioning:
@@ -201,6 +224,19 @@ class Conditioning:
         joint = Joint.of(change.t, e, state, triangular(whole), differences)
         return self.after_jump(change, joint, leftover)
 
+    def jump_remainder(self, change: ContactChange, joint: Joint) -> Matrix:
+        """What is not linear in the jump of ``joint``: a root of its second moment, (2n, any)."""
+        jump = self._expanded_jump(change, joint, soft=bool(change.delay(self.system)))
+        return np.column_stack([jump.mean, jump.noise])
+
+    def guard_remainder(self, change: ContactChange, contacts: Contacts, joint: Joint) -> Matrix:
+        """What is not linear in the guards of ``contacts`` at ``joint``, likewise, (k, any)."""
+        member = self.members.of_estimate(joint)
+        rows = member.guard(change.before, contacts, bool(change.hit))
+        rates = member.moving.rates_at(joint.t, joint.x, change.before)
+        expansion = rows.expanded(rates, joint.x, member.moving.forces(joint.t))
+        return np.column_stack(product(joint.own, expansion.D, expansion.E))
+
     def _at_jump(self, change: ContactChange, joint: Joint) -> Joint:
         """``joint`` when the velocities jump, which in an impact that lasts is later."""
         if not (late := change.delay(self.system)):
@@ -326,6 +362,24 @@ class Conditioning:
 
         A ``soft`` one leaves positions as they are.
         """
+        size = joint.size
+        x, H, E, mean, noise, whole, by_theta = self._expanded_jump(change, joint, soft=soft)
+        x = x + mean
+        if e := joint.e:
+            x += e * (H[:, 0] + E * (e / 2))
+        moved, differences = H.dot(joint.own), joint.differences[1:].copy()
+        if differences.size:
+            differences[:size] = H.dot(joint.differences[: 1 + size])
+        if by_theta is not None:
+            moved = H.dot(whole[: 1 + size]) + by_theta.T.dot(whole[joint.of_theta])
+            differences[:size] += by_theta.T.dot(joint.differences[joint.of_theta])
+        rounding = self._rounding(joint.t, x, change.flown)
+        root = _with_rounding(moved, noise, whole[1 + size :], rounding)
+        constants = joint.z[1 + size :]
+        return GaussianState(x, constants, root, differences, change.closed, joint.parameters)
+
+    def _expanded_jump(self, change: ContactChange, joint: Joint, *, soft: bool) -> _Jump:
+        """The jump of ``joint``, about its state; a ``soft`` one leaves positions as they are."""
         member, size = self.members.of_estimate(joint), joint.size
         pressed, moving = self.pressed(member, change, joint.x), member.moving
         mirror = member.mirror_about(joint.x, pressed)
@@ -337,29 +391,17 @@ class Conditioning:
         if not self.system.is_plain(pressed):
             bends = member.bends(joint.x, joint.root[1 : 1 + size], pressed)
             noise = np.hstack([noise, bends])
-        x = x + mean
-        if e := joint.e:
-            x += e * (H[:, 0] + E * (e / 2))
-        whole, moved, differences = joint.root, H.dot(joint.own), joint.differences[1:].copy()
-        if differences.size:
-            differences[:size] = H.dot(joint.differences[: 1 + size])
-        if joint.parameters and pressed:
-            whole = leading(joint.root, joint.of_theta.start, joint.parameters)
-            sensitivity = Sensitivity(
-                lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
-                joint.theta,
-                self.members.parameters.steps(
-                    joint.theta, joint.root[joint.of_theta], joint.differences[joint.of_theta]
-                ),
-            )
-            own = whole[joint.of_theta]
-            moved = H.dot(whole[: 1 + size]) + sensitivity.first.T.dot(own)
-            noise = np.hstack([noise, sensitivity.noise(whole[1 : 1 + size], own)])
-            differences[:size] += sensitivity.first.T.dot(joint.differences[joint.of_theta])
-        rounding = self._rounding(joint.t, x, change.flown)
-        root = _with_rounding(moved, noise, whole[1 + size :], rounding)
-        constants = joint.z[1 + size :]
-        return GaussianState(x, constants, root, differences, change.closed, joint.parameters)
+        if not (joint.parameters and pressed):
+            return _Jump(x, H, E, mean, noise, joint.root)
+        whole = leading(joint.root, joint.of_theta.start, joint.parameters)
+        own = joint.of_theta
+        sensitivity = Sensitivity(
+            lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
+            joint.theta,
+            self.members.parameters.steps(joint.theta, joint.root[own], joint.differences[own]),
+        )
+        by_theta = sensitivity.noise(whole[1 : 1 + size], whole[own])
+        return _Jump(x, H, E, mean, np.hstack([noise, by_theta]), whole, sensitivity.first)
 
     def _rounding(self, t: float, x: Vector, flown: float) -> Vector:
         """Standard deviation of the rounding of a state ``x`` at ``t`` (s), shape (2n,).

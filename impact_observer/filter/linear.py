@@ -102,6 +102,13 @@ class LinearPrediction:
             return root
         return self._noise.added_to(root, size, self._diffusion, s)
 
+    def remainder(self, s: float) -> Matrix:
+        """A root of the covariance of what is not linear in the parameters, shape (2n, any)."""
+        size, sensitivity = self._start.x.size, self._sensitivity(s)
+        if sensitivity is None:
+            return np.zeros((size, 0))
+        return sensitivity.noise(self._root[:size], self._own)
+
     def _sensitivity(self, s: float) -> Sensitivity | None:
         """Of the state after ``s`` seconds to the parameters of the motion, if there are any."""
         q, t, x, closed = self._members.moving, self._t, self._start.x, self._start.closed

@@ -79,17 +79,20 @@ class Fallback(NamedTuple):
 
 
 class Onset(NamedTuple):
-    """A state before an impact that lasts, until its velocities jump.
+    """A state before an impact, until its velocities jump.
 
     Attributes:
-        x: (q, u) when the gap is zero, shape (2n,), as the impact has corrected it.
-        root: root of the covariance, shape (2n, any); None for a law without covariance.
+        x: (q, u) at the stamp, shape (2n,); of an impact that lasts, as the impact corrected it.
+        root: root of the covariance, shape (2n, any); None for a law without covariance, and for
+            an impact that does not last.
         lasts: time until the velocities jump, s.
+        hit: the contacts that hit.
     """
 
     x: Vector
     root: Matrix | None
     lasts: float
+    hit: Contacts = ()
 
 
 class Account(NamedTuple):
@@ -137,8 +140,8 @@ class Belief(NamedTuple):
         behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
         account: estimates of parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
-        onset: the onset of an impact that lasts; the other states are those after the jump,
-            carried back to the onset.
+        onset: the onset of an impact that lasts, or has an uncertain instant; the other states are
+            those after the jump, carried back to the onset.
     """
 
     ensemble: Ensemble

@@ -15,6 +15,7 @@ from impact_observer.observer.deviation_sources import VariancePart, variance_pa
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
+from impact_observer.observer.impact_sides import ImpactSides, Near
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
@@ -65,6 +66,7 @@ class RunHistory:
         self._scales = Scales.of_equations(self._system)
         self._soft = np.flatnonzero(self._system.contact_time).tolist()
         self._names = self._system.contact_names
+        self._sides = ImpactSides(update.law)
         self._issued = IssuedVerdicts(self._names)
         self._is_state_given = False
         self._earliest = 0
@@ -242,8 +244,8 @@ class RunHistory:
         root = self._with_missed_rests(entry, s, x, root, closed)
         covariance = NO_COVARIANCE
         if root is not None:
-            sizes = self._scales.sizes(x, s)
-            covariance = law.uncertainty.published_covariance(root, sizes)
+            both, sizes = self._both_sides(entry, s, x, root, closed), self._scales.sizes(x, s)
+            covariance = law.uncertainty.published_covariance(both, sizes)
         if self._system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
@@ -356,6 +358,16 @@ class RunHistory:
             kick = -speed * moving.newton.stops((i,))[:, 0]
             columns.append(np.concatenate([shift, kick])[:, None])
         return np.hstack(columns) if len(columns) > 1 else root
+
+    def _both_sides(
+        self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts | None
+    ) -> Matrix:
+        """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
+        belief, closed = entry.belief, entry.closed if closed is None else closed
+        clock = belief.hypotheses[0].clock if belief.hypotheses else 0.0
+        near = Near(clock, belief.onset, belief.x)
+        errors = self._sides.errors(near, x, root, s, closed)
+        return np.column_stack([root, *errors]) if errors else root
 
     def estimates(self, stamps: Stamps, *, only_states: bool) -> Iterator[Estimates]:
         """See ``Observer.estimates``."""

@@ -184,8 +184,13 @@ class Arc(Linearised):
                 states.append(moving.moved(t, self._state_after(path, k), at - t, closed)[0])
         arc = Arc(self.filter, self._t, self._state, moments, self.samples)
         doubt = np.zeros(len(moments))
-        doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
-        return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
+        own = [k for k in range(len(moments)) if k not in {*wanted}]
+        doubt[own], roots = path.doubt, path.roots
+        if roots is not None:
+            roots = np.zeros((len(moments), *roots.shape[1:]))
+            roots[own] = path.roots
+        path = path._replace(early=np.array(early), x=np.array(states), doubt=doubt, roots=roots)
+        return arc, path, wanted
 
     def arrival(self, path: Path, k: int) -> Step:
         """From the node before the ``k``-th moment to the moment, and its measurement."""

@@ -14,16 +14,20 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
 from impact_observer.filter.error_accounts import ErrorAccounts
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.joint import Joint
+from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.process_noise import ProcessNoise
 from impact_observer.filter.resting import rest_measurement
 from impact_observer.filter.saltation import STATE_ROUNDING
+from impact_observer.filter.square_root import triangular
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment
@@ -60,6 +64,9 @@ class Path(NamedTuple):
         x: states (q, u) just before, as if without the jump, shape (k, 2n).
         doubt: standard deviations of the gap of a contact that hits then, m, shape (k,).
         constants: parameters and clock offset, shape (c,).
+        roots: of the covariance of (e, x, constants) at each moment, lower triangular, shape
+            (k, d, d): how far from the path the motion is, for what is not linear; None to leave
+            that out.
     """
 
     start: Vector
@@ -67,6 +74,7 @@ class Path(NamedTuple):
     x: Matrix
     doubt: Vector
     constants: Vector
+    roots: NDArray[np.float64] | None = None
 
 
 class Linearised:
@@ -174,6 +182,11 @@ class Linearised:
         A, b = self._affine(self.system_of(path).flow(t, x, s, closed), x, path)
         noise = self.noise_after(k) if noisy else None
         root = np.zeros((len(A), 0))
+        if self._members.moving and (about := self._spread(path, k)):
+            left = self.left(path, k).A @ about.root
+            state = GaussianState(x, path.constants, left, about.differences[1:], closed, self._p)
+            bent = LinearPrediction(t, state, self._members, None).remainder(s)
+            root = np.pad(bent, ((0, self._count), (0, 0)))
         if noise is not None and s > 0:
             root = noise.added_to(root, self._size, partial(self._diffusion, closed), s)
         return Step.unmeasured(A, b, root)
@@ -205,7 +218,9 @@ class Linearised:
         if moment.is_inserted:
             H, value = guard.H[0], float(guard.y[0])
             A[0], b[0] = -H[1:] / H[0], value / H[0]
-            return Step.unmeasured(A, b)
+            noise = np.zeros((1 + d, guard.V.shape[1]))
+            noise[0] = guard.V[0] / H[0]
+            return Step.unmeasured(A, b, noise)
         b[0] = -float(path.early[k])
         if self._count > self._p:
             A[0, -1] = 1.0
@@ -237,8 +252,19 @@ class Linearised:
             falling = np.sqrt(np.abs(bend) * deviation)
             least = (deviation + floor) / self.filter.conditioning.farthest(change)
             H[:, 0] = np.max([H[:, 0], falling, least], axis=0)
-        y = H[:, 1:] @ np.append(x, path.constants) - value
-        return Step(np.eye(d), np.zeros(d), np.zeros((d, 0)), H, y, np.diag(floor))
+        y, noise = H[:, 1:] @ np.append(x, path.constants) - value, np.diag(floor)
+        if about := self._spread(path, k):
+            bent = self.filter.conditioning.guard_remainder(change, contacts, about)
+            noise = np.hstack([bent, noise])
+        return Step(np.eye(d), np.zeros(d), np.zeros((d, 0)), H, y, noise)
+
+    def _spread(self, path: Path, k: int) -> Joint | None:
+        """The ``k``-th moment of a path and how far from that the motion is; None if left out."""
+        if path.roots is None or k < 0 or not self.moments[k].change.contacts:
+            return None
+        root, nothing = path.roots[k], np.zeros((len(path.roots[k]), 0))
+        z = np.concatenate([[0.0], path.x[k], path.constants])
+        return Joint(self.instant(path, k), z, root, nothing, self._size, self._p)
 
     def _jump(self, path: Path, k: int) -> Step:
         """From (e, x, constants) at the ``k``-th moment to (x, constants) just after it."""
@@ -248,6 +274,9 @@ class Linearised:
         A[:, 1:], b = self._affine(map_, x, path)
         A[:size, 0] = xi
         columns = [np.diag(STATE_ROUNDING * self._sizes(x, change.flown))]
+        if about := self._spread(path, k):
+            bent = self.filter.conditioning.jump_remainder(change, about)
+            columns[0] = triangular(np.hstack([bent, columns[0]]))
         level = level_of(moment, ErrorKind.RESTITUTION)
         if level and change.hit and not change.closed:
             columns.append(level * self._errors.kicks(x, change.hit))

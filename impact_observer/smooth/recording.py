@@ -22,7 +22,7 @@ from impact_observer.smooth.account import EventAccount, TracedLaw, account_of, 
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.backward import Retracing
 from impact_observer.smooth.smoothed_motion import NO_DOUBT, Doubt, SmoothedMotion
-from impact_observer.smooth.smoother import OTHER, Smoothed, smooth
+from impact_observer.smooth.smoother import OTHER, Smoothed, smooth, with_remainders
 from impact_observer.stamps import MAX_STAMP, Elapsed
 
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -215,6 +215,7 @@ class _Run:
         doubt = _doubt(best, self._trials)
         if len(self._events) > len(few):
             best = self._tried(self._events, best.smoothed)
+        best = best._replace(smoothed=with_remainders(best.smoothed))
         return self._as_motion(best, doubt)
 
     def _as_motion(self, best: "_Trial", doubt: Doubt = NO_DOUBT) -> SmoothedMotion:

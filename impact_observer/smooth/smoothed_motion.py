@@ -4,7 +4,8 @@
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
-from functools import cached_property
+from functools import cache, cached_property, partial
+from itertools import chain, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,9 @@ from impact_observer.filter.misfit import MISFIT
 from impact_observer.filter.uncertainty import LARGEST_DEVIATION
 from impact_observer.kernel._kernel import TINY
 from impact_observer.observer.belief import Belief, Parameters, Prediction
+from impact_observer.observer.impact_sides import EXACT, REACH, side_error
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
+from impact_observer.smooth.arc import Node
 from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
 from impact_observer.smooth.smoother import Smoothed, at_samples
@@ -117,6 +120,7 @@ class SmoothedMotion:
         }
         self._applied = sorted(applied)
         self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
+        self._spread, self._kick = cache(self._spread_of), cache(self._kick_of)
         delays = [from_seconds(each.change.delay(law.system)) for each in account.moments]
         self._jumps = self._instants + np.array(delays, dtype=np.int64)
 
@@ -224,7 +228,8 @@ class SmoothedMotion:
         n, system = self._law.system.n, self.smoothed.arc.filter.system
         last_event, last_sequence = self._last_event(k, stamp)
         sizes = self._law.moving.phases.scales.sizes(x)
-        covariance = self._law.uncertainty.published_covariance(self._widened * root, sizes)
+        root = np.column_stack([self._widened * root, *self._other_sides(stamp, k)])
+        covariance = self._law.uncertainty.published_covariance(root, sizes)
         (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
         warning, until = self.early_doubt
@@ -244,6 +249,28 @@ class SmoothedMotion:
             last_event=last_event,
         )
         return Estimates(estimate, np.array([stamp]), x[None])
+
+    def _other_sides(self, stamp: int, k: int) -> Iterator[Vector]:
+        """Errors of a state after the ``k``-th moment, where impacts may be on its other side."""
+        near = partial(self._is_near, stamp)
+        before, after = range(k, -1, -1), range(k + 1, len(self.account.moments))
+        for j in chain(takewhile(near, before), takewhile(near, after)):
+            away = abs(stamp - int(self._jumps[j])) * 1e-9 / self._spread(j)
+            yield side_error(float(special.ndtr(-away)), self._kick(j))
+
+    def _is_near(self, stamp: int, k: int) -> bool:
+        """Whether the instant of the ``k``-th moment may be before ``stamp`` or after that."""
+        spread = self._spread(k)
+        return spread > EXACT and abs(stamp - int(self._jumps[k])) * 1e-9 < REACH * spread
+
+    def _spread_of(self, k: int) -> float:
+        """The standard deviation of the instant of the ``k``-th moment, s."""
+        return self.smoothed.instant(k)[1]
+
+    def _kick_of(self, k: int) -> Vector:
+        """By how much the velocities jump at the ``k``-th moment, shape (n,)."""
+        n, before = self._law.system.n, self.smoothed.known.state(Node(k)).mean[1:]
+        return (self.smoothed.state_after(k).mean - before)[n : 2 * n]
 
     def _last_event(self, k: int, stamp: int) -> tuple[int, int]:
         """Stamp (ns) and sequence of the last event applied in the flight after a moment."""

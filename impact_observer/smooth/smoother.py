@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.errors import DynamicsError
+from impact_observer.filter.square_root import triangular
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.arc import Arc, Node
@@ -287,6 +288,25 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
         path = better
     assert best is not None, "there was a round"
     return best
+
+
+def with_remainders(smoothed: Smoothed) -> Smoothed:
+    """The motion with the errors of linearising as noise of each moment.
+
+    Errors that fade leave directions without deviations; the products of the errors that stay do
+    not fade there. The variance of these products follows from the covariance at each moment
+    (Garcia-Fernandez, Svensson and Särkkä, Iterated posterior linearization smoother, 2017).
+    """
+    arc, d, count = smoothed.arc, 1 + smoothed.arc.first.mean.size, len(smoothed.arc.moments)
+    roots = _room(count, d * d).reshape(count, d, d)
+    for k in range(count):
+        roots[k] = triangular(smoothed.known.state(Node(k)).root)
+    path = smoothed.path._replace(roots=roots)
+    first, known, _ = _linear(arc, path)
+    for i, node in enumerate(known.nodes):
+        known.set(i, known.state(node)._replace(mean=smoothed.known.state(node).mean))
+    first = first._replace(mean=smoothed.first.mean)
+    return smoothed._replace(path=path, first=first, known=known)
 
 
 def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iterator[Normal]:

@@ -13,6 +13,9 @@ from scipy import linalg
 from systems import Harmonic, chain, examples, forcing, system, systems, vectors
 
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.impact_filter import ImpactFilter
+from impact_observer.filter.joint import Joint
 from impact_observer.filter.saltation import Measured, Mirror, StateRates
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients
@@ -197,3 +200,26 @@ def test_velocities_jump_in_the_middle_of_an_impact_that_lasts() -> None:
         rebound = u - (1 + eps) * k * speed
         np.testing.assert_allclose(later, q + lasts / 2 * (u + rebound), atol=1e-15)
         np.testing.assert_allclose(after[n:], rebound, atol=1e-15)
+
+
+@pytest.mark.parametrize("eps", [0.0, 0.6])
+def test_what_is_not_linear_in_a_jump_has_the_moments_of_drawn_jumps(eps: float) -> None:
+    """Against 4000 exact maps with drawn instants and states, less their linear part."""
+    model = replace(FORCED, contacts=(replace(FORCED.contacts[0], restitution=eps),))
+    phase, rng = Phases(model).phase(()), np.random.default_rng(5)
+    mirror = Mirror.of(model, ImpactLaw(model).jump((0,)), (0,))
+
+    def jumped(e: float, y: Array) -> Array:
+        x = mirror.J @ phase.moved(T, y, -e)[0] + mirror.offset
+        return phase.moved(T - e, x, e)[0]
+
+    y, root = rng.normal(size=6), np.tril(rng.normal(size=(7, 7))) * 1e-2
+    drawn = rng.normal(size=(4000, 7)) @ root.T
+    ends = np.array([jumped(each[0], y + each[1:]) for each in drawn])
+    slope = (jumped(1e-5, y) - jumped(-1e-5, y)) / 2e-5
+    left = ends - jumped(0.0, y) - drawn @ np.column_stack([slope, mirror.J]).T
+    filter_ = ImpactFilter(model, 0.0)
+    joint = Joint(T, np.append(0.0, y), root, np.zeros((7, 0)), 6)
+    found = filter_.conditioning.jump_remainder(ContactChange(T, (), (0,), ()), joint)
+    moment = left.T @ left / len(left)
+    np.testing.assert_allclose(found @ found.T, moment, atol=0.1 * np.max(moment), rtol=0.1)

@@ -126,19 +126,21 @@ class MinimumVariance(Law):
         if not change.hit and change.before == change.closed:
             return belief
         corrected = self._corrected(change, belief)
-        if late := change.delay(self.system):
-            return corrected._replace(onset=self._onset(change, belief, corrected, late))
-        return corrected
+        if not (change.hit and corrected.accepted):
+            return corrected
+        late = change.delay(self.system)
+        onset = (
+            self._onset(change, belief, corrected, late) if late else Onset(belief.x, None, 0.0)
+        )
+        return corrected._replace(onset=onset._replace(hit=change.hit))
 
     def _onset(
         self, change: ContactChange, prior: Belief, corrected: Belief, late: float
-    ) -> Onset | None:
+    ) -> Onset:
         """The state until the velocities jump, with the clock that is the likeliest after it.
 
-        None where the event is rejected. A fallback that is published is not corrected.
+        A fallback that is published is not corrected.
         """
-        if not corrected.accepted:
-            return None
         if prior.fit.is_compared or not prior.hypotheses:
             return Onset(prior.x, corrected.root, late)
         clock = corrected.hypotheses[0].clock

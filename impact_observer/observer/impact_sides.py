@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Before or after an impact: near an instant that is uncertain a velocity has two values.
+
+The published state is on one side of the impact. The covariance is that of both: the difference
+of the two velocities is an error with the probability that the plant is on the other side.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from impact_observer.events import Contacts
+from impact_observer.filter.model_error import unit_kicks
+from impact_observer.kernel._kernel import TINY
+from impact_observer.observer.belief import Onset
+from impact_observer.observer.laws.law import Law
+from impact_observer.states import Matrix, Vector
+
+REACH = 5.0
+"""Deviations of an instant beyond which the side is certain."""
+EXACT = 2e-9
+"""Deviation of a stamp, s, below which only rounding is uncertain: an event tells the side."""
+
+
+class Near(NamedTuple):
+    """The event before an estimate.
+
+    Attributes:
+        clock: standard deviation of its stamp, s.
+        onset: the state before the impact; None if no impact was accepted.
+        after: the state after the event, (q, u), shape (2n,).
+    """
+
+    clock: float
+    onset: Onset | None
+    after: Vector
+
+
+class ImpactSides:
+    """The errors of states that may be on the other side of an impact."""
+
+    def __init__(self, law: Law) -> None:
+        """Of the estimates of a ``law`` with a covariance."""
+        self._system, self._moving, self._newton = law.system, law.moving, law.moving.newton
+        self._missed, self._kicks = law.uncertainty.missed, unit_kicks(law.system)
+
+    def errors(
+        self, near: Near, x: Vector, root: Matrix, s: float, closed: Contacts
+    ) -> list[Vector]:
+        """Errors of ``x``, shape (2n,) each, ``s`` seconds after the event of ``near``.
+
+        ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
+        """
+        n, system, found = self._system.n, self._system, list[Vector]()
+        clock = near.clock if near.clock > EXACT else 0.0
+        gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()
+        for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
+            if speed >= 0 or i in closed:
+                continue
+            deviation = self._deviation(i, root)
+            if gap < REACH * (deviation - speed * clock):
+                share = self._hit_before(-gap / speed, -deviation / speed, clock)
+                lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
+                ago = max(gap / speed, 0.0)
+                found.append(self._error(share, -lost * self._kicks[:, i], ago, closed))
+        onset = near.onset
+        if onset is None or not clock or s - onset.lasts > REACH * clock:
+            return found
+        i, hit = onset.hit[0], list(onset.hit)
+        away, ago = abs(s - onset.lasts) / clock, 0.0
+        if i in closed:
+            ago = -clock  # a motion that is stopped does not tell when
+        elif not onset.lasts and speeds[i] > 0:
+            away = gaps[i] / max(self._deviation(i, root), TINY)
+            ago = min(gaps[i] / speeds[i], 0.0)
+        jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])
+        kick, share = self._newton.stops(onset.hit).dot(jump), float(special.ndtr(-away))
+        free = tuple(j for j in closed if j not in hit)
+        return [*found, self._error(share, kick, ago, free)]
+
+    def _deviation(self, i: int, root: Matrix) -> float:
+        """The standard deviation of the gap of a contact, m."""
+        seen = self._system.W[:, i].dot(root[: self._system.n])
+        return math.sqrt(seen.dot(seen))
+
+    def _error(self, share: float, kick: Vector, ago: float, closed: Contacts) -> Vector:
+        """``side_error`` of a kick ``ago`` seconds ago, or as much later."""
+        error = side_error(share, kick)
+        return self._moving.carried(error[:, None], ago, closed)[:, 0] if ago else error
+
+    def _hit_before(self, later: float, deviation: float, clock: float) -> float:
+        """The probability that an impact has been and was not reported yet.
+
+        Its instant is ``later`` than now with this ``deviation``, s, its stamp than that with the
+        deviation ``clock``. The stamp, too, is later than now, or never comes.
+        """
+        deviation = max(deviation, TINY)
+        stamped = -later / math.hypot(deviation, clock)
+        been, seen = special.ndtr([-later / deviation, stamped]).tolist()
+        # Of two normal numbers whose correlation is the ratio of their deviations (Owen, 1956).
+        waits = (been - seen) / 2 + float(special.owens_t(stamped, clock / deviation))
+        waits = (1 - self._missed) * max(waits, 0.0) + self._missed * been
+        return float(waits / max(waits + 1 - been, TINY))
+
+
+def side_error(share: float, kick: Vector) -> Vector:
+    """An error of (q, u) by a ``kick`` of the velocities that has the probability ``share``."""
+    return np.concatenate([np.zeros_like(kick), math.sqrt(share) * kick])
