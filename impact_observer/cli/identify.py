@@ -40,6 +40,8 @@ _MOST_HELD_BACK = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
+    from impact_observer.model.free_parameters import forms
+
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add_namespace(parser)
@@ -49,10 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free",
         metavar="LIST",
         default="",
-        help="what to identify, with commas: restitution, restitution-exponent, gap,"
-        " contact-time, friction, stiffness-scale, damping-scale, mass-scale, forcing-amplitude,"
-        " forcing-phase, forcing-frequency, constant-force, clock-offset, and of elements"
-        " stiffness, damping, mass; or one of a kind, such as gap.stop or stiffness.ground-x1",
+        help=f"what to identify, with commas: {', '.join(forms())}; such as gap.stop or"
+        " stiffness.ground-x1, or without the part after the dot all of a kind",
     )
     parser.add_argument(
         "--clock-error",

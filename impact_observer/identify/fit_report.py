@@ -4,7 +4,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy.optimize import approx_fprime
@@ -34,7 +34,7 @@ from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.plain_text import say
-from impact_observer.stamps import seconds_between, text
+from impact_observer.stamps import from_seconds, seconds_between, text
 from impact_observer.states import Vector
 
 _CORRELATED = 0.9
@@ -94,31 +94,64 @@ def _initial_errors(fitted: Identification) -> Vector:
     return np.asarray(np.sqrt(np.diag(fitted.covariance))[: fitted.start.size])
 
 
-def _turning_point(fitted: Identification) -> tuple[float, float] | None:
-    """The height ``q - u^2 / 2a`` at which a single body turns, and its standard error, m.
+class _Turn(NamedTuple):
+    """Where a single body turns that flies under a constant force alone.
 
-    Returns None unless the model is one body under a constant force alone.
+    Attributes:
+        name: what is measured, such as ``height where it turns``.
+        value: the coordinate, or the gap where stops move, m.
+        error: its standard error, m.
     """
-    family, n = fitted.family, fitted.family.system.n
-    system = family.system_at(fitted.values)
-    moved = system.depends_on_time or system.guides or system.live is not None
-    if n > 1 or moved or system.K.any() or system.C.any() or not system.forcing.constant.any():
-        return None
 
-    def height(x: Vector) -> float:
-        a = system.forcing.constant.item() / family.coefficients_at(x[2:]).M.item()
-        return float(x[0] - x[1] ** 2 / (2.0 * a))
+    name: str
+    value: float
+    error: float
+
+
+def _turning_point(fitted: Identification) -> _Turn | None:
+    """Where a single body turns; None unless the model is one that flies under a constant force.
+
+    Above a stop that moves that is the gap then; None if the body turns before the start or after
+    the first impact, where it may have been held.
+    """
+    family, recording, n = fitted.family, fitted.recording, fitted.family.system.n
+    system = family.system_at(fitted.values)
+    own, moves = system.own_forcing, system.frame is not None
+    forced = own.depends_on_time or system.guides or system.live is not None
+    if n > 1 or forced or system.K.any() or system.C.any() or not own.constant.any():
+        return None
+    first, hit = next(each for each in recording.hits() if each[1])
+    (name,), contact = system.coordinates, system.contact_names[hit[0]]
+
+    def turned(x: Vector) -> tuple[float, float]:
+        """The coordinate where the body turns, m, and when, s after the start."""
+        a = own.constant.item() / family.coefficients_at(x[2:]).M.item()
+        return float(x[0] - x[1] ** 2 / (2.0 * a)), float(-x[1] / a)
+
+    def distance(x: Vector) -> float:
+        height, after = turned(x)
+        if not moves:
+            return height
+        there = family.system_at(x[2:])
+        at = np.array([from_seconds(recording.start + after)])
+        return float(there.gap(np.array([height]))[hit[0]] + there.gap_motion(at)[0, hit[0]])
 
     at = np.concatenate([_initial_state(fitted), fitted.values])
-    slope = approx_fprime(at, height)
+    until = seconds_between(recording.episode.start, first)
+    if moves and not 0.0 <= turned(at)[1] <= until:
+        return None
+    slope = approx_fprime(at, distance)
     covariance = fitted.covariance[: at.size, : at.size]
-    return height(at), float(np.sqrt(slope @ covariance @ slope))
+    what = f"gap of {contact}" if moves else name
+    error = float(np.sqrt(slope @ covariance @ slope))
+    return _Turn(f"{what} where it turns", distance(at), error)
 
 
 def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
     """The values of ``--json``, in SI units."""
     family, recording = fitted.family, fitted.recording
     names = family.system.contact_names
+    turn = _turning_point(fitted) if fitted.converged else None
     return {
         "name": family.system.name,
         "converged": fitted.converged,
@@ -160,7 +193,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
             else None
         ),
         "initial_state_seconds": recording.start,
-        "turning_point": _turning_point(fitted) if fitted.converged else None,
+        "turning_point": turn and [turn.value, turn.error],
         "clock_error": float(fitted.clock),
         "clock_error_declared": fitted.declared,
         "clock_error_with_all_accepted": fitted.accepted,
@@ -318,8 +351,7 @@ def _parameter_table(fitted: Identification) -> TextTable:
     for (name, unit), value, error in states:
         rows.append((name, "", f"{value:.10g}", f"{error:.2g}" if fitted.converged else "", unit))
     if fitted.converged and (turn := _turning_point(fitted)):
-        (name,), (value, error) = system.coordinates, turn
-        rows.append((f"{name} where it turns", "", f"{value:.10g}", f"{error:.2g}", system.unit))
+        rows.append((turn.name, "", f"{turn.value:.10g}", f"{turn.error:.2g}", system.unit))
     headings = ("parameter", "given", "identified", "standard error", "unit")
     return TextTable(headings, rows, words=("unit",))
 

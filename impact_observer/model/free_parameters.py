@@ -40,6 +40,24 @@ UNITS = {
     CONTACT_TIME: "s",
 }
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
+_OWNERS = {
+    "stiffness-scale": "",
+    "damping-scale": "",
+    "mass-scale": "",
+    "stiffness": "A-B",
+    "damping": "A-B",
+    "friction": "GUIDE",
+    "mass": "BODY",
+    "forcing-amplitude": "K",
+    "forcing-phase": "K",
+    "forcing-frequency": "K",
+    "constant-force": "BODY",
+    "ground-amplitude": "GROUND.K",
+    "ground-phase": "GROUND.K",
+    "ground-frequency": "GROUND.K",
+    OFFSET: "",
+}
+"""What stands after the dot of a parameter's name; of the other kinds that is a contact."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
@@ -51,6 +69,12 @@ _LONGEST = 0.1
 """Largest offset of a clock, s."""
 _WRONG_FREQUENCY = 0.1
 """Error that makes a frequency useless, relative to the frequency."""
+
+
+def forms() -> list[str]:
+    """The forms of all names of parameters, such as ``gap.CONTACT``."""
+    owners = {kind: _OWNERS.get(kind, "CONTACT") for kind in UNITS}
+    return [f"{kind}.{owner}".rstrip(".") for kind, owner in owners.items()]
 
 
 def is_observed(name: str) -> bool:
@@ -88,7 +112,7 @@ def parametric_family(
     for name in wanted:
         matches = [each for each in available if each == name or each.startswith(f"{name}.")]
         if not matches:
-            raise UsageError(_unknown(name, available, elements))
+            raise UsageError(_unknown(name, available, elements, observed=observed))
         names.extend(matches)
     for name in names:
         if names.count(name) > 1:
@@ -123,8 +147,15 @@ def parameters_beside(family: ParametricFamily) -> tuple[ModelParameter, ...]:
     )
 
 
-def _unknown(name: str, available: Collection[str], elements: Sequence[Element]) -> str:
-    """The error text for a ``name`` that no parameter of the model has."""
+def _unknown(
+    name: str, available: Collection[str], elements: Sequence[Element], *, observed: bool
+) -> str:
+    """The error text for a ``name`` that no parameter of the model has, or none ``observed``."""
+    if observed and not is_observed(name):
+        return (
+            f"parameter {name!r}: an observer takes clocks and moving grounds as the model has"
+            " them; identify it first (identify --free), and give the model that this writes"
+        )
     kinds = dict.fromkeys(each.partition(".")[0] for each in available)
     near = get_close_matches(name, [*kinds, *available], 1)
     meant = f"did you mean {near[0]}? " if near else ""

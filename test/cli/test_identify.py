@@ -14,6 +14,7 @@ from impact_observer.cli.main import main
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.model import read_model
+from impact_observer.model.free_parameters import parameters_beside, parametric_family
 from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S
 
@@ -360,3 +361,18 @@ def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
     error = capsys.readouterr().err
     assert problem in error
     assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize("model", ["two_mass", "ball_on_table", "yielding_stop", "rubbing_guide"])
+def test_help_lists_every_parameter_of_a_model(
+    model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what stands after the dot, of the same number of parts."""
+    with pytest.raises(SystemExit):
+        main(["identify", "--help"])
+    said = "".join(capsys.readouterr().out.split())
+    read = read_model(model)
+    for parameter in parameters_beside(parametric_family(read.system, (), read.elements)):
+        kind, *owner = parameter.name.split(".")
+        form = ".".join([kind, *("[A-Z]" for _ in owner)])
+        assert re.search(f"[:,]{form}", said), parameter.name

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,3 +177,19 @@ def test_a_recording_of_which_the_first_part_fits_is_answered_with_a_horizon(
     printed = " ".join(capsys.readouterr().out.split())
     assert f"first {reached.moments} impacts: --horizon {int(reached.end)}." in printed
     assert "forcing-phase.1 began all around the circle" in printed
+
+
+def test_a_drop_height_above_a_shaken_table_is_measured_from_the_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A ball falls from 5 cm at the epoch; one that flies down already was not dropped then."""
+    phase, clock = 2.4, 1e-5
+    times = dropped_on_table(phase)
+    found = fitted(ON_TABLE, times, "ground-phase restitution", clock, 1)
+    turn: Any = fit_report.for_json(found, check_fit(found))["turning_point"]
+    value, error = turn
+    assert abs(value - (0.05 - 0.003 * np.cos(phase))) < 4 * error < 1e-3
+    fit_report.print_parameters(found, check_fit(found))
+    assert "gap of plate where it turns" in " ".join(capsys.readouterr().out.split())
+    rising = replace(found, start=found.start - np.array([0.0, 1.0]))
+    assert fit_report.for_json(rising, check_fit(rising))["turning_point"] is None
