@@ -87,9 +87,8 @@ def run(args: argparse.Namespace) -> int:
         start = far_start(read.system, chosen)
         for line in (*measured.problems, *unused_lines(observer), *odd, *start):
             progress.line(f"warning: {line}")
-        if assumed.note:
-            progress.line(f"note: {assumed.note}")
-        for line in considered_lines(read, observer.law.uncertainty.unknowns):
+        noted = [f"note: {assumed.note}"] * bool(assumed.note)
+        for line in (*noted, *considered_lines(read, observer.law.uncertainty.unknowns)):
             progress.line(line)
 
         def show(done: int, total: int) -> None:
