@@ -99,6 +99,8 @@ class SceneRow:
         ]
         self._strokes, self._rods = (_lines(axes, placed, width) for width in (1.1, 3.0))
         self._hands = _lines(axes, placed, 2.0)
+        origin, right, up = placed.transform([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+        self._stretch = float(np.hypot(*(up - origin)) / np.hypot(*(right - origin)))
         edge: Style = {"edgecolor": "0.15"}
         self._pins = [_box(axes, placed, 0.0, facecolor="white", **edge) for _ in scene.bars]
         self._pads = [_box(axes, placed, 0.0, facecolor="0.15", **edge) for _ in scene.bumpers]
@@ -160,7 +162,7 @@ class SceneRow:
             body.set_x(x - scene.half)
             name.set_x(x)
         self._strokes.set_segments(list(couplings(scene, frame)))
-        self._hands.set_segments(list(hands(scene, frame)))
+        self._hands.set_segments(list(hands(scene, frame, self._stretch)))
         self._rods.set_segments(list(rods(frame)))
         for patches, shapes in ((self._pins, pins), (self._pads, pads)):
             for patch, (_, box) in zip(patches, shapes(scene, frame), strict=True):

@@ -75,12 +75,15 @@ def pads(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
         yield each.contact, Box(end - width, ROD_HEIGHT - _PAD, width, 2 * _PAD)
 
 
-def hands(scene: Scene, frame: Frame) -> Iterator[Matrix]:
-    """The hand of each body of what turns, from its middle, upright at zero, shape (2, 2)."""
+def hands(scene: Scene, frame: Frame, stretch: float) -> Iterator[Matrix]:
+    """The hand of each body of what turns, from its middle, upright at zero, shape (2, 2).
+
+    ``stretch`` is the length along the line, m, that is drawn as long as a body is high.
+    """
     if scene.system.unit != "rad":
         return
     for middle, angle in zip(frame.bodies.tolist(), frame.bodies - scene.homes, strict=True):
-        along, across = _HAND * scene.half * np.sin(angle), _HAND / 2 * np.cos(angle)
+        along, across = _HAND / 2 * stretch * np.sin(angle), _HAND / 2 * np.cos(angle)
         yield np.array([[middle, 0.5], [middle + along, 0.5 + across]])
 
 

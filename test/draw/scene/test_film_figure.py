@@ -337,8 +337,8 @@ stops: [{name: right, body: arm, limit: 0.5, side: above, restitution: 0.7}]
     ).system
     scene = Scene.of_system(model)
     for angle in (0.0, 0.4, -0.3):
-        (hand,) = hands(scene, scene.frame(np.array([angle])))
-        along, across = (hand[1] - hand[0]) / [scene.half, 0.5]
+        (hand,) = hands(scene, scene.frame(np.array([angle])), 3.0)
+        along, across = (hand[1] - hand[0]) / [3.0, 1.0]
         assert np.arctan2(along, across) == pytest.approx(angle)
     stamps = np.array([EPOCH, EPOCH + NS_PER_S])
     truth = Track.of_states("plant", "", (stamps, np.array([[0.0], [0.4]]), np.zeros((2, 1))), ())
