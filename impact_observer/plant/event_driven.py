@@ -46,7 +46,6 @@ class Plant:
     _crossing: tuple[float, tuple[int, ...]] | None
     _watch: Watch
     _next: Switching | None
-    _last: Switching | None
     _moving: PhaseMotion | None
 
     def __init__(
@@ -89,7 +88,7 @@ class Plant:
         self._switches = lru_cache(KEPT)(partial(switches, system))
         gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)), ())
         self.impacts = PlainImpacts(self._phases, self._law, gaps.guards, self._zeno.shortest, LOW)
-        self._last, self._energetic = None, 0.0
+        self._energetic = 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
         self._begin(start, x, grip)
@@ -163,7 +162,8 @@ class Plant:
         # The kernel has gone on by itself.
         self._start, self._state, self._next = switching.instant, switching.after, None
         self._moving, self._is_plain = None, False
-        self._last, self._instant_changes = switching, 0
+        self._accumulation.record(switching.instant, switching.contacts, self._energetic)
+        self._instant_changes = 0
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
@@ -304,9 +304,6 @@ class Plant:
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
-            if self._last is not None:  # the kernel's flights are longer than accumulation takes
-                self._accumulation.hit(self._last.instant, self._last.contacts, self._energetic)
-                self._last = None
             if accumulating := self._accumulation.hit(instant, contacts, self._energy(u)):
                 near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))

@@ -6,6 +6,7 @@
 
 import math
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +24,12 @@ OFTEN = 32
 """Impacts of one contact within ``SHORT`` that count as accumulation."""
 NEGLIGIBLE = 1e-14
 """Kinetic energy that a plastic impact may remove, relative to the largest of the run."""
+SHRINKS = 0.5
+"""Largest ratio of two intervals between impacts, in bodies that collapse without a load."""
+COLLAPSED = 1e-8
+"""The same energy, where impacts of several contacts have run into one."""
+_COMPARED = 5
+"""Impacts of a contact whose intervals are compared."""
 _TINY = np.finfo(np.float64).tiny
 
 
@@ -146,22 +153,33 @@ class AccumulationDetector:
     def __init__(self, shortest: float) -> None:
         """Count within ``shortest`` seconds."""
         self._shortest = shortest
-        self._largest = 0.0
+        self._largest = self._allowed = 0.0
         self._hits: dict[int, deque[Instant]] = {}
 
-    def hit(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> tuple[int, ...]:
-        """Record that ``contacts`` are hit at ``instant`` with the kinetic ``energy``, J.
-
-        Returns:
-            All contacts hit within the shortest flight, if one of them was hit more than ``OFTEN``
-            times in it; none otherwise.
-        """
+    def record(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> None:
+        """Record that ``contacts`` are hit at ``instant`` with the kinetic ``energy``, J."""
         self._largest = max(self._largest, energy)
         for i in contacts:
             self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
+
+    def hit(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> tuple[int, ...]:
+        """Record a hit as ``record`` does, and find accumulations.
+
+        Free bodies between others may collapse without a load: their contacts are hit in turns, at
+        intervals that shrink by a constant ratio, until rounding lets them be hit together.
+
+        Returns:
+            All contacts hit within the shortest flight, if one of them was hit more than ``OFTEN``
+            times in it; the ``contacts``, if they collapse; none otherwise.
+        """
+        self.record(instant, contacts, energy)
         recent = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
         if any(len(h) > OFTEN and self._since(h[0], instant) for h in recent.values()):
+            self._allowed = NEGLIGIBLE
             return tuple(sorted(recent))
+        if len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts):
+            self._allowed = COLLAPSED
+            return contacts
         return ()
 
     def negligible(self, lost: float) -> bool:
@@ -170,7 +188,14 @@ class AccumulationDetector:
         Bodies can also hit each other often without losing energy, such as a light one that a
         heavy one drives towards a wall. So only a small part of the energy may be removed.
         """
-        return lost <= NEGLIGIBLE * self._largest
+        return lost <= self._allowed * self._largest
 
     def _since(self, earlier: Instant, now: Instant) -> bool:
         return now.until(earlier.stamp) + earlier.remainder >= -self._shortest
+
+
+def _shrink(hits: deque[Instant]) -> bool:
+    """Whether the last intervals between hits became shorter and shorter."""
+    last = [*hits][-_COMPARED:]
+    gaps = [one.until(other.stamp) + other.remainder for one, other in pairwise(last)]
+    return len(last) == _COMPARED and all(b <= SHRINKS * a for a, b in pairwise(gaps))

@@ -99,3 +99,43 @@ def test_wrong_use_is_one_line(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert expected in line
     assert not output.exists()
+
+
+DRILL = """name: drill
+bodies: [{name: machine, mass: 1.2}, {name: bit, mass: 0.4}]
+springs:
+  - {between: [ground, machine], stiffness: 2000, damping: 12}
+  - {between: [machine, bit], stiffness: 9000, damping: 6}
+forces: [{body: machine, amplitude: 60, frequency: 125.6637}]
+stops: [{name: anvil, body: bit, limit: 0.001, side: above, restitution: 0.5998991535303488}]
+"""
+HITS = """
+    12592 112450 169441 260199 273792 362570 380665 463168 519600 610263 623876 712584 730709
+    813145 869595 960261 973875 1062584 1080706 1163146 1219597 1310261 1323875 1412583 1430710
+    1513143 1569597 1660261 1673870 1762583 1780703 1863144 1919597 2010260 2023877 2112584
+    2130707 2213144 2269600 2360262 2373876 2462584 2480707 2563143 2619598 2710261 2723877
+    2812582 2830709 2913147 2969598 3060261 3073876 3162582 3180709 3263144 3319598 3410262
+    3423876 3512584 3530705 3613144 3669597 3760260 3773876 3862583 3880708 3963141 4019597
+    4110260 4123875 4212582 4230707 4313141 4369597 4460260 4473874 4562583 4580713 4663144
+    4719597 4810260 4823874 4912583 4930702 5013141 5069598 5160261 5173874 5262582 5280705
+    5363143 5419598 5510262 5523876 5612584 5630705 5713143 5769598 5860260 5873873 5962583
+    5980706
+"""
+"""Hits of a drill by its ringing accelerometer, us; three of 106 are missing."""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_hits_of_a_drill_are_smoothed_with_a_restitution_that_is_learned(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The declared clock is much better than the hits are: no account of them overflows."""
+    Path("drill.yaml").write_text(DRILL, encoding="utf-8")
+    rows = [f"{hit},anvil" for hit in HITS.split()]
+    Path("hits.csv").write_text("\n".join(["time_us,contact", *rows]), encoding="utf-8")
+    assert main(["import", "hits.csv", "--model", "drill.yaml", "-o", "hits"]) == 0
+    given = "--estimate-parameters restitution=0.01 --clock-error 5e-6 --rate 50 -o out"
+    assert main(["smooth", "hits", *given.split()]) == 0
+    said = capsys.readouterr().out
+    assert "out: 300 estimates, verdicts: 3 inserted, 103 applied" in said
+    assert "learned: restitution.anvil 0.6" in said or "restitution.anvil 0.59" in said

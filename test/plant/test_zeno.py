@@ -9,7 +9,7 @@ from systems import EPOCH, Harmonic, forcing, run, started, system
 
 from impact_observer.events import Kind
 from impact_observer.model import Forcing
-from impact_observer.plant import simulate
+from impact_observer.plant import Run, simulate
 from impact_observer.plant.zeno import LOW, SHORT
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
 
@@ -164,3 +164,52 @@ def test_body_that_starts_inside_its_stop_by_rounding_leaves_it() -> None:
     found = run(model, [-1 - 5e-13], [1e-6], seconds=0.1)
     assert len(found.impacts) <= 10
     assert np.min(found.states[:, 0] + 1) >= -1e-12
+
+
+def collapsing(eps: float) -> list[tuple[float, Array]]:
+    """Instants and velocities after the impacts of three masses in free flight, one by one."""
+    q, u, t = np.array([0.0, 1.0, 2.5]), np.array([1.0, 0.0, -1.0]), 0.0
+    found = []
+    for _ in range(200):
+        speed = np.diff(u)
+        ahead = np.where(speed < 0, np.diff(q) / np.where(speed < 0, -speed, 1.0), np.inf)
+        i = int(np.argmin(ahead))
+        if not np.isfinite(ahead[i]):
+            break
+        q, t = q + u * ahead[i], t + ahead[i]
+        middle, half = (u[i] + u[i + 1]) / 2, (u[i + 1] - u[i]) / 2
+        u[i], u[i + 1] = middle + eps * half, middle - eps * half
+        q[i + 1] = q[i]
+        found.append((t, u.copy()))
+    return found
+
+
+def collapse(eps: float) -> Run:
+    """The plant's run of the same masses."""
+    contacts = [([-1, 1, 0], 0.0, eps), ([0, -1, 1], 0.0, eps)]
+    model = free(3, contacts=contacts, force=forcing(3))
+    plant = started(model, [0.0, 1.0, 2.5], [1.0, 0.0, -1.0])
+    return simulate(plant, grid(EPOCH, EPOCH + from_seconds(4), 10.0))
+
+
+def test_masses_that_collapse_without_a_load_stay_together() -> None:
+    """Their impacts accumulate at 1.357142857 s; momentum and centre of mass are kept."""
+    wanted, found = collapsing(0.05), collapse(0.05)
+    assert wanted[-1][0] == pytest.approx(1.357142857, abs=1e-9)
+    last = found.switchings[-1]
+    assert kinds_in_order(last) == [Kind.CLOSE, Kind.CLOSE]
+    assert 0 < wanted[-1][0] - seconds(last) < 1e-7
+    for one, (t, _) in zip(found.switchings[:-1], wanted, strict=False):
+        assert seconds(one) == pytest.approx(t, abs=1e-9)
+    after = found.states[found.stamps > last.instant.stamp]
+    np.testing.assert_allclose(after[:, :3], 3.5 / 3, atol=1e-12)
+    np.testing.assert_allclose(after[:, 3:], 0.0, atol=1e-12)
+
+
+def test_masses_above_the_critical_restitution_part() -> None:
+    """Three masses collapse below 7 - 4 sqrt(3) = 0.072 only; with 0.3 three impacts part them."""
+    wanted, found = collapsing(0.3), collapse(0.3)
+    assert [kinds_in_order(one) for one in found.switchings] == [[Kind.IMPACT]] * 3
+    for one, (t, u) in zip(found.switchings, wanted, strict=False):
+        assert seconds(one) == pytest.approx(t, abs=1e-9)
+        np.testing.assert_allclose(one.after[3:], u, atol=1e-12)
