@@ -47,6 +47,7 @@ from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.parameter_uncertainty import correlations_of
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
@@ -151,9 +152,7 @@ class Identification:
     @property
     def correlation(self) -> Matrix:
         """The correlations of the parameters, shape (p, p)."""
-        own = self.covariance[self.start.size :, self.start.size :]
-        scale = np.where(self.errors > 0, self.errors, 1.0)
-        return np.asarray(own / np.outer(scale, scale))
+        return correlations_of(self.covariance[self.start.size :, self.start.size :])
 
     @property
     def system(self) -> System:

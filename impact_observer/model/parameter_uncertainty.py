@@ -81,12 +81,10 @@ class ParameterUncertainty:
         Shape (k, k) for k names.
         """
         found, where = np.eye(len(names)), {name: i for i, name in enumerate(self.names)}
-        own = [(k, where[name]) for k, name in enumerate(names) if name in where]
-        for k, i in own:
-            for other, j in own:
-                size = float(self.deviations[i] * self.deviations[j])
-                if other != k and size:
-                    found[k, other] = self.covariance[i, j] / size
+        own = [k for k, name in enumerate(names) if name in where]
+        here = [where[names[k]] for k in own]
+        found[np.ix_(own, own)] = correlations_of(self.covariance)[np.ix_(here, here)]
+        np.fill_diagonal(found, 1.0)
         return found
 
     @property
@@ -101,12 +99,21 @@ class ParameterUncertainty:
         return found
 
 
+def correlations_of(covariance: Matrix) -> Matrix:
+    """The correlations of numbers with units of their own; 0 of one without an error, (p, p)."""
+    scale = _scale(covariance)
+    return np.asarray(covariance / np.outer(scale, scale))
+
+
 def root_in_own_units(covariance: Matrix) -> Matrix:
     """A square root of a ``covariance`` of numbers with units of their own, shape (p, p)."""
+    values, axes = np.linalg.eigh(correlations_of(covariance))
+    return np.asarray(_scale(covariance)[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _scale(covariance: Matrix) -> Vector:
     deviations = np.sqrt(np.diag(covariance))
-    scale = np.where(deviations > 0, deviations, 1.0)
-    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+    return np.where(deviations > 0, deviations, 1.0)
 
 
 def read_uncertainty(
