@@ -2,17 +2,18 @@
 """Motion of plants that differ from the observer's model, by independent code.
 
 Scipy's DOP853 integrates each flight. An impact is found as a root of its gap in the dense output.
-Of the package only the matrices of ``System`` are used.
+Of the package only the matrices of ``System`` are used, and its events.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import integrate, linalg, optimize
 
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.stamps import NS_PER_S
 
@@ -58,6 +59,13 @@ class Recording:
     ends: Stamps
     sample_stamps: Stamps
     states: Array
+
+    def events(self, system: System) -> Iterator[ImpactEvent]:
+        """What an ideal sensor of the ``system`` reports."""
+        hits = zip(self.stamps.tolist(), self.contacts.tolist(), strict=True)
+        for k, (stamp, contact) in enumerate(hits, start=1):
+            switches = (Switch(system.contact_names[contact], Kind.IMPACT),)
+            yield ImpactEvent(stamp, switches, k, 1, EPOCH)
 
     def away(self, margin: float = 0.005) -> NDArray[np.bool_]:
         """Which samples are farther than ``margin``, s, from any contact, shape (samples,)."""

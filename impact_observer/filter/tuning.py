@@ -3,7 +3,7 @@
 
 Numbers of the arithmetic, such as roundings, stand in the modules that use them. Where a number
 has no source and no measurement beside it, it was chosen by hand; ``./dev bench`` with ``laws``,
-``covariance``, ``troubles``, ``chatter`` and ``misfit`` shows what a change does.
+``covariance``, ``troubles``, ``chatter`` and ``honest`` shows what a change does.
 """
 
 import math

@@ -14,7 +14,6 @@ from benchmarks.fast_bags import fast_model
 from benchmarks.filter_cost import DRILL
 from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.misfit_plants import plants
-from benchmarks.misfit_runs import events
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
@@ -212,7 +211,7 @@ def test_contact_time_is_found() -> None:
     declared = {"clock_error": 1e-4, **TRUSTED}
     chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
     recording = plant.run(0, 12.0)
-    watcher = fed(make_observer(plant.model, chosen), events(plant.model, recording))
+    watcher = fed(make_observer(plant.model, chosen), recording.events(plant.model))
     learned = {name: value for name, value, _ in watcher.estimate(watcher.last_event).parameters}
     assert learned["contact-time.anvil"] == pytest.approx(0.0018, rel=0.15)
     assert learned["contact-time.rock"] == pytest.approx(0.0018, rel=0.15)

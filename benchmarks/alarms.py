@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often ``minimum-variance`` warns of a misfit though the model is exact.
+"""How often an exact model is warned of: ``./dev bench alarms``.
+
+    ./dev bench alarms --events 10000 --jobs 1 --first-seed 200000
 
 Plants of the package's own integrator from random states, sensors with and without faults, the
 law with its defaults. Runs of 60 s are made in rounds until there are enough events. The bound of
 the rate is the upper limit of its 95 % confidence interval: 3 over the events where none alarms.
 """
 
+import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -122,3 +126,18 @@ def print_table(counts: Sequence[Count], console: Console) -> None:
         numbers = (each.events, each.alarms, each.warned)
         table.add_row(each.model, each.sensor, *map(str, numbers), bound)
     console.print(table)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="./dev bench alarms", description=__doc__)
+    parser.add_argument("--events", type=int, default=1000, metavar="N", help="(default 1000)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default 2)")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="K", help="(default 0)")
+    given = parser.parse_args(arguments)
+    print_table(run(given.events, given.jobs, given.first_seed), Console())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
