@@ -42,7 +42,7 @@ def beside_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("beside_bags")
 def test_the_recording_of_the_readme_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every command works as typed; the model fits, and the impacts determine the state."""
+    """Every command works as typed: from impacts to a model with deviations, and to an estimate."""
     typed = [step for step in steps(OWN_RIG) if isinstance(step, Run) and not needs_ros(step)]
     assert [step.words[0] for step in typed][:2] == ["check-model", "detect"]
     for step in typed:
@@ -52,8 +52,10 @@ def test_the_recording_of_the_readme_is_understood(capsys: pytest.CaptureFixture
         "Every mode moves some contact",
         "anvil: 22 impacts",
         "all 4 numbers of the state are determined",
-        "The model fits.",
+        "ok Checked on the last",
+        "considered: restitution.anvil 0.700",
         "verdicts: 22 applied",
+        "deviation of x1: ",
     ):
         assert expected in said
     assert Path("motion.png").stat().st_size > 10_000
