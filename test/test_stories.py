@@ -42,7 +42,7 @@ def beside_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("beside_bags")
 def test_the_recording_of_the_readme_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every command works as typed: from impacts to a model with deviations, and to an estimate."""
+    """Every command works as typed: from impacts to a model with deviations and an estimate."""
     typed = [step for step in steps(OWN_RIG) if isinstance(step, Run) and not needs_ros(step)]
     assert [step.words[0] for step in typed][:2] == ["check-model", "detect"]
     for step in typed:
