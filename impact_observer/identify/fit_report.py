@@ -94,7 +94,7 @@ def _initial_errors(fitted: Identification) -> Vector:
     return np.asarray(np.sqrt(np.diag(fitted.covariance))[: fitted.start.size])
 
 
-class _Turn(NamedTuple):
+class _TurningPoint(NamedTuple):
     """Where a single body turns that flies under a constant force alone.
 
     Attributes:
@@ -108,7 +108,7 @@ class _Turn(NamedTuple):
     error: float
 
 
-def _turning_point(fitted: Identification) -> _Turn | None:
+def _turning_point(fitted: Identification) -> _TurningPoint | None:
     """Where a single body turns; None unless the model is one that flies under a constant force.
 
     Above a stop that moves that is the gap then; None if the body turns before the start or after
@@ -144,7 +144,7 @@ def _turning_point(fitted: Identification) -> _Turn | None:
     covariance = fitted.covariance[: at.size, : at.size]
     what = f"gap of {contact}" if moves else name
     error = float(np.sqrt(slope @ covariance @ slope))
-    return _Turn(f"{what} where it turns", distance(at), error)
+    return _TurningPoint(f"{what} where it turns", distance(at), error)
 
 
 def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
