@@ -153,7 +153,7 @@ def sampled(model: System, x: Array, horizon: float, t: float) -> float | None:
 
 
 @pytest.mark.slow
-@examples(400)
+@examples(150)
 @given(st.data())
 def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject) -> None:
     """Or an earlier one between two samples, with all gaps open before it."""
@@ -406,7 +406,7 @@ def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
 
 
 @pytest.mark.slow
-@examples(160)
+@examples(80)
 @given(st.data())
 def test_derivatives_are_those_of_the_states_and_bounds_hold(data: st.DataObject) -> None:
     """Of gaps, speeds and loads, with a contact held or none."""
@@ -473,7 +473,7 @@ def test_derivatives_and_bounds_hold_where_the_response_grows_from_the_start(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hold", ["previous", "linear"])
-@examples(150)
+@examples(60)
 @given(st.data())
 def test_search_across_knots_of_a_sampled_force_finds_the_first_closing(
     hold: str, data: st.DataObject

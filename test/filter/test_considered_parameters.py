@@ -130,7 +130,7 @@ def test_errors_agree_with_the_covariance_for_plants_with_drawn_parameters(
     family = parametric_family(model.system, names)
     exact = replace(model, uncertainty=None)
     consistent, sure = list[float](), list[float]()
-    for seed in range(24):
+    for seed in range(12):
         rng = np.random.default_rng(100 + seed)
         theta = family.nominal + sizes * rng.normal(size=sizes.size)
         x = np.concatenate([[0.1, -0.2], [0.5, 0.0]])

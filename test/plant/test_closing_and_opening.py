@@ -289,7 +289,7 @@ def assert_loads(model: System, found: Run) -> None:
 
 
 @pytest.mark.slow
-@examples(600)
+@examples(200)
 @given(st.data())
 def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
     """No penetration, complementary loads, no gain of energy, consistent switchings."""

@@ -61,7 +61,7 @@ def test_impacts_are_those_of_a_plant_alone(name: str, monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-@examples(400)
+@examples(150)
 @given(st.data())
 def test_impacts_of_any_system_are_those_of_a_plant_alone(data: st.DataObject) -> None:
     """Some come to rest, some close several contacts at once."""
