@@ -40,7 +40,7 @@ _MOST_HELD_BACK = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    from impact_observer.model.free_parameters import forms
+    from impact_observer.model.free_parameters import parameter_forms
 
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free",
         metavar="LIST",
         default="",
-        help=f"what to identify, with commas: {', '.join(forms())}; such as gap.stop or"
+        help=f"what to identify, with commas: {', '.join(parameter_forms())}; such as gap.stop or"
         " stiffness.ground-x1, or without the part after the dot all of a kind",
     )
     parser.add_argument(

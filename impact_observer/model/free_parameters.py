@@ -71,7 +71,7 @@ _WRONG_FREQUENCY = 0.1
 """Error that makes a frequency useless, relative to the frequency."""
 
 
-def forms() -> list[str]:
+def parameter_forms() -> list[str]:
     """The forms of all names of parameters, such as ``gap.CONTACT``."""
     owners = {kind: _OWNERS.get(kind, "CONTACT") for kind in UNITS}
     return [f"{kind}.{owner}".rstrip(".") for kind, owner in owners.items()]
