@@ -29,7 +29,7 @@ from impact_observer.states import Matrix, Vector
 
 _LARGEST = 1e300
 """Instead of bounds that are infinite."""
-_LINEAR = {"C", "K", "gap", "rebound", "contact_time", "amplitude", "constant"}
+_LINEAR = {"C", "K", "gap", "rebound", "contact_time", "amplitude", "constant", "cosine", "sine"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
 _LINEARISED = _LINEAR | {"M", "phase", "frequency"}
 """Coefficients by which considered parameters do, linearised about their values."""

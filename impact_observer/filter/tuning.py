@@ -277,6 +277,14 @@ class Tuning:
     """Change of a parameter, in deviations, from which on the warning names it."""
     account_hypotheses: int = 32
     """Hypotheses that the account keeps."""
+    wide_share: float = 0.5
+    """Deviations of the parameters of the wide account, relative to those of few kinds."""
+    wide_hypotheses: int = 8
+    """Hypotheses that the wide account keeps."""
+    wide_weight: float = 0.5
+    """Weight of the wide account in the covariance that a misfit publishes while few parameters
+    do not explain the impacts.
+    """
     account_coordinates: int = 32
     """Most coordinates of a model with an account: each hypothesis is a system of its own. An
     event of a chain of 40 masses takes half a second, one of 100 masses over a minute.

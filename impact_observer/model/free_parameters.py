@@ -33,6 +33,7 @@ UNITS = {
     "forcing-phase": "rad",
     "forcing-frequency": "rad/s",
     "constant-force": "N",
+    "harmonic-force": "N",
     "ground-amplitude": "",
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
@@ -247,6 +248,22 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         own, omega = f"{kind}-frequency.{number}", frequencies[k]
         bounds = omega * _RATIO[0], omega * _RATIO[1]
         yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
+
+
+def harmonic_forces(system: System) -> Iterator[ModelParameter]:
+    """A harmonic force of each frequency of the forcing on each coordinate, no moving grounds.
+
+    In cosine and sine: what is wrong with a model in a periodic motion has these frequencies.
+    """
+    force, parameter = usual_force(system), partial(_parameter, system)
+    zero = np.zeros_like(system.forcing.cosine)
+    for k, i in np.ndindex(*zero.shape):
+        for part, word in (("cosine", "cos"), ("sine", "sin")):
+            one = zero.copy()
+            one[k, i] = 1.0
+            value = float(getattr(system.forcing, part)[k, i])
+            name = f"harmonic-force.{system.coordinates[i]}.{word}{k + 1}"
+            yield parameter(name, value, _FREE, force, **{part: one})
 
 
 def usual_force(system: System) -> float:

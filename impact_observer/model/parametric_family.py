@@ -14,7 +14,7 @@ from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.system import Contact, Guide, System
 from impact_observer.states import Matrix, Vector, frozen
 
-_OF_FORCING = {"amplitude", "phase", "frequency", "constant"}
+_OF_FORCING = {"amplitude", "phase", "frequency", "constant", "cosine", "sine"}
 """Coefficients on which the forcing depends."""
 _DEVIATION_RANGE = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
@@ -37,6 +37,8 @@ class Coefficients:
         phase: lead of the harmonics over those of the model, shape (h,), rad.
         frequency: angular frequencies of the harmonics, shape (h,), rad/s.
         constant: constant force, shape (n,), N.
+        cosine: amplitudes of the cosines of the harmonics, shape (h, n), N.
+        sine: amplitudes of the sines of the harmonics, shape (h, n), N.
         friction: largest forces of the guides, shape (guides,), N.
         contact_time: duration of an impact, shape (m,), s.
     """
@@ -50,14 +52,17 @@ class Coefficients:
     phase: Vector
     frequency: Vector
     constant: Vector
+    cosine: Matrix
+    sine: Matrix
     friction: Vector
     contact_time: Vector
 
     @classmethod
     def of_system(cls, system: System) -> "Coefficients":
         """The coefficients of ``system``."""
-        frequency, constant = system.forcing.frequency, system.forcing.constant
-        harmonics = np.ones(frequency.size), np.zeros(frequency.size), frequency, constant
+        given, count = system.forcing, system.forcing.frequency.size
+        forces = given.frequency, given.constant, given.cosine, given.sine
+        harmonics = np.ones(count), np.zeros(count), *forces
         numbers = [[each.value for each in law.parameters] for law in system.rebounds]
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
@@ -119,7 +124,7 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on the parameter."""
-        motion = {"M", "C", "K", "amplitude", "phase", "frequency", "constant", "friction"}
+        motion = {"M", "C", "K", "friction"} | _OF_FORCING
         return not motion.isdisjoint(self.effect.parts)
 
     @property
@@ -229,6 +234,7 @@ class ParametricFamily:
         changes = np.zeros((self.size, *given.shape), dtype=np.complex128)
         for j, effect in enumerate(each.effect for each in self.parameters):
             ahead = 1j * effect.phase[:, None] * given + effect.frequency[:, None] * by_frequency
+            ahead += effect.cosine - 1j * effect.sine
             changes[j] = effect.amplitude[:, None] * turn * given + factor * ahead
         return factor * given, changes
 
@@ -292,10 +298,12 @@ class ParametricFamily:
         """
         given, frame = self.system.forcing, self.system.frame
         constant, frequency = coefficients.constant, coefficients.frequency
-        if np.array_equal(constant, given.constant) and np.array_equal(frequency, given.frequency):
+        names = ("constant", "frequency") + ("cosine", "sine") * (frame is None)
+        changed = {name: getattr(coefficients, name) for name in names}
+        if all(np.array_equal(each, getattr(given, name)) for name, each in changed.items()):
             return given, frame
         if frame is None:
-            return replace(given, constant=constant, frequency=frequency), None
+            return replace(given, **changed), None
         own, grounds = frame.forcing.frequency.size, frame.grounds
         motion = replace(grounds.motion, frequency=frequency[own:])
         forcing = replace(frame.forcing, constant=constant, frequency=frequency[:own])

@@ -119,6 +119,18 @@ class Account(NamedTuple):
         return self.fit.is_explained
 
 
+class Accounts(NamedTuple):
+    """The accounts of a doubted model.
+
+    Attributes:
+        few: with few kinds of parameters, as far as these explain the impacts.
+        wide: with all parameters and harmonic forces in doubt together.
+    """
+
+    few: Account
+    wide: Account
+
+
 class Belief(NamedTuple):
     """Estimate and uncertainty of a law at one instant: a prior or a posterior.
 
@@ -138,7 +150,7 @@ class Belief(NamedTuple):
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where a law with hypotheses restarts; None for others.
         behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
-        account: estimates of parameters, while the model is doubted.
+        account: estimates with other parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the onset of an impact that lasts, or has an uncertain instant; the other states are
             those after the jump, carried back to the onset.
@@ -156,7 +168,7 @@ class Belief(NamedTuple):
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
     behind: tuple[float, float] = (0.0, 0.0)
-    account: Account | None = None
+    account: Accounts | None = None
     misfit: str = ""
     onset: Onset | None = None
 

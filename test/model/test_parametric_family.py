@@ -6,7 +6,7 @@ import pytest
 
 from impact_observer.dynamics import Phases
 from impact_observer.model import parse_model
-from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.free_parameters import harmonic_forces, parametric_family
 from impact_observer.trajectory.linearised_system import LinearisedSystem
 
 SHAKEN = """
@@ -29,6 +29,15 @@ forces:
   - {body: a, amplitude: 1, frequency: 7}
 stops: [{name: stop, body: a, limit: 0.1, side: above, restitution: 0.6}]
 """
+FORCED = """
+name: forced
+bodies: [{name: a, mass: 2}, {name: b, mass: 1}]
+springs: [{between: [ground, a], stiffness: 30}, {between: [a, b], stiffness: 40, damping: 0.3}]
+forces:
+  - {body: b, amplitude: 4, frequency: 2.5, phase: 0.2}
+  - {body: a, amplitude: 1, frequency: 7}
+stops: [{name: stop, body: b, limit: 0.1, side: above, restitution: 0.6}]
+"""
 OF_FORCES = ("constant-force", "forcing-amplitude", "forcing-phase", "forcing-frequency")
 OF_GROUNDS = ("ground-amplitude", "ground-phase", "ground-frequency")
 
@@ -39,6 +48,22 @@ def test_the_force_changes_as_that_of_systems_beside(kind: str, share: float) ->
     """Central differences, at the model's values and at others, with a ground that moves."""
     family = parametric_family(parse_model(SHAKEN, "shaken").system, [kind])
     values = family.nominal + share * family.sizes
+    for t in (0.0, 3.7):
+        exact = family.force_changes(values, t)
+        for j, size in enumerate(family.sizes.tolist()):
+            step = 1e-5 * size * np.eye(family.size)[j]
+            more, less = (family.system_at(values + each).forcing(t) for each in (step, -step))
+            slope = (more - less) / (2e-5 * size)
+            np.testing.assert_allclose(exact[j], slope, rtol=1e-6, atol=1e-8)
+
+
+def test_harmonic_forces_change_the_force_as_that_of_systems_beside() -> None:
+    """Central differences at other amplitudes and phases; the forces are linear in them."""
+    system = parse_model(FORCED, "forced").system
+    names = ["forcing-amplitude", "forcing-phase"]
+    family = parametric_family(system, names).extended(harmonic_forces(system))
+    assert family.size == 2 * len(names) + 2 * system.n * 2
+    values = family.nominal + 0.1 * family.sizes
     for t in (0.0, 3.7):
         exact = family.force_changes(values, t)
         for j, size in enumerate(family.sizes.tolist()):

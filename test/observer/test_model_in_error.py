@@ -286,3 +286,33 @@ def test_a_wrong_model_with_a_table_that_moves_is_observed() -> None:
         observer.receive(event)
     error = observer.estimate(int(truth.stamps[-1])).q - truth.states[-1, :1]
     assert np.abs(error).max() < 0.05
+
+
+PLANE = """
+name: plane
+coordinates: [x, y]
+mass: [[1, 0], [0, 1]]
+damping: [[0.1, 0], [0, 0.2]]
+stiffness: [[12, -1.5], [-1.5, 15]]
+forcing:
+  harmonics: [{frequency: 3, cosine: [2, 4], sine: [0, 0]}]
+contacts: [{name: stop, direction: [0, -1], gap: 0.25, restitution: 0.8}]
+"""
+
+
+@pytest.mark.slow
+def test_what_the_impacts_hardly_see_stays_wide_in_a_misfit() -> None:
+    """The force on x is 12 % larger; the stop hits y, and few kinds of parameters explain that."""
+    model = parse_model(PLANE, "plane").system
+    forcing = replace(model.forcing, cosine=model.forcing.cosine * [1.12, 1.0])
+    plant = replace(model, forcing=forcing)
+    truth = run(plant, *START, seconds=120.0, rate=5.0)
+    observer = make_observer(model, Options("minimum-variance", epoch=EPOCH, history=1e4))
+    for event in truth.events:
+        observer.receive(event)
+    found = [observer.estimate(stamp) for stamp in truth.stamps[-200:].tolist()]
+    errors = np.array([np.concatenate([each.q, each.u]) for each in found]) - truth.states[-200:]
+    deviations = np.array([np.sqrt(np.diag(each.covariance)) for each in found])
+    assert found[-1].misfit
+    assert np.mean(np.abs(errors) <= 3 * deviations) > 0.9
+    assert np.max(np.median(deviations, axis=0)) < 0.5 * np.max(np.abs(truth.states))

@@ -95,7 +95,13 @@ def nearest(fit: Fit, states: int) -> int:
 
 
 def combined(
-    fit: Fit, by_filter: Part, replica: Fallback, by_account: Part | None, *, explained: bool
+    fit: Fit,
+    by_filter: Part,
+    replica: Fallback,
+    by_few: Part | None,
+    by_wide: Part | None,
+    *,
+    explained: bool,
 ) -> Matrix:
     """A root of the covariance in a misfit: of all estimates, about the nearest one.
 
@@ -105,54 +111,58 @@ def combined(
         fit: how far each is from the impacts.
         by_filter: the filter's.
         replica: at the same instant.
-        by_account: that of the account with other parameters; None where it is not the nearest.
-        explained: whether that account explains the impacts: then it stands alone.
+        by_few: by the account with few parameters; None where it is not the nearest.
+        by_wide: by the account with all of them, which has ``Tuning.wide_weight``; None without.
+        explained: whether few parameters explain the impacts: then their account stands alone.
     """
-    if by_account is not None and explained:
-        return by_account[1]
+    if by_few is not None and explained:
+        return by_few[1]
     parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
-    if by_account is not None:
-        parts.append(by_account)
+    if by_few is not None:
+        parts.append(by_few)
     x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
-    shares = fit.shares(with_account=by_account is not None)
+    shares = fit.shares(with_account=by_few is not None)
+    if by_wide is not None:
+        parts.append(by_wide)
+        shares = np.append((1 - TUNING.wide_weight) * shares, TUNING.wide_weight)
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):
         columns += [share * root, share * (x - other)[:, None]]
     return np.hstack(columns)
 
 
 class MisfitPrediction(Prediction):
-    """Of filter, replica and account together, where the model does not fit."""
+    """Of filter, replica and accounts together, where the model does not fit."""
 
     def __init__(
         self,
         fit: Fit,
         by_filter: Prediction,
         replica: Callable[[float], Fallback],
-        by_account: Prediction | None,
+        by_few: Prediction | None,
+        by_wide: Prediction | None = None,
         *,
         explained: bool = False,
     ) -> None:
         self._by_filter = by_filter
         self._replica = replica
-        self._by_account = by_account
+        self._by_few, self._by_wide = by_few, by_wide
         self._fit = fit
         self._explained = explained
 
     def state(self, s: float) -> Vector:
-        if self._by_account is not None:
-            return self._by_account.state(s)
+        if self._by_few is not None:
+            return self._by_few.state(s)
         return self._replica(s).x if self._fit.prefers_replica else self._by_filter.state(s)
 
     def root(self, s: float) -> Matrix:
-        account = None if self._by_account is None else _part(self._by_account, s)
-        if account is not None and self._explained:
-            return account[1]
-        parts = _part(self._by_filter, s), self._replica(s), account
+        few = None if self._by_few is None else _part(self._by_few, s)
+        wide = None if self._by_wide is None else _part(self._by_wide, s)
+        parts = _part(self._by_filter, s), self._replica(s), few, wide
         return combined(self._fit, *parts, explained=self._explained)
 
     def closed(self, s: float) -> Contacts | None:
-        if self._by_account is not None:
-            return self._by_account.closed(s)
+        if self._by_few is not None:
+            return self._by_few.closed(s)
         return None if self._fit.prefers_replica else self._by_filter.closed(s)
 
     def belief(self, s: float) -> Belief:

@@ -33,7 +33,7 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import (
-    Account,
+    Accounts,
     Belief,
     Fallback,
     Learned,
@@ -179,9 +179,10 @@ class MinimumVariance(Law):
         if account is not None:
             account = self._accounts.after(change, account, fallback)
         if change.hit and best.innovation is not None and fit is not prior.fit:
-            by_account = math.nan if account is None else account.residual
+            by_account = math.nan if account is None else account.few.residual
             fit = fit.compared(Residual(best.innovation.residual, *gap, by_account))
-        fit = fit.beside(0.0 if account is None else self._accounts.change(account))
+        change_of_few = 0.0 if account is None else self._accounts.few.change(account.few)
+        fit = fit.beside(change_of_few)
         if not (self._doubts and fit.is_doubted):
             account = None
         elif account is None:
@@ -286,10 +287,14 @@ class MinimumVariance(Law):
         def motion(s: float) -> Fallback:
             return moved(ago + s)
 
-        if account is None or not belief.fit.prefers_account:
+        if account is None:
             return MisfitPrediction(belief.fit, found, motion, None)
-        ours = self._accounts.predict(t, account, prior)
-        return MisfitPrediction(belief.fit, found, motion, ours, explained=account.is_explained)
+        by_wide = self._accounts.wide.predict(t, account.wide, prior)
+        if not belief.fit.prefers_account:
+            return MisfitPrediction(belief.fit, found, motion, None, by_wide)
+        by_few = self._accounts.few.predict(t, account.few, prior)
+        explained = account.few.is_explained
+        return MisfitPrediction(belief.fit, found, motion, by_few, by_wide, explained=explained)
 
     @property
     def filter(self) -> ImpactFilter:
@@ -325,7 +330,7 @@ class MinimumVariance(Law):
         hypotheses: tuple[Hypothesis, ...],
         fallback: Fallback,
         fit: Fit,
-        account: Account | None = None,
+        account: Accounts | None = None,
         behind: tuple[float, float] = (0.0, 0.0),
     ) -> Belief:
         """The belief of ``hypotheses``, the likeliest first, without a covariance.
@@ -347,7 +352,7 @@ class MinimumVariance(Law):
         hypotheses: tuple[Hypothesis, ...],
         fallback: Fallback,
         fit: Fit,
-        account: Account | None = None,
+        account: Accounts | None = None,
         change: ContactChange | None = None,
     ) -> Belief:
         """The belief of ``hypotheses`` with their covariance, after a ``change`` if any."""
@@ -356,13 +361,16 @@ class MinimumVariance(Law):
         best, whole, names, instead = shown[0], mixture(shown).root, self._names, ""
         root, notes = whole[:size], []
         if fit.is_compared:
-            part, explained = None, False
+            part, wide, explained = None, None, False
+            if account is not None:
+                far = self._accounts.wide.estimate(account.wide)
+                wide = far.x, far.root[:size]
             if account is not None and fit.prefers_account:
-                found, instead = self._accounts.estimate(account), self._accounts.text(account)
-                part, explained = (found.x, found.root[:size]), account.is_explained
-                shown, whole, names = account.published, found.root, self._accounts.names
-            by_filter = best.state.x, root
-            root = combined(fit, by_filter, fallback, part, explained=explained)
+                few = self._accounts.few
+                found, instead = few.estimate(account.few), few.text(account.few)
+                part, explained = (found.x, found.root[:size]), account.few.is_explained
+                shown, whole, names = account.few.published, found.root, few.names
+            root = combined(fit, (best.state.x, root), fallback, part, wide, explained=explained)
         if change:
             notes = best.ledger.notes_on((change.stamp, change.sequence))
         return Belief(
@@ -410,7 +418,7 @@ class MinimumVariance(Law):
 
 
 def _estimate(
-    hypotheses: tuple[Hypothesis, ...], fallback: Fallback, fit: Fit, account: Account | None
+    hypotheses: tuple[Hypothesis, ...], fallback: Fallback, fit: Fit, account: Accounts | None
 ) -> tuple[tuple[Hypothesis, ...], Ensemble]:
     """``hypotheses`` with the published one first, and the estimate with its replicas."""
     hypotheses, state = _best_first(hypotheses, fit)
@@ -418,7 +426,7 @@ def _estimate(
     if fit.is_compared:
         states = [ensemble.x, fallback.x]
         if account is not None and fit.prefers_account:
-            states.append(account.published[0].state.x)
+            states.append(account.few.published[0].state.x)
         ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.columns)
     return hypotheses, ensemble
 

@@ -27,9 +27,9 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
-from impact_observer.model.free_parameters import UNITS, usual_force
+from impact_observer.model.free_parameters import UNITS, harmonic_forces, usual_force
 from impact_observer.model.system import unit_of
-from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
+from impact_observer.observer.belief import Account, Accounts, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import predicted_by
 from impact_observer.observer.laws.starts import Starts
@@ -40,6 +40,7 @@ OF_MOTION = {
     "damping-scale": TUNING.damping_deviation,
     "forcing-amplitude": TUNING.amplitude_deviation,
     "constant-force": TUNING.constant_deviation,
+    "harmonic-force": TUNING.constant_deviation,
 }
 OF_IMPACTS = {
     "gap": TUNING.gap_deviation,
@@ -51,22 +52,29 @@ constant force relative to the largest force, of a gap to the largest gap, of a 
 model's time scale."""
 
 
-def doubted(system: System) -> UnknownParameters:
+def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     """The parameters that an account estimates; no scales of what moving grounds act through."""
     deviations, forcing = OF_MOTION | OF_IMPACTS, system.forcing
     deviations["contact-time"] *= Scales.of_equations(system).timescale
-    deviations["constant-force"] *= usual_force(system)
+    for kind in ("constant-force", "harmonic-force"):
+        deviations[kind] *= usual_force(system)
     deviations["gap"] *= float(np.max(np.abs(system.q_r), initial=0.0))
     at_rest = system.frame is None
     is_plain = at_rest and system.live is None and forcing.sampled is None and not system.guides
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
     parts["forcing-amplitude"] = np.where(is_plain, forcing.frequency, 0.0)
-    parts["constant-force"] = np.array([is_plain and system.n <= TUNING.forced_coordinates])
+    is_forced = is_plain and system.n <= TUNING.forced_coordinates
+    parts["constant-force"], parts["harmonic-force"] = np.array([is_forced]), np.zeros(1)
     parts["gap"] = system.q_r * is_plain
     parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
-    return UnknownParameters.named(system, wanted)
+    found = UnknownParameters.named(system, wanted)
+    if not (is_forced and is_wide):
+        return found
+    family = found.family.extended(harmonic_forces(system))
+    declared = dict(zip(found.family.names, found.deviations.tolist(), strict=True))
+    return UnknownParameters.of(family, declared | deviations)
 
 
 def subsets(names: Sequence[str]) -> list[list[bool]]:
@@ -85,29 +93,36 @@ def kind_of(name: str) -> str:
     return name.partition(".")[0]
 
 
-class ParameterAccounts:
-    """Begins, corrects and predicts accounts with parameters of a system.
+class AccountBank:
+    """Begins, corrects and predicts an account with parameters of a system.
 
     Attributes:
         names: of the parameters.
     """
 
-    def __init__(self, system: System, uncertainty: Uncertainty, clocks: Sequence[float]) -> None:
-        """Accounts of ``system``; ``uncertainty`` has no unknown parameters."""
-        self._unknowns = doubted(system)
+    def __init__(
+        self,
+        system: System,
+        uncertainty: Uncertainty,
+        clocks: Sequence[float],
+        *,
+        is_wide: bool = False,
+    ) -> None:
+        """An account of ``system``; ``uncertainty`` has no unknown parameters.
+
+        One that ``is_wide`` estimates all parameters together, and harmonic forces beside them.
+        """
+        self._unknowns = doubted(system, is_wide=is_wide)
+        self._deviations = (TUNING.wide_share if is_wide else 1.0) * self._unknowns.deviations
         self.names = self._unknowns.family.names
         self._nominal = self._unknowns.family.nominal
         uncertainty = replace(uncertainty, unknowns=self._unknowns)
-        self._subsets = subsets(self.names)
+        self._subsets = subsets(self.names)[: 1 if is_wide else None]
+        most = TUNING.wide_hypotheses if is_wide else TUNING.account_hypotheses
         filter_ = ImpactFilter(system, 0.0, self._unknowns)
-        self._bank = FilterBank(filter_, uncertainty, clocks, TUNING.account_hypotheses)
+        self._bank = FilterBank(filter_, uncertainty, clocks, most)
         self._starts = Starts(filter_, uncertainty, clocks)
         self._system = system
-
-    @staticmethod
-    def are_affordable(system: System) -> bool:
-        """Whether ``system`` is small enough for accounts."""
-        return system.n <= TUNING.account_coordinates
 
     def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
         """The account at an estimate that is in doubt.
@@ -124,7 +139,7 @@ class ParameterAccounts:
         doubt = np.pad(np.diag(TUNING.doubted_start * largest), ((0, late), (0, 0)))
         root = triangular(np.hstack([TUNING.widened_start * state.root, doubt]))
         for k, free in enumerate(self._subsets):
-            deviations = np.where(free, self._unknowns.deviations, 0.0)
+            deviations = np.where(free, self._deviations, 0.0)
             whole = linalg.block_diag(root, np.diag(deviations))[rows]
             prior = GaussianState(state.x, constants, whole, nothing, state.closed, p)
             prior = self._bank.filter.begin(prior)
@@ -162,7 +177,7 @@ class ParameterAccounts:
         Parameters that need an error of the model beside them are not the right ones. They are
         replacements, which may explain the impacts and still be far from the plant.
         """
-        d, p, first = state.x.size, state.parameters, self._unknowns.deviations
+        d, p, first = state.x.size, state.parameters, self._deviations
         change = min(float(np.max(np.abs(state.theta - self._nominal) / first)), 1.0)
         known = np.array(lengths(state.root[d : d + p])) < change * first
         added = np.zeros((len(state.root), p))
@@ -218,3 +233,51 @@ class ParameterAccounts:
         ``prior`` finds the whole belief some seconds later.
         """
         return predicted_by(self._bank, t, lambda: account.published, prior)
+
+
+class ParameterAccounts:
+    """The two accounts of a doubted model.
+
+    What few kinds of parameters explain is sparse, and sure of what no impact tells. The wide
+    account says how far the state may be there.
+
+    Attributes:
+        few: with parameters of one kind, of some or of all.
+        wide: with all parameters and harmonic forces together.
+    """
+
+    def __init__(self, system: System, uncertainty: Uncertainty, clocks: Sequence[float]) -> None:
+        """Accounts of ``system``; ``uncertainty`` has no unknown parameters."""
+        self.few = AccountBank(system, uncertainty, clocks)
+        self.wide = AccountBank(system, uncertainty, clocks, is_wide=True)
+
+    @staticmethod
+    def are_affordable(system: System) -> bool:
+        """Whether ``system`` is small enough for accounts."""
+        return system.n <= TUNING.account_coordinates
+
+    def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Accounts:
+        """Both accounts at an estimate that is in doubt; see ``AccountBank.begin``."""
+        return Accounts(
+            self.few.begin(state, largest, clocks), self.wide.begin(state, largest, clocks)
+        )
+
+    def after(self, change: ContactChange, before: Accounts, fallback: Fallback) -> Accounts:
+        """The accounts after an event."""
+        return Accounts(
+            self.few.after(change, before.few, fallback),
+            self.wide.after(change, before.wide, fallback),
+        )
+
+    def measured(self, reading: Reading, before: Accounts, largest: Vector) -> Accounts:
+        """The accounts after a sample that is measured beside the impacts."""
+        return Accounts(
+            self.few.measured(reading, before.few, largest),
+            self.wide.measured(reading, before.wide, largest),
+        )
+
+    def predicted(self, t: float, accounts: Accounts, s: float) -> Accounts:
+        """The accounts of ``t`` (s since the epoch) ``s`` seconds later."""
+        return Accounts(
+            self.few.predicted(t, accounts.few, s), self.wide.predicted(t, accounts.wide, s)
+        )
