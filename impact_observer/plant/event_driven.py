@@ -304,10 +304,12 @@ class Plant:
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
-            if accumulating := self._accumulation.hit(instant, contacts, self._energy(u)):
+            pressed = self._zeno.is_pressed(self._time(instant), x, contacts)
+            energy = self._energy(u)
+            if accumulating := self._accumulation.hit(instant, contacts, energy, pressed=pressed):
                 near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
-                if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
+                if self._accumulation.negligible(energy - self._energy(plastic)):
                     velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None

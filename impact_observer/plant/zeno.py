@@ -65,10 +65,7 @@ class ZenoCutoff:
         # Gaps are rounded against the sum of all modes' magnitudes.
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
-        law = self._phases.unloaded()
-        slow, loads = self._phases.guides(x)
-        rubbed = system.W_T @ loads
-        free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
+        free, slow = self._free(t, x)
         size = math.sqrt(free.dot(free))
 
         def flight(i: int, fall: float) -> float:
@@ -92,6 +89,27 @@ class ZenoCutoff:
             return ()
         independent = self._phases.independent
         return tuple(i for i in contacts if i in resting or not independent((i,), tuple(resting)))
+
+    def is_pressed(self, t: float, x: Vector, contacts: tuple[int, ...]) -> bool:
+        """Whether accelerations change contact speeds within the shortest flight.
+
+        ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
+        """
+        free, _ = self._free(t, x)
+        change = np.abs(free @ self._phases.B[:, list(contacts)]) * self.shortest
+        rounding = self._phases.speed_tolerance(x[self._phases.system.n :])[list(contacts)]
+        return bool(np.any(change > rounding))
+
+    def _free(self, t: float, x: Vector) -> tuple[Vector, tuple[int, ...]]:
+        """The acceleration without loads, as ``Phases.white`` gives it, and guides that are slow.
+
+        ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
+        """
+        system, law = self._phases.system, self._phases.unloaded()
+        q, u = x[: system.n], x[system.n :]
+        slow, loads = self._phases.guides(x)
+        rubbed = system.W_T @ loads
+        return self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed), slow
 
     def _flight(self, speed: float, fall: float, lowest: float) -> float:
         """Next flight, relative to the longest that counts as none.
@@ -162,11 +180,14 @@ class AccumulationDetector:
         for i in contacts:
             self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
 
-    def hit(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> tuple[int, ...]:
+    def hit(
+        self, instant: Instant, contacts: tuple[int, ...], energy: float, *, pressed: bool
+    ) -> tuple[int, ...]:
         """Record a hit as ``record`` does, and find accumulations.
 
         Free bodies between others may collapse without a load: their contacts are hit in turns, at
-        intervals that shrink by a constant ratio, until rounding lets them be hit together.
+        intervals that shrink by a constant ratio, until rounding lets them be hit together. With
+        ``pressed`` contacts this does not count: they settle by ``ZenoCutoff``.
 
         Returns:
             All contacts hit within the shortest flight, if one of them was hit more than ``OFTEN``
@@ -177,7 +198,7 @@ class AccumulationDetector:
         if any(len(h) > OFTEN and self._since(h[0], instant) for h in recent.values()):
             self._allowed = NEGLIGIBLE
             return tuple(sorted(recent))
-        if len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts):
+        if not pressed and len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts):
             self._allowed = COLLAPSED
             return contacts
         return ()
