@@ -295,6 +295,8 @@ class Tuning:
     """Prior deviation of the account's scale of the damping."""
     amplitude_deviation: float = 0.1
     """The same of its scales of the forcing."""
+    quadrature_deviation: float = 0.2
+    """The same of what is a quarter of a period ahead of the forcing, relative to that."""
     constant_deviation: float = 0.1
     """The same of constant forces, relative to the largest force."""
     gap_deviation: float = 0.05

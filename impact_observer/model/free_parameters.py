@@ -34,6 +34,7 @@ UNITS = {
     "forcing-frequency": "rad/s",
     "constant-force": "N",
     "harmonic-force": "N",
+    "forcing-quadrature": "",
     "ground-amplitude": "",
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
@@ -250,6 +251,18 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         yield parameter(own, omega, bounds, _WRONG_FREQUENCY * omega, frequency=one)
 
 
+def forcing_quadratures(system: System) -> Iterator[ModelParameter]:
+    """What is a quarter of a period ahead of each harmonic, relative to the harmonic.
+
+    With the amplitude this makes any phase, linearly: that of a drive, or of a clock that steps.
+    No moving grounds.
+    """
+    forcing, parameter = system.forcing, partial(_parameter, system)
+    for k, one in enumerate(np.eye(forcing.frequency.size)):
+        cosine, sine = one[:, None] * forcing.sine, -one[:, None] * forcing.cosine
+        yield parameter(f"forcing-quadrature.{k + 1}", 0.0, _FREE, 1.0, cosine=cosine, sine=sine)
+
+
 def harmonic_forces(system: System) -> Iterator[ModelParameter]:
     """A harmonic force of each frequency of the forcing on each coordinate, no moving grounds.
 
@@ -261,9 +274,8 @@ def harmonic_forces(system: System) -> Iterator[ModelParameter]:
         for part, word in (("cosine", "cos"), ("sine", "sin")):
             one = zero.copy()
             one[k, i] = 1.0
-            value = float(getattr(system.forcing, part)[k, i])
             name = f"harmonic-force.{system.coordinates[i]}.{word}{k + 1}"
-            yield parameter(name, value, _FREE, force, **{part: one})
+            yield parameter(name, 0.0, _FREE, force, **{part: one})
 
 
 def usual_force(system: System) -> float:

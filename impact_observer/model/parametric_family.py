@@ -37,8 +37,8 @@ class Coefficients:
         phase: lead of the harmonics over those of the model, shape (h,), rad.
         frequency: angular frequencies of the harmonics, shape (h,), rad/s.
         constant: constant force, shape (n,), N.
-        cosine: amplitudes of the cosines of the harmonics, shape (h, n), N.
-        sine: amplitudes of the sines of the harmonics, shape (h, n), N.
+        cosine: cosines at the frequencies of the harmonics beside these, shape (h, n), N.
+        sine: sines at the frequencies of the harmonics beside these, shape (h, n), N.
         friction: largest forces of the guides, shape (guides,), N.
         contact_time: duration of an impact, shape (m,), s.
     """
@@ -61,7 +61,8 @@ class Coefficients:
     def of_system(cls, system: System) -> "Coefficients":
         """The coefficients of ``system``."""
         given, count = system.forcing, system.forcing.frequency.size
-        forces = given.frequency, given.constant, given.cosine, given.sine
+        beside = np.zeros_like(given.cosine)
+        forces = given.frequency, given.constant, beside, beside
         harmonics = np.ones(count), np.zeros(count), *forces
         numbers = [[each.value for each in law.parameters] for law in system.rebounds]
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
@@ -234,9 +235,9 @@ class ParametricFamily:
         changes = np.zeros((self.size, *given.shape), dtype=np.complex128)
         for j, effect in enumerate(each.effect for each in self.parameters):
             ahead = 1j * effect.phase[:, None] * given + effect.frequency[:, None] * by_frequency
-            ahead += effect.cosine - 1j * effect.sine
             changes[j] = effect.amplitude[:, None] * turn * given + factor * ahead
-        return factor * given, changes
+            changes[j] += effect.cosine - 1j * effect.sine
+        return factor * given + coefficients.cosine - 1j * coefficients.sine, changes
 
     def system_at(self, values: Vector) -> System:
         """The system for parameter ``values``, shape (p,).
@@ -284,11 +285,18 @@ class ParametricFamily:
             "M": coefficients.M,
             "C": coefficients.C,
             "K": coefficients.K,
-            "forcing": _turned(forcing, amplitude, phase),
+            "forcing": self._with_beside(_turned(forcing, amplitude, phase), coefficients),
             "contacts": contacts,
             "frame": frame,
             "guides": guides,
         }
+
+    def _with_beside(self, forcing: Forcing, coefficients: Coefficients) -> Forcing:
+        """The ``forcing`` and the harmonic forces beside it."""
+        if not (np.any(coefficients.cosine) or np.any(coefficients.sine)):
+            return forcing
+        cosine, sine = forcing.cosine + coefficients.cosine, forcing.sine + coefficients.sine
+        return replace(forcing, cosine=cosine, sine=sine)
 
     def _unturned(self, coefficients: Coefficients) -> tuple[Forcing, MovingFrame | None]:
         """The forcing and the moving frame with these constants and frequencies.
@@ -298,12 +306,10 @@ class ParametricFamily:
         """
         given, frame = self.system.forcing, self.system.frame
         constant, frequency = coefficients.constant, coefficients.frequency
-        names = ("constant", "frequency") + ("cosine", "sine") * (frame is None)
-        changed = {name: getattr(coefficients, name) for name in names}
-        if all(np.array_equal(each, getattr(given, name)) for name, each in changed.items()):
+        if np.array_equal(constant, given.constant) and np.array_equal(frequency, given.frequency):
             return given, frame
         if frame is None:
-            return replace(given, **changed), None
+            return replace(given, constant=constant, frequency=frequency), None
         own, grounds = frame.forcing.frequency.size, frame.grounds
         motion = replace(grounds.motion, frequency=frequency[own:])
         forcing = replace(frame.forcing, constant=constant, frequency=frequency[:own])

@@ -6,7 +6,11 @@ import pytest
 
 from impact_observer.dynamics import Phases
 from impact_observer.model import parse_model
-from impact_observer.model.free_parameters import harmonic_forces, parametric_family
+from impact_observer.model.free_parameters import (
+    forcing_quadratures,
+    harmonic_forces,
+    parametric_family,
+)
 from impact_observer.trajectory.linearised_system import LinearisedSystem
 
 SHAKEN = """
@@ -61,8 +65,10 @@ def test_harmonic_forces_change_the_force_as_that_of_systems_beside() -> None:
     """Central differences at other amplitudes and phases; the forces are linear in them."""
     system = parse_model(FORCED, "forced").system
     names = ["forcing-amplitude", "forcing-phase"]
-    family = parametric_family(system, names).extended(harmonic_forces(system))
-    assert family.size == 2 * len(names) + 2 * system.n * 2
+    family = parametric_family(system, names).extended(
+        [*forcing_quadratures(system), *harmonic_forces(system)]
+    )
+    assert family.size == 2 * len(names) + 2 + 2 * system.n * 2
     values = family.nominal + 0.1 * family.sizes
     for t in (0.0, 3.7):
         exact = family.force_changes(values, t)

@@ -27,7 +27,12 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
-from impact_observer.model.free_parameters import UNITS, harmonic_forces, usual_force
+from impact_observer.model.free_parameters import (
+    UNITS,
+    forcing_quadratures,
+    harmonic_forces,
+    usual_force,
+)
 from impact_observer.model.system import unit_of
 from impact_observer.observer.belief import Account, Accounts, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
@@ -39,9 +44,11 @@ OF_MOTION = {
     "stiffness-scale": TUNING.parameter_deviation,
     "damping-scale": TUNING.damping_deviation,
     "forcing-amplitude": TUNING.amplitude_deviation,
+    "forcing-quadrature": TUNING.quadrature_deviation,
     "constant-force": TUNING.constant_deviation,
     "harmonic-force": TUNING.constant_deviation,
 }
+OF_FORCING = {"forcing-amplitude", "forcing-quadrature"}
 OF_IMPACTS = {
     "gap": TUNING.gap_deviation,
     "restitution": TUNING.restitution_deviation,
@@ -63,6 +70,7 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     is_plain = at_rest and system.live is None and forcing.sampled is None and not system.guides
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
     parts["forcing-amplitude"] = np.where(is_plain, forcing.frequency, 0.0)
+    parts["forcing-quadrature"] = np.zeros(1)
     is_forced = is_plain and system.n <= TUNING.forced_coordinates
     parts["constant-force"], parts["harmonic-force"] = np.array([is_forced]), np.zeros(1)
     parts["gap"] = system.q_r * is_plain
@@ -70,9 +78,11 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
     found = UnknownParameters.named(system, wanted)
-    if not (is_forced and is_wide):
+    others = [*forcing_quadratures(system)] if is_plain and not is_wide else []
+    others += [*harmonic_forces(system)] if is_forced and is_wide else []
+    if not others:
         return found
-    family = found.family.extended(harmonic_forces(system))
+    family = found.family.extended(others)
     declared = dict(zip(found.family.names, found.deviations.tolist(), strict=True))
     return UnknownParameters.of(family, declared | deviations)
 
@@ -83,7 +93,7 @@ def subsets(names: Sequence[str]) -> list[list[bool]]:
     All of them; those of the motion, those of the impacts; those of one kind.
     """
     kinds = [kind_of(name) for name in names]
-    together = [{*kinds}, {*OF_MOTION}, {*OF_IMPACTS}, *({kind} for kind in kinds)]
+    together = [{*kinds}, {*OF_MOTION}, {*OF_IMPACTS}, OF_FORCING, *({kind} for kind in kinds)]
     found = [tuple(kind in each for kind in kinds) for each in together]
     return [[*each] for each in dict.fromkeys(found) if any(each)]
 
