@@ -285,6 +285,8 @@ class Tuning:
     """Weight of the wide account in the covariance that a misfit publishes while few parameters
     do not explain the impacts.
     """
+    wide_weight_explained: float = 0.2
+    """The same while they do: two of them may explain all of a periodic motion."""
     account_coordinates: int = 32
     """Most coordinates of a model with an account: each hypothesis is a system of its own. An
     event of a chain of 40 masses takes half a second, one of 100 masses over a minute.

@@ -134,7 +134,9 @@ def test_with_parameters_it_agrees_with_the_general_methods(case: Case) -> None:
     flown = case.filter.priors(case.change.t, s, [before], [0.2])[0]
     predicted = case.filter.predict(case.change.t, before, 0.2).prior(s)
     for one, other, error in ((found, wanted, 1e-4), (flown, predicted, 1e-8)):
-        scale = np.linalg.norm(other.root, axis=1) + 1e-12
+        scale = np.linalg.norm(other.root, axis=1)
+        # What a plastic impact sets to zero is of second order, and differs by as much.
+        scale = scale + 1e-2 * np.max(scale) + 1e-12
         assert one.parameters == other.parameters
         assert_near(one.x, other.x, error)
         np.testing.assert_allclose(one.constants, other.constants, atol=1e-3 * error)

@@ -112,19 +112,21 @@ def combined(
         by_filter: the filter's.
         replica: at the same instant.
         by_few: by the account with few parameters; None where it is not the nearest.
-        by_wide: by the account with all of them, which has ``Tuning.wide_weight``; None without.
-        explained: whether few parameters explain the impacts: then their account stands alone.
+        by_wide: by the account with all of them; None without.
+        explained: whether few parameters explain the impacts: then only the accounts count.
     """
     if by_few is not None and explained:
-        return by_few[1]
-    parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
-    if by_few is not None:
-        parts.append(by_few)
-    x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
-    shares = fit.shares(with_account=by_few is not None)
+        parts, x, columns, shares = [by_few], by_few[0], list[Matrix](), np.ones(1)
+    else:
+        parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
+        if by_few is not None:
+            parts.append(by_few)
+        x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
+        shares = fit.shares(with_account=by_few is not None)
     if by_wide is not None:
+        weight = TUNING.wide_weight_explained if explained and by_few else TUNING.wide_weight
         parts.append(by_wide)
-        shares = np.append((1 - TUNING.wide_weight) * shares, TUNING.wide_weight)
+        shares = np.append((1 - weight) * shares, weight)
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):
         columns += [share * root, share * (x - other)[:, None]]
     return np.hstack(columns)
