@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.reports import counted
     from impact_observer.events import Remark, Ruling
     from impact_observer.filter.misfit import MISFIT
     from impact_observer.io.bag_part import assumed_epoch, read_impacts_part
@@ -123,7 +124,8 @@ def run(args: argparse.Namespace) -> int:
                 progress.line(f"warning: {warning}")
         if unexplained := observer.remarks[Remark.MISFIT]:
             latest = observer.estimate(observer.last_event).misfit
-            progress.line(f"warning: at {unexplained} events {latest or MISFIT}")
+            events = counted(unexplained, "event")
+            progress.line(f"warning: at {events} {latest or MISFIT}")
     return 0
 
 
@@ -148,7 +150,7 @@ def source_lines(observer: "Observer") -> "Iterator[str]":
         shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
         largest = [f"{share:.0%} {of}" for share, of in shares[:_SOURCES] if share > _SMALL_SHARE]
         deviation = figure(float(found.deviations[i]), unit)
-        yield f"deviation of {name}: {deviation}, from {listed(largest)}"
+        yield f"deviation of {name}: {deviation} in the last flights, from {listed(largest)}"
     if (more := len(names) - _COMPONENTS) > 0:
         yield f"and {more} more deviations"
 

@@ -372,7 +372,8 @@ class SmoothedMotion:
         """The filter's doubt of the model, in words; empty without a doubt."""
         last, count = self._law.last, len(self._law.unexplained)
         if count:
-            return f"at {count} events {self._filter_misfit or MISFIT}"
+            events = "event" if count == 1 else "events"
+            return f"at {count} {events} {self._filter_misfit or MISFIT}"
         return _DOUBTED if last and last.fit.is_doubted else ""
 
     @property
