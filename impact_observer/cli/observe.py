@@ -3,6 +3,7 @@
 
 import argparse
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -144,14 +145,13 @@ def source_lines(observer: "Observer") -> "Iterator[str]":
     if (found := observer.deviation_sources()) is None:
         return
     system = observer.system
-    names = [(name, system.unit) for name in system.coordinates]
-    names += [(f"d{name}/dt", system.speed_unit) for name in system.coordinates]
-    for i, (name, unit) in enumerate(names[:_COMPONENTS]):
+    names = zip(system.state_names, system.state_units, strict=True)
+    for i, (name, unit) in enumerate(islice(names, _COMPONENTS)):
         shares = sorted(((share[i], of) for of, share in found.shares.items()), reverse=True)
         largest = [f"{share:.0%} {of}" for share, of in shares[:_SOURCES] if share > _SMALL_SHARE]
         deviation = figure(float(found.deviations[i]), unit)
         yield f"deviation of {name}: {deviation} in the last flights, from {listed(largest)}"
-    if (more := len(names) - _COMPONENTS) > 0:
+    if (more := 2 * system.n - _COMPONENTS) > 0:
         yield f"and {more} more deviations"
 
 

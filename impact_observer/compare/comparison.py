@@ -92,8 +92,7 @@ class Comparison:
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states: coordinates, then their velocities."""
-        names = self.system.coordinates
-        return (*names, *(f"d{name}/dt" for name in names))
+        return self.system.state_names
 
     @property
     def rate_per_second(self) -> float | None:

@@ -136,12 +136,11 @@ class Branching:
 
     def _as_reported(self, h: Hypothesis, here: ContactChange) -> Iterator[Draft]:
         """The event happened, and a contact that closes rests, or began a row of bounces."""
-        prior = self.priors.reported + h.weight_without(here.contacts)
-        yield Draft(prior, h, here)
+        yield Draft(self._prior(h, here), h, here)
         if self._inserts_bounces and begins_row(self._filter, h, here):
             bounced = here._replace(closed=tuple(i for i in here.closed if i not in here.hit))
-            weight = prior + TUNING.log_unreported_row
-            yield Draft(weight, h, bounced, UNREPORTED_ROW, is_row=True)
+            prior = self._prior(h, here, is_row=True)
+            yield Draft(prior, h, bounced, UNREPORTED_ROW, is_row=True)
 
     def is_expected(self, branch: Branch) -> bool:
         """Whether the event came about when it was predicted."""
@@ -167,7 +166,7 @@ class Branching:
         """The model began to err before the event of the branch ``true``, or its error ended."""
         if self._errors is None or true.here is None:
             return
-        prior = self._prior(true, true.here)
+        prior = self._prior(true.before, true.here, is_row=true.is_row)
         for other in self._errors.others(true.before, true.here, true.likelihood):
             yield true.again(prior + TUNING.log_error_change, other)
 
@@ -177,17 +176,17 @@ class Branching:
         if depth <= TUNING.surprise or self._trusts_estimate or true.here is None:
             return
         h, part = true.before, self._filter.part_of(true.here.contacts)
-        prior = self._prior(true, true.here)
+        prior = self._prior(h, true.here, is_row=true.is_row)
         for factor in (TUNING.widening, TUNING.large_widening):
             wider = h._replace(state=self._filter.widened(h.state, factor * depth, largest, part))
             reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
             weight = prior + TUNING.log_restart
             yield Draft(weight, wider, true.here, reason, is_row=true.is_row)
 
-    def _prior(self, true: Branch, here: ContactChange) -> float:
-        """Logarithm of the prior probability of the branch ``true``, in which the event was so."""
-        row = TUNING.log_unreported_row if true.is_row else 0.0
-        return self.priors.reported + true.before.weight_without(here.contacts) + row
+    def _prior(self, h: Hypothesis, here: ContactChange, *, is_row: bool = False) -> float:
+        """Logarithm of the prior probability that the event was ``here``, or began a row."""
+        row = TUNING.log_unreported_row if is_row else 0.0
+        return self.priors.reported + h.weight_without(here.contacts) + row
 
     def _other_contacts(self, change: ContactChange, true: Branch) -> Iterator[Draft]:
         """An unexpected impact of the branch ``true`` was of another contact."""

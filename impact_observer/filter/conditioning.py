@@ -230,7 +230,7 @@ class Conditioning:
         return np.column_stack([jump.mean, jump.noise])
 
     def guard_remainder(self, change: ContactChange, contacts: Contacts, joint: Joint) -> Matrix:
-        """What is not linear in the guards of ``contacts`` at ``joint``, likewise, (k, any)."""
+        """What is not linear in guards at ``joint``: a root of its second moment, (k, any)."""
         member = self.members.of_estimate(joint)
         rows = member.guard(change.before, contacts, bool(change.hit))
         rates = member.moving.rates_at(joint.t, joint.x, change.before)

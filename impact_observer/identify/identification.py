@@ -289,9 +289,7 @@ class _Search(NamedTuple):
             return smoothed
         self.report.stage("all impacts accepted")
         problem, solution = gated(*fit(self.whole.problem(family)))
-        first = _identification(self.whole, problem, solution, clock)
-        accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
-        first = replace(first, accepted=accepted)
+        first = self._accepting(self.whole, problem, solution)
         plain = _Fitted(first, problem, solution)
         if self._explains(problem, solution) or (self.trust_events and first.converged):
             return plain
@@ -308,6 +306,14 @@ class _Search(NamedTuple):
         is_part = reached is not None and reached.moments < len(problem.moments)
         own = replace(fitted.identification, reached=reached if is_part else None)
         return fitted._replace(identification=own)
+
+    def _accepting(
+        self, recording: Recording, problem: Problem, solution: Solution
+    ) -> Identification:
+        """The identification by a fit of a ``recording``, with the usual shift of that fit."""
+        found = _identification(recording, problem, solution, self.clock)
+        accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
+        return replace(found, accepted=accepted)
 
     def _searched(self, plain: _Fitted) -> _Fitted:
         """The fit that a search for outliers finds, after a ``plain`` one of all impacts."""
@@ -340,9 +346,8 @@ class _Search(NamedTuple):
             except IdentificationError:  # too few impacts are left
                 return reached, None
             problem, solution = gated(problem, solution)
-        own = _identification(recording, problem, solution, self.clock)
-        accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
-        own = replace(own, doubted=recording.outliers, accepted=accepted)
+        own = self._accepting(recording, problem, solution)
+        own = replace(own, doubted=recording.outliers)
         return reached, _Fitted(own, problem, solution) if own.converged else None
 
     def unexplained(self) -> _Fitted | None:

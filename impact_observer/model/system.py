@@ -205,6 +205,16 @@ class System:
         return per_second(self.unit)
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of (q, u): coordinates, then their velocities."""
+        return (*self.coordinates, *(f"d{name}/dt" for name in self.coordinates))
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Units of (q, u)."""
+        return (self.unit,) * self.n + (self.speed_unit,) * self.n
+
+    @property
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)

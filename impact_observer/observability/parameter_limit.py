@@ -35,15 +35,9 @@ class ParameterLimit(NamedTuple):
 
     def table(self, model: Model) -> TextTable:
         """Both side by side."""
-        system = model.system
-        names = [(name, system.unit) for name in system.coordinates]
-        names += [(f"d{name}/dt", system.speed_unit) for name in system.coordinates]
-        rows = [
-            (name, figure(one), figure(other), unit)
-            for (name, unit), one, other in zip(
-                names, self.exact.tolist(), self.declared.tolist(), strict=True
-            )
-        ]
+        system, numbers = model.system, (self.exact.tolist(), self.declared.tolist())
+        columns = zip(system.state_names, *numbers, system.state_units, strict=True)
+        rows = [(name, figure(one), figure(other), unit) for name, one, other, unit in columns]
         headings = ("deviation of", "parameters exact", "as declared", "unit")
         title = "minimum-variance in the last flights, without and with the model's deviations:"
         return TextTable(headings, rows, title, words=("unit",))

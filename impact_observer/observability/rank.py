@@ -88,8 +88,7 @@ class Observability:
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the 2n coordinates and velocities."""
-        names = self.system.coordinates
-        return (*names, *(f"d{name}/dt" for name in names))
+        return self.system.state_names
 
     @property
     def size(self) -> int:

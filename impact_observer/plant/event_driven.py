@@ -23,7 +23,13 @@ from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
-from impact_observer.plant.zeno import LOW, AccumulationDetector, ZenoCutoff
+from impact_observer.plant.zeno import (
+    COLLAPSED,
+    LOW,
+    NEGLIGIBLE,
+    AccumulationDetector,
+    ZenoCutoff,
+)
 from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text, whole_stamp
 from impact_observer.states import Stamps, Vector
 
@@ -304,12 +310,16 @@ class Plant:
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
-            pressed = self._zeno.is_pressed(self._time(instant), x, contacts)
-            energy = self._energy(u)
-            if accumulating := self._accumulation.hit(instant, contacts, energy, pressed=pressed):
+            energy, found, share = self._energy(u), self._accumulation, NEGLIGIBLE
+            found.record(instant, contacts, energy)
+            accumulating = found.accumulating(instant)
+            if not accumulating and found.collapses(contacts):
+                is_pressed = self._zeno.is_pressed(self._time(instant), x, contacts)
+                accumulating, share = () if is_pressed else contacts, COLLAPSED
+            if accumulating:
                 near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
-                if self._accumulation.negligible(energy - self._energy(plastic)):
+                if found.negligible(energy - self._energy(plastic), share):
                     velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None

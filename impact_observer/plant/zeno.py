@@ -171,7 +171,7 @@ class AccumulationDetector:
     def __init__(self, shortest: float) -> None:
         """Count within ``shortest`` seconds."""
         self._shortest = shortest
-        self._largest = self._allowed = 0.0
+        self._largest = 0.0
         self._hits: dict[int, deque[Instant]] = {}
 
     def record(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> None:
@@ -180,36 +180,32 @@ class AccumulationDetector:
         for i in contacts:
             self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
 
-    def hit(
-        self, instant: Instant, contacts: tuple[int, ...], energy: float, *, pressed: bool
-    ) -> tuple[int, ...]:
-        """Record a hit as ``record`` does, and find accumulations.
+    def accumulating(self, instant: Instant) -> tuple[int, ...]:
+        """All contacts hit within the shortest flight up to ``instant``.
 
-        Free bodies between others may collapse without a load: their contacts are hit in turns, at
-        intervals that shrink by a constant ratio, until rounding lets them be hit together. With
-        ``pressed`` contacts this does not count: they settle by ``ZenoCutoff``.
-
-        Returns:
-            All contacts hit within the shortest flight, if one of them was hit more than ``OFTEN``
-            times in it; the ``contacts``, if they collapse; none otherwise.
+        None unless one of them was hit more than ``OFTEN`` times in it.
         """
-        self.record(instant, contacts, energy)
         recent = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
         if any(len(h) > OFTEN and self._since(h[0], instant) for h in recent.values()):
-            self._allowed = NEGLIGIBLE
             return tuple(sorted(recent))
-        if not pressed and len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts):
-            self._allowed = COLLAPSED
-            return contacts
         return ()
 
-    def negligible(self, lost: float) -> bool:
+    def collapses(self, contacts: tuple[int, ...]) -> bool:
+        """Whether ``contacts`` that are hit together were hit at shrinking intervals before.
+
+        Free bodies between others may collapse without a load: their contacts are hit in turns, at
+        intervals that shrink by a constant ratio, until rounding lets them be hit together.
+        Contacts that are pressed settle by ``ZenoCutoff`` instead.
+        """
+        return len(contacts) > 1 and all(_shrink(self._hits[i]) for i in contacts)
+
+    def negligible(self, lost: float, share: float) -> bool:
         """Whether an impact that loses the energy ``lost``, J, may end an accumulation.
 
         Bodies can also hit each other often without losing energy, such as a light one that a
-        heavy one drives towards a wall. So only a small part of the energy may be removed.
+        heavy one drives towards a wall. So only a small ``share`` of the energy may be removed.
         """
-        return lost <= self._allowed * self._largest
+        return lost <= share * self._largest
 
     def _since(self, earlier: Instant, now: Instant) -> bool:
         return now.until(earlier.stamp) + earlier.remainder >= -self._shortest

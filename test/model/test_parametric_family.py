@@ -11,6 +11,7 @@ from impact_observer.model.free_parameters import (
     harmonic_forces,
     parametric_family,
 )
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.trajectory.linearised_system import LinearisedSystem
 
 SHAKEN = """
@@ -46,11 +47,8 @@ OF_FORCES = ("constant-force", "forcing-amplitude", "forcing-phase", "forcing-fr
 OF_GROUNDS = ("ground-amplitude", "ground-phase", "ground-frequency")
 
 
-@pytest.mark.parametrize("kind", [*OF_FORCES, *OF_GROUNDS])
-@pytest.mark.parametrize("share", [0.0, 0.02])
-def test_the_force_changes_as_that_of_systems_beside(kind: str, share: float) -> None:
-    """Central differences, at the model's values and at others, with a ground that moves."""
-    family = parametric_family(parse_model(SHAKEN, "shaken").system, [kind])
+def assert_forces_change_as_systems_beside(family: ParametricFamily, share: float) -> None:
+    """Central differences, at values off the model's by a ``share`` of their sizes."""
     values = family.nominal + share * family.sizes
     for t in (0.0, 3.7):
         exact = family.force_changes(values, t)
@@ -61,6 +59,14 @@ def test_the_force_changes_as_that_of_systems_beside(kind: str, share: float) ->
             np.testing.assert_allclose(exact[j], slope, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.parametrize("kind", [*OF_FORCES, *OF_GROUNDS])
+@pytest.mark.parametrize("share", [0.0, 0.02])
+def test_the_force_changes_as_that_of_systems_beside(kind: str, share: float) -> None:
+    """Central differences, at the model's values and at others, with a ground that moves."""
+    system = parse_model(SHAKEN, "shaken").system
+    assert_forces_change_as_systems_beside(parametric_family(system, [kind]), share)
+
+
 def test_harmonic_forces_change_the_force_as_that_of_systems_beside() -> None:
     """Central differences at other amplitudes and phases; the forces are linear in them."""
     system = parse_model(FORCED, "forced").system
@@ -69,14 +75,7 @@ def test_harmonic_forces_change_the_force_as_that_of_systems_beside() -> None:
         [*forcing_quadratures(system), *harmonic_forces(system)]
     )
     assert family.size == 2 * len(names) + 2 + 2 * system.n * 2
-    values = family.nominal + 0.1 * family.sizes
-    for t in (0.0, 3.7):
-        exact = family.force_changes(values, t)
-        for j, size in enumerate(family.sizes.tolist()):
-            step = 1e-5 * size * np.eye(family.size)[j]
-            more, less = (family.system_at(values + each).forcing(t) for each in (step, -step))
-            slope = (more - less) / (2e-5 * size)
-            np.testing.assert_allclose(exact[j], slope, rtol=1e-6, atol=1e-8)
+    assert_forces_change_as_systems_beside(family, 0.1)
 
 
 def test_the_parameters_of_a_ground_change_a_flight_as_systems_beside() -> None:

@@ -115,8 +115,10 @@ def combined(
         by_wide: by the account with all of them; None without.
         explained: whether few parameters explain the impacts: then only the accounts count.
     """
+    weight = TUNING.wide_weight
     if by_few is not None and explained:
         parts, x, columns, shares = [by_few], by_few[0], list[Matrix](), np.ones(1)
+        weight = TUNING.wide_weight_explained
     else:
         parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
         if by_few is not None:
@@ -124,7 +126,6 @@ def combined(
         x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
         shares = fit.shares(with_account=by_few is not None)
     if by_wide is not None:
-        weight = TUNING.wide_weight_explained if explained and by_few else TUNING.wide_weight
         parts.append(by_wide)
         shares = np.append((1 - weight) * shares, weight)
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):

@@ -48,7 +48,6 @@ OF_MOTION = {
     "constant-force": TUNING.constant_deviation,
     "harmonic-force": TUNING.constant_deviation,
 }
-OF_FORCING = {"forcing-amplitude", "forcing-quadrature"}
 OF_IMPACTS = {
     "gap": TUNING.gap_deviation,
     "restitution": TUNING.restitution_deviation,
@@ -57,6 +56,10 @@ OF_IMPACTS = {
 """Parameters that an account estimates, where a model has them, and their deviations: of a
 constant force relative to the largest force, of a gap to the largest gap, of a contact time to the
 model's time scale."""
+OF_FORCING = {"forcing-amplitude", "forcing-quadrature"}
+"""Parameters of the motion that make any amplitude and phase of the forcing."""
+_UNNAMED = {"forcing-quadrature", "harmonic-force"}
+"""Parameters that stand for errors of a model, and are none of a model file."""
 
 
 def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
@@ -70,14 +73,13 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     is_plain = at_rest and system.live is None and forcing.sampled is None and not system.guides
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
     parts["forcing-amplitude"] = np.where(is_plain, forcing.frequency, 0.0)
-    parts["forcing-quadrature"] = np.zeros(1)
     is_forced = is_plain and system.n <= TUNING.forced_coordinates
-    parts["constant-force"], parts["harmonic-force"] = np.array([is_forced]), np.zeros(1)
+    parts["constant-force"] = np.array([is_forced])
     parts["gap"] = system.q_r * is_plain
     parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
-    wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
-    found = UnknownParameters.named(system, wanted)
+    kinds = (k for k in deviations if k not in _UNNAMED and np.any(parts.get(k, 1.0)))
+    found = UnknownParameters.named(system, [f"{k}={deviations[k]}" for k in kinds])
     others = [*forcing_quadratures(system)] if is_plain and not is_wide else []
     others += [*harmonic_forces(system)] if is_forced and is_wide else []
     if not others:

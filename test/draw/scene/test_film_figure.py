@@ -342,16 +342,7 @@ stops: [{name: right, body: arm, limit: 0.5, side: above, restitution: 0.7}]
         assert np.arctan2(along, across) == pytest.approx(angle)
     stamps = np.array([EPOCH, EPOCH + NS_PER_S])
     truth = Track.of_states("plant", "", (stamps, np.array([[0.0], [0.4]]), np.zeros((2, 1))), ())
-    film = Film(
-        scene=scene_of(model, [truth]),
-        truth=truth,
-        estimates=(),
-        distances=(),
-        contacts=ContactHistory({}, {}),
-        zero=TimeZero(EPOCH),
-        start=EPOCH,
-        end=EPOCH + NS_PER_S,
-    )
+    film = still(model, np.zeros(1), scene=scene_of(model, [truth]), truth=truth)
     drawn = FilmFigure(film, title="", speed=1.0)
     texts = [text.get_text() for axes in drawn.figure.axes for text in axes.texts]
     assert any(" rad = " in text for text in texts)
