@@ -316,12 +316,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     given = parser.parse_args(arguments)
     console = Console(stderr=True)
-    take_domain()
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    rclpy.init(args=[])
-    with TemporaryDirectory(prefix="kills") as folder:
+    with take_domain(), TemporaryDirectory(prefix="kills") as folder:
+        rclpy.init(args=[])
         accounts = run(given.kills, given.minutes, given.seed, Path(folder), console)
-    rclpy.shutdown()
+        rclpy.shutdown()
     for what, account in accounts.items():
         if given.json:
             figures = {"what": what, "due": account.due, "lost": len(account.lost)}

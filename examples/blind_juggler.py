@@ -15,6 +15,7 @@ Juggling without seeing: Ronsse, Lefevre and Sepulchre (2007), Reist and D'Andre
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -158,6 +159,7 @@ def run_nodes(seconds: float, output: Path) -> None:
     """The same with nodes, in processes of their own, and a recorder."""
     import rclpy
 
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "juggler.yaml").write_text(MODEL)

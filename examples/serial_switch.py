@@ -10,6 +10,7 @@ a level ::
 This node turns them into messages on ``/switch``, stamped with the instant of the edge: the way of
 the line through the operating system takes a varying time, and is taken out by ``Clock``.
 
+    export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST  # unless detector or screen are elsewhere
     python examples/serial_switch.py /dev/ttyACM0
 
 The entry of the detector: ``{contact: anvil, topic: /switch, kind: switch, field: range}``.

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -118,6 +119,10 @@ def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
         The exit code of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and
         the number of another signal: 143 after SIGTERM.
     """
+    if any(each.startswith("error") for each in sys.warnoptions):
+        # PYTHONWARNINGS=error is meant for tests: what a library deprecates ends no process.
+        os.environ["PYTHONWARNINGS"] = "default"
+        warnings.simplefilter("default")
     with Stop(at_once=True) as stop, _hooks(program):
         try:
             code = job()

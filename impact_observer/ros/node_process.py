@@ -4,7 +4,6 @@
 import faulthandler
 import os
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
@@ -16,7 +15,8 @@ from typing import TYPE_CHECKING
 from impact_observer.errors import UnsetError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.process_end import Stop, end_with_parent, run
-from impact_observer.ros.session import require_ros, spin_once
+from impact_observer.ros.environment import security_warning
+from impact_observer.ros.session import refusals_of_ros, require_ros, spin_once
 from impact_observer.ros.wiring import FOLLOW
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
-_SECURITY = "ROS_SECURITY_ENABLE"
 _LOOK_PERIOD = 5.0
 """Time between two looks at the simulated time and at the other nodes, s."""
 _SIGNAL_PERIOD = 0.1
@@ -50,8 +49,9 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
     def job() -> int:
         with Stop() as stop:
             end_with_parent(int(os.environ.get(FOLLOW, "0")))
-            require_ros()
-            _spin(stop, module, node_class, sys.argv[1:] if args is None else args)
+            given = sys.argv[1:] if args is None else args
+            require_ros(given)
+            _spin(stop, module, node_class, given)
         return 0
 
     return run(name, job, own=args is None)
@@ -110,29 +110,16 @@ def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode
         UsageError: ``--ros-args`` is followed by something that ROS does not accept.
     """
     import rclpy
-    from rclpy.exceptions import ParameterException
     from rclpy.signals import SignalHandlerOptions
 
     try:
-        rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # from a node that cannot be made
+        with refusals_of_ros("--ros-args: not understood"):
+            rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
             node = make()
     except UnsetError as error:
         raise UsageError(f"{error}: {_how_to_set(error.option, args)}") from None
-    except ParameterException as error:
-        raise UsageError(f"parameters: {' '.join(str(error).split())}") from None
-    except RuntimeError as error:
-        # The classes that rclpy raises here have no public names.
-        if type(error).__module__.partition(".")[0] != rclpy.__name__:
-            raise
-        if os.environ.get(_SECURITY, "").lower() == "true":
-            reason = str(error).splitlines()[0]
-            raise UsageError(
-                f"{_SECURITY} is true, but no secure node can be made: {reason};"
-                " docs/security.md says what it needs"
-            ) from None
-        raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
+    if warning := security_warning(args):
+        node.lines.warning(warning)
     _warn_of_unknown_parameters(node, args)
     return node
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The checks of a process that uses ROS, and the errors that do not end the process."""
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy")
@@ -79,11 +81,14 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
     ros_environment: dict[str, str],
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     """The middleware has no security libraries, as in the wheels, or the node has no key."""
     assert ros_environment
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path))
+    (tmp_path / "enclaves").mkdir()
     line = refusal("monitor", ["--ros-args", "-p", "model:=two_mass"], capfd)
     assert line.startswith(
         "monitor: ROS_SECURITY_ENABLE is true, but no secure node can be made: "
