@@ -24,6 +24,11 @@ from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo
 from impact_observer.io.foreign_files import foreign_file, foreign_messages
 from impact_observer.io.interfaces import Interface
+from impact_observer.io.mcap_checksums import (
+    chunks_without_checksum,
+    data_are_damaged,
+    mcap_files,
+)
 from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import INTEGRATOR
@@ -73,7 +78,8 @@ def check_bag(
             for done, raw in enumerate(reader.raw()):
                 check.check_message(reader.topics[raw.topic], raw)
                 progress(done, reader.message_count)
-            return _report(path, check, [*_journals(path), *check.findings(reader.topics)])
+            found = [*_journals(path), *_checksums(path), *check.findings(reader.topics)]
+            return _report(path, check, found)
     except BagError as error:
         foreign = foreign_file(path) or foreign_messages(path)
         if foreign is not None:
@@ -306,6 +312,24 @@ def _journals(path: Path) -> Iterator[Finding]:
             database = quote(str(journal.with_name(journal.name.removesuffix("-wal"))))
             remedy = f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'"
             yield Finding(WARNING, journal.name, fault, remedy=remedy)
+
+
+def _checksums(path: Path) -> Iterator[Finding]:
+    """What the checksums of MCAP files say of a bag that can be read as a whole."""
+    for file in mcap_files(path):
+        with file.open("rb") as stream:
+            chunks, unchecked = chunks_without_checksum(stream)
+            damaged = data_are_damaged(stream)
+        if damaged and unchecked < chunks:
+            fault = "does not match its checksum; the chunks with the messages match theirs"
+            yield Finding(WARNING, file.name, fault, remedy="copy the file again")
+        elif damaged:
+            fault = "does not match its checksum; any message may be wrong"
+            yield Finding(ERROR, file.name, fault, remedy="copy the file again")
+        if unchecked:
+            fault = f"{unchecked} of {counted(chunks, 'chunk')} without a checksum"
+            remedy = "flipped bits in messages go unnoticed"
+            yield Finding(NOTE, file.name, fault, remedy=remedy)
 
 
 def _bag_name(path: Path) -> str:

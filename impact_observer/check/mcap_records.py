@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of an MCAP file that may be damaged, from its beginning, without index or footer.
+"""The messages of an MCAP file that may be damaged, from its beginning.
 
-The package ``mcap`` parses records and chunks; this module continues after broken ones.
+The package ``mcap`` parses records and chunks; this module continues after broken ones. An index
+that is whole says where the chunks are and what was in those that are broken.
 """
 
 from collections.abc import Iterator
@@ -13,9 +14,13 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
 from mcap.stream_reader import CRCValidationError, breakup_chunk, read_magic
 from mcap.summary import Summary
+
+from impact_observer.draw.reports import counted
+from impact_observer.io.mcap_checksums import index_is_damaged
+from impact_observer.stamps import seconds_between, text
 
 _OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
@@ -28,6 +33,8 @@ McapMessage: TypeAlias = tuple[Schema, Channel, Message]
 
 def summary_of(file: BinaryIO) -> Summary | None:
     """Returns the index at the end of an MCAP file; None if the index is missing or damaged."""
+    if index_is_damaged(file):
+        return None
     file.seek(0)
     try:
         return make_reader(file).get_summary()
@@ -49,14 +56,14 @@ class McapFile:
         self._size = file.seek(0, 2)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[int] = []
+        self._chunks: dict[int, ChunkIndex] = {}
         self.at = 0
         self.losses: list[str] = []
 
     def messages(self) -> Iterator[McapMessage]:
         """Yields the messages chunk after chunk, within a chunk in the order of log times."""
         if (summary := summary_of(self._file)) is not None:
-            self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
+            self._chunks = {each.chunk_start_offset: each for each in summary.chunk_indexes}
             self._schemas.update(summary.schemas)
             self._channels.update(summary.channels)
         self._file.seek(0)
@@ -86,17 +93,25 @@ class McapFile:
         return self.at + _FRAME + length
 
     def _frame(self) -> tuple[int, int] | None:
-        """Returns type and length of the next record; None at the end of the readable part."""
+        """Returns type and length of the next record; None at the end of the readable part.
+
+        The index is believed where it has a chunk, and no record reaches into a later chunk.
+        """
         while True:
+            if (known := self._chunks.get(self.at)) is not None:
+                self._file.seek(self.at + _FRAME)
+                return Opcode.CHUNK, known.chunk_length - _FRAME
             stream = ReadDataStream(self._file)
             try:
                 opcode, length = stream.read1(), stream.read8()
             except Exception:  # noqa: BLE001 (the library raises anything)
                 self.losses.append(f"was cut short at byte {self._size}")
                 return None
-            if opcode in _OPCODES and self._end(length) <= self._size:
-                return opcode, length
             later = min((each for each in self._chunks if each > self.at), default=None)
+            is_early = later is not None and opcode in (Opcode.DATA_END, Opcode.FOOTER)
+            fits = self._end(length) <= (self._size if later is None else later)
+            if opcode in _OPCODES and fits and not is_early:
+                return opcode, length
             if later is None and opcode == Opcode.CHUNK:
                 return opcode, length
             if later is None:
@@ -104,7 +119,6 @@ class McapFile:
                 return None
             self.losses.append(f"is damaged from byte {self.at} to {later}")
             self.at = later
-            self._file.seek(later)
 
     def _record(self, opcode: int, length: int) -> McapRecord | None:
         """Returns a schema, channel, message or chunk; None for any other record."""
@@ -120,23 +134,50 @@ class McapFile:
             elif opcode == Opcode.CHUNK:
                 record = Chunk.read(stream)
         except Exception as error:  # noqa: BLE001 (the library raises anything)
-            self.losses.append(f"the record at byte {self.at} is damaged ({error})")
+            what = f"is damaged ({error})"
+            if opcode == Opcode.CHUNK:
+                self._lose_chunk(what)
+            else:
+                self.losses.append(f"the record at byte {self.at} {what}")
         return record
 
     def _chunk(self, chunk: Chunk, *, is_whole: bool) -> Iterator[McapMessage]:
         """Yields the messages of a chunk; of a chunk that was cut short, the whole messages."""
-        if not is_whole:
-            records = self._records_of_part(chunk)
-        else:
+        records: list[McapRecord] | None = None
+        has_checksum = chunk.uncompressed_crc != 0
+        if is_whole or has_checksum:
             try:
                 records = breakup_chunk(chunk, validate_crc=True)
             except CRCValidationError:
-                self.losses.append(f"the chunk at byte {self.at} does not match its checksum")
-                return
+                if is_whole:
+                    self._lose_chunk("does not match its checksum", chunk)
+                    return
             except Exception as error:  # noqa: BLE001 (decompressors raise anything)
-                self.losses.append(f"the chunk at byte {self.at} is damaged ({error})")
-                records = self._records_of_part(chunk)
-        yield from sorted(self._noted(records), key=lambda each: each[2].log_time)
+                if is_whole and has_checksum:
+                    self._lose_chunk(f"is damaged ({error})", chunk)
+                    return
+                if is_whole:
+                    self.losses.append(f"the chunk at byte {self.at} is damaged ({error})")
+        if records is None:
+            records = self._records_of_part(chunk)
+        yield from sorted(
+            self._noted(records, checked=has_checksum), key=lambda each: each[2].log_time
+        )
+
+    def _lose_chunk(self, what: str, chunk: Chunk | None = None) -> None:
+        """Note that a chunk is left out, and how much that is, as far as known."""
+        known = self._chunks.get(self.at)
+        messages = "an unknown number of messages"
+        if known is not None and known.message_index_length:
+            # https://mcap.dev/spec: 15 bytes of an index of a channel, and 16 for each message
+            entries = known.message_index_length - 15 * len(known.message_index_offsets)
+            messages = counted(entries // 16, "message")
+        extent = ""
+        if (times := known or chunk) is not None:
+            first, last = times.message_start_time, times.message_end_time
+            extent = f" in {seconds_between(first, last):.3g} s from {text(first)} s"
+        line = f"the chunk at byte {self.at} {what}, and is left out: {messages}{extent}"
+        self.losses.append(line)
 
     def _records_of_part(self, chunk: Chunk) -> list[McapRecord]:
         """Returns the whole records of a chunk that was cut short or is damaged."""
@@ -164,13 +205,20 @@ class McapFile:
             place = end
         return records
 
-    def _noted(self, records: list[McapRecord]) -> Iterator[McapMessage]:
-        """Yields the messages among ``records``; notes the types and topics."""
+    def _noted(self, records: list[McapRecord], *, checked: bool = False) -> Iterator[McapMessage]:
+        """Yields the messages among ``records``; notes the types and topics.
+
+        Types and topics that no checksum has ``checked`` do not replace known ones.
+        """
         for record in records:
             if isinstance(record, Schema):
-                self._schemas[record.id] = record
+                self._schemas[record.id] = (
+                    record if checked else self._schemas.get(record.id, record)
+                )
             elif isinstance(record, Channel):
-                self._channels[record.id] = record
+                self._channels[record.id] = (
+                    record if checked else self._channels.get(record.id, record)
+                )
             elif isinstance(record, Message):
                 channel = self._channels.get(record.channel_id)
                 schema = None if channel is None else self._schemas.get(channel.schema_id)

@@ -13,6 +13,8 @@ from impact_observer import __version__
 
 Item: TypeAlias = tuple[int, int, bytes]
 """A message: the number of its channel, its log time (ns), its bytes."""
+_CHUNK = 2**16
+"""Bytes in a chunk, which is what one flipped bit costs."""
 
 
 class McapOutput:
@@ -35,7 +37,13 @@ class McapOutput:
         self._schemas: dict[str, int] = {}
         self._file = path.open("xb")
         kind = CompressionType.ZSTD if compressed else CompressionType.NONE
-        self._writer = Writer(self._file, compression=kind, enable_data_crcs=True)
+        self._writer = Writer(
+            self._file,
+            chunk_size=_CHUNK,
+            compression=kind,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
         self._writer.start("ros2", f"impact_observer {__version__}")
         self._synchronize()
 

@@ -26,6 +26,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
 from impact_observer.io.foreign_files import ROS_2, encodings_at, foreign_messages
 from impact_observer.io.interfaces import Interface
+from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
@@ -51,6 +52,7 @@ from impact_observer.states import Stamps
 
 _Value = TypeVar("_Value")
 
+_SALVAGE = "`impact-observer check --salvage` saves what is left"
 _BLOCK = 1024
 """Most states in a block."""
 
@@ -99,6 +101,7 @@ class BagReader:
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         with self._translated():
             self.storage = storage_of(self.path)
+            self._check_indexes()
             self._reader = Reader(self.path)
             self._reader.open()
             self._connections: dict[str, list[Connection]] = {}
@@ -113,6 +116,12 @@ class BagReader:
             # takes such a topic for another one unless it is given as the files have it, too.
             files = getattr(self._reader.storage, "storages", ())
             self._stored: list[Connection] = [each for file in files for each in file.connections]
+        try:
+            with self._translated():
+                self._check_metadata()
+        except BagError:
+            self.close()
+            raise
         if self.topics and not any(map(self._is_here, self.topics)):
             in_bag = ", ".join(self.topics)
             self.close()
@@ -124,6 +133,30 @@ class BagReader:
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
         self.end = self._reader.end_time - 1 if self.message_count else 0
+
+    def _check_indexes(self) -> None:
+        """Check that the indexes of MCAP files match their checksums, if they have such."""
+        for file in mcap_files(self.path):
+            with file.open("rb") as stream:
+                if index_is_damaged(stream):
+                    raise BagError(
+                        f"{self.path}: cannot be read as a bag: the index of {file.name} does not"
+                        f" match its checksum; {_SALVAGE}"
+                    )
+
+    def _check_metadata(self) -> None:
+        """Check that metadata.yaml has the topics of the files, and no impossible count."""
+        if not self.path.is_dir():
+            return
+        in_files = {(each.topic, each.msgtype) for each in self._stored}
+        for each in self._reader.connections:
+            if each.msgcount < 0:
+                fault = f"{each.msgcount} messages on {each.topic}; expected 0 or more"
+            elif each.msgcount and (each.topic, each.msgtype) not in in_files:
+                fault = f"{each.topic} ({each.msgtype}), which its files do not have"
+            else:
+                continue
+            raise BagError(f"{self.path}: its metadata.yaml has {fault}; {_SALVAGE}")
 
     def __enter__(self) -> "BagReader":
         return self
@@ -429,7 +462,7 @@ class BagReader:
         if count < expected and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {expected} promised by its index; "
-                "`impact-observer check --salvage` saves what is left"
+                + _SALVAGE
             )
 
     def _stamp_reader(self, topic: str) -> Callable[[RawMessage], int]:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damaged bags: the findings of ``check``, and what ``salvage`` recovers."""
 
+import random
+import re
 import shutil
 import sqlite3
 from pathlib import Path
@@ -19,6 +21,7 @@ from impact_observer.check.salvage import Salvage, salvage
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io import BagReader, BagWriter, interfaces
+from impact_observer.io.mcap_checksums import data_are_damaged
 from impact_observer.io.reader import RawMessage
 from impact_observer.stamps import text
 
@@ -136,13 +139,16 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
     printed = lines(bag)
     assert printed[0].startswith("error bag: cannot be read as a bag: Chunk checksum mismatch; ")
     assert printed[1:3] == [
-        f"warning bag_0.mcap: the chunk at byte {second} does not match its checksum",
+        (
+            f"warning bag_0.mcap: the chunk at byte {second} does not match its checksum, and is"
+            " left out: 85 messages in 1.66 s from 2.200000000 s"
+        ),
         (
             "warning /impacts: 1 event missing by the sequence numbers, the first is number 2,"
             " before 4.000000000 s; record with reliable quality of service and a depth of 2000"
         ),
     ]
-    assert 300 < salvaged_count(bag, whole) < len(messages(whole))
+    assert salvaged_count(bag, whole) == len(messages(whole)) - 85
 
 
 def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
@@ -159,15 +165,96 @@ def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
     assert expected in report.findings[0].remedy
 
 
+def test_no_flipped_bit_alters_what_is_read_or_salvaged(whole: Path) -> None:
+    """Of 100 bags, each with one flipped bit: the messages are as before, or refused."""
+    shutil.copytree(whole, "bag")
+    file, draw = Path("bag") / "own_0.mcap", random.Random(7)
+    before, data = messages(whole), file.read_bytes()
+    refused, left = 0, []
+    for _ in range(100):
+        at, bit = draw.randrange(len(data)), draw.randrange(8)
+        file.write_bytes(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :])
+        try:
+            assert messages(Path("bag")) == before
+            with file.open("rb") as stream:
+                assert data_are_damaged(stream)
+        except BagError:
+            refused += 1
+        source = Salvage(Path("bag"))
+        left.append(set(source.raw()))
+        assert left[-1] <= set(before)
+        assert len(left[-1]) == len(before) or source.losses
+    assert refused > 70
+    assert max(map(len, left)) == len(before)
+
+
+def test_a_chunk_that_turns_into_the_end_of_the_file_is_read(whole: Path) -> None:
+    """One bit makes a footer of a chunk; the index says that it is a chunk."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
+    flip(bare(bag), chunks(bare(bag))[1], mask=0x06 ^ 0x02)
+    assert salvaged_count(bag, whole) == len(messages(whole))
+
+
+def test_a_damaged_index_is_refused_and_not_needed(whole: Path) -> None:
+    """Another quality of service in the index would be read without a word."""
+    shutil.copytree(whole, "bag")
+    file = Path("bag") / "own_0.mcap"
+    flip(file, file.read_bytes().rindex(b"reliable"), mask=1)
+    fault = "bag: cannot be read as a bag: the index of own_0.mcap does not match its checksum; "
+    with pytest.raises(BagError, match=re.escape(fault)):
+        BagReader("bag")
+    assert salvaged_count(Path("bag"), whole) == len(messages(whole))
+
+
+def test_a_bag_without_checksums_is_read(whole: Path) -> None:
+    """As before; check says that there are none."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
+    data = bytearray(bare(bag).read_bytes())
+    for chunk in chunks(bare(bag)):
+        data[chunk + 33 : chunk + 37] = bytes(4)
+    data[-12:-8] = bytes(4)
+    bare(bag).write_bytes(data)
+    assert messages(bag) == messages(whole)
+    printed = [f"{each.severity} {each.line}" for each in check_bag(bag).findings]
+    count = len(chunks(bare(bag)))
+    assert (
+        f"note bag_0.mcap: {count} of {count} chunks without a checksum; flipped bits in messages"
+        " go unnoticed" in printed
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("message_count: 400", "message_count: -400", "-400 messages on /plant/joint_states"),
+        ("name: /impacts", "name: /imqacts", "/imqacts (impact_observer_msgs/msg/ImpactEvent)"),
+    ],
+)
+def test_metadata_of_other_topics_than_the_files(
+    whole: Path, old: str, new: str, fault: str
+) -> None:
+    """Topics that no file has, and counts that no bag has, are refused in one line."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy")
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text("utf-8").replace(old, new), "utf-8")
+    with pytest.raises(BagError, match=re.escape(f"bag: its metadata.yaml has {fault}")):
+        BagReader(bag)
+    assert salvaged_count(bag, whole) == len(messages(whole))
+
+
 @pytest.mark.slow
-def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> None:
-    """The index of the file has its place."""
+def test_mcap_with_broken_lengths_goes_on_at_the_next_chunk(whole: Path) -> None:
+    """The index of the file has the place and the length of every chunk."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
     (bag / "metadata.yaml").unlink()
     _, second, third, *_ = chunks(bare(bag))
     flip(bare(bag), second + 7)
-    assert f"warning bag_0.mcap: is damaged from byte {second} to {third}" in lines(bag)
-    assert 300 < salvaged_count(bag, whole) < len(messages(whole))
+    data = bare(bag).read_bytes()
+    size = int.from_bytes(data[second + 9 + 32 : second + 9 + 40], "little")
+    flip(bare(bag), second + 9 + 40 + size + 7)  # of the message index behind the chunk
+    damaged = f"is damaged from byte {second + 9 + 40 + size} to {third}"
+    assert f"warning bag_0.mcap: {damaged}" in lines(bag)
+    assert salvaged_count(bag, whole) == len(messages(whole))
 
 
 @pytest.mark.slow
