@@ -16,6 +16,9 @@ AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 
+USED_AT_THE_START = "it is used at the start only; start the node again"
+"""Why most parameters cannot be set while a node runs."""
+
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
 
@@ -36,6 +39,7 @@ class Option:
         flag: flag of the command line if it differs from ``name``.
         metavar: name of the value in ``--help``.
         live: whether ``ros2 param set`` may change the value while a node runs.
+        fixed: why not, and what to do instead; empty for ``USED_AT_THE_START``.
     """
 
     name: str
@@ -49,6 +53,7 @@ class Option:
     flag: str = ""
     metavar: str = ""
     live: bool = False
+    fixed: str = ""
 
     @property
     def type(self) -> str:

@@ -16,7 +16,7 @@ FOLDER = "config/sros2"
 _PARAMETERS = ("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters")
 _SETTING = ("set_parameters", "set_parameters_atomically")
 OF_EVERY_NODE = tuple(f"~/{each}" for each in (*_PARAMETERS, *_SETTING, "get_type_description"))
-"""Services that rclpy makes."""
+"""Services of parameters and types."""
 LOGS, CHANGES = "/rosout", "/parameter_events"
 """Topics that rclpy publishes."""
 

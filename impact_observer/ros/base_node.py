@@ -8,6 +8,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import qos_profile_parameters
 from rclpy.timer import Timer
 
 from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, Interface
@@ -17,6 +18,7 @@ from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.parameter_services import ParameterServices
 from impact_observer.ros.qos import qos_profile
 
 _OF_ROS = {"/rosout", "/parameter_events", "/clock"}
@@ -38,8 +40,9 @@ class BaseNode(Node):
         Raises:
             UsageError: a parameter is of the wrong type, out of range, or missing.
         """
-        super().__init__(name)
+        super().__init__(name, start_parameter_services=False)
         self.values = parameters.declare(self, table)
+        ParameterServices(self, table)
         self.lines = LogLines(self.get_logger())
         self.make = ros_messages()
         self.repeat(1.0, self.lines.end_second)
@@ -73,6 +76,10 @@ class BaseNode(Node):
             return None
         publisher.publish(message)
         return message
+
+    def serve(self, kind: type, name: str, callback: Callable[..., object]) -> None:
+        """Offer a service, which keeps as many requests as those of parameters."""
+        self.create_service(kind, name, callback, qos_profile=qos_profile_parameters)
 
     def read_state(
         self, topic: str, message: AnyMessage, names: tuple[str, ...]

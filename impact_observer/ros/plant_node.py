@@ -103,7 +103,7 @@ class PlantNode(BaseNode):
         self._closed: Contacts = ()
         text = published_model(self._model, self._seed, how, self._sensor)
         self._model_topic.publish(self.make.model(text))
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.serve(Trigger, "~/reset", self._on_reset)
         self._episode = 0
         self._is_held = False
         self._waits_since: float | None = None
