@@ -1,5 +1,6 @@
 """Installs impact_observer: by colcon as an ament_python package, or by pip."""
 
+import os
 import runpy
 import subprocess
 from pathlib import Path
@@ -59,7 +60,18 @@ class BuildKernel(build_ext):  # type: ignore[misc]
             extension.extra_compile_args += ["-O0"] if self.debug else []
             extension.extra_link_args += [] if self.debug else ["-Wl,--strip-all"]
         self._check_compiler()
+        if "COLCON" in os.environ:
+            self._seek_messages()
         super().build_extensions()
+
+    def _seek_messages(self) -> None:
+        """Say where the messages are if no prefix has them: colcon stops at this package.xml."""
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        messages = f"{NAME}_msgs"
+        if not any(Path(prefix, "share", messages).is_dir() for prefix in prefixes):
+            root = Path(__file__).resolve().parent
+            link = f"ln -s {root.name}/msg_defs {root.parent / messages}"
+            self.warn(f"{messages} is not found: {link}, then colcon build again")
 
     def _check_compiler(self) -> None:
         """Let the compiler find the headers of pybind11, which include those of Python."""
