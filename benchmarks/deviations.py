@@ -139,7 +139,7 @@ def drawn(which: int, seed: int) -> tuple[float, float, float]:
     known = replace(model, uncertainty=ParameterUncertainty(names, np.diag(sizes**2)))
     family = parametric_family(model.system, names, model.elements)
     plant = family.system_at(family.nominal + sizes * rng.normal(size=sizes.size))
-    recording = Recording.simulated(replace(model, system=plant), seconds, jitter, seed)
+    recording = Recording.simulated(replace(model, linear=plant), seconds, jitter, seed)
     since = EPOCH + from_seconds(SETTLED * seconds)
     ours, exact = (observed(each, recording, seed, jitter) for each in (known, model))
     mine, its = (float(np.mean(recording.errors(each, since)[1])) for each in (ours, exact))
@@ -159,7 +159,7 @@ def fitted(which: int, seed: int) -> list[float]:
     known = ParameterUncertainty(family.names, fit.covariance[size:, size:], ends)
     found = list[float]()
     for uncertainty in (known, None):
-        own = replace(model, system=fit.system, uncertainty=uncertainty)
+        own = replace(model, linear=fit.system, uncertainty=uncertainty)
         declared = Options(clock_error=jitter, epoch=EPOCH)
         (motion,) = smoothed_runs(own, recording.events, declared)
         smoothed = [e for some in motion.estimates(recording.run.stamps) for e in some]
@@ -182,7 +182,7 @@ def undeclared(which: int, seed: int) -> tuple[float, float]:
     family = ParametricFamily(model.system, some)
     errors = _SMALL_ERROR * (np.abs(family.nominal) + (family.nominal == 0) * family.sizes)
     plant = family.system_at(family.nominal + errors * rng.normal(size=errors.size))
-    recording = Recording.simulated(replace(model, system=plant), seconds, 0.0, seed)
+    recording = Recording.simulated(replace(model, linear=plant), seconds, 0.0, seed)
     since = EPOCH + from_seconds(SETTLED * seconds)
     exact = replace(model, uncertainty=ParameterUncertainty(family.names[:1], np.zeros((1, 1))))
     ours, other = (

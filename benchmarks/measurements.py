@@ -251,7 +251,7 @@ def print_accuracy(name: str, seconds: float, runs: int) -> None:
 
 def without_stops(model: Model) -> Model:
     """The model as a filter sees it that knows no impacts."""
-    return replace(model, system=replace(model.system, contacts=()))
+    return replace(model, linear=replace(model.system, contacts=()))
 
 
 def alone(name: str, given: Drawn, noise: float) -> Array:

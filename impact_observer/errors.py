@@ -74,6 +74,19 @@ class ModelError(UsageError):
         return ModelError(f"{source}: {self.key}" if self.key else source, self.problem)
 
 
+class NotLinearError(UsageError):
+    """A model of a robot where a linear model is needed."""
+
+    def __init__(self, model: str, what: str = "") -> None:
+        """Name the ``model``, such as ``arm: a robot (urdf: arm.urdf)``, and the job."""
+        super().__init__(f"{model}; {what or 'this'} needs a linear model")
+        self._model = model
+
+    def in_command(self, command: str) -> "NotLinearError":
+        """The error with the name of the ``command`` that needs a linear model."""
+        return NotLinearError(self._model, command)
+
+
 class BagError(ImpactObserverError):
     """A bag that cannot be read, written or used for the job."""
 

@@ -34,9 +34,18 @@ def check(model: str | Path, *, json: bool = False) -> int:
     """
     from impact_observer.check.model_check import check_model
     from impact_observer.check.model_report import for_json, print_check
+    from impact_observer.check.robot_report import check_robot, print_robot, robot_json
     from impact_observer.model import read_model
 
-    checked = check_model(read_model(model))
+    read = read_model(model)
+    if read.robot is not None:
+        robot = check_robot(read, read.robot)
+        if json:
+            say(json_module.dumps(robot_json(robot), indent=2))
+        else:
+            print_robot(robot)
+        return 0
+    checked = check_model(read)
     if json:
         say(json_module.dumps(for_json(checked), indent=2))
     else:

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from impact_observer import __version__
+from impact_observer.errors import NotLinearError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.plain_text import printable
 from impact_observer.process_end import run
@@ -134,7 +135,10 @@ def _run(argv: Sequence[str]) -> int:
     args, unknown = parser.parse_known_args(_joined(argv))
     if unknown:
         subparsers.choices[args.command].refuse(unknown)
-    return int(_module(args.command).run(args))
+    try:
+        return int(_module(args.command).run(args))
+    except NotLinearError as error:
+        raise error.in_command(args.command) from None
 
 
 def _module(command: str) -> ModuleType:

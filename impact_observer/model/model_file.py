@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model file: a system, and the initial state of the plant."""
+"""A model file: a linear system or a robot, and the initial state of the plant."""
 
 import io
 import re
@@ -14,7 +14,7 @@ from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.representer import SafeRepresenter
 
-from impact_observer.errors import ModelError
+from impact_observer.errors import ModelError, NotLinearError
 from impact_observer.model import elements, sampled_files
 from impact_observer.model.declared_deviations import with_deviations, without_deviations
 from impact_observer.model.degrees import DEGREES, is_in_degrees, radians
@@ -31,6 +31,9 @@ from impact_observer.model.ground_keys import (
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
+from impact_observer.model.robot_description import RobotDescription
+from impact_observer.model.robot_deviations import read_robot_uncertainty
+from impact_observer.model.robot_file import ROBOT_KEYS, read_robot
 from impact_observer.model.system import (
     LARGEST_STATE,
     UNITS,
@@ -57,7 +60,7 @@ class Model:
     """The contents of a model file.
 
     Attributes:
-        system: the system that plant and replica share.
+        linear: the system that plant and replica share; None for a robot.
         position: the plant's coordinates at the epoch, shape (n,); None if the file has none.
         velocity: the plant's velocities at the epoch, shape (n,); None if the file has none.
         provenance: origin of the file; without effect on the dynamics.
@@ -66,9 +69,10 @@ class Model:
         element_form: the bodies, springs and so on of the file, by key; empty for a file with
             matrices.
         uncertainty: how well the parameters are known; None if the file says nothing.
+        robot: the robot; None for a linear system.
     """
 
-    system: System
+    linear: System | None
     position: Vector | None = None
     velocity: Vector | None = None
     provenance: Mapping[str, Value] = field(default_factory=dict)
@@ -76,6 +80,24 @@ class Model:
     elements: tuple[Element, ...] = ()
     element_form: Mapping[str, Value] = field(default_factory=dict)
     uncertainty: ParameterUncertainty | None = None
+    robot: RobotDescription | None = None
+
+    @property
+    def system(self) -> System:
+        """The linear system.
+
+        Raises:
+            NotLinearError: the model is a robot.
+        """
+        if self.linear is None:
+            assert self.robot is not None, "one of the two"
+            raise NotLinearError(f"{self.robot.name}: a robot (urdf: {self.robot.origin})")
+        return self.linear
+
+    @property
+    def subject(self) -> System | RobotDescription:
+        """The linear system, or the robot."""
+        return self.system if self.robot is None else self.robot
 
     @property
     def has_exact_numbers(self) -> bool:
@@ -90,7 +112,7 @@ class Model:
         """
         if self.position is None or self.velocity is None:
             key = f"{self.source}: initial_state" if self.source else "initial_state"
-            zeros = ", ".join(["0"] * self.system.n)
+            zeros = ", ".join(["0"] * self.subject.n)
             form = f"initial_state: {{position: [{zeros}], velocity: [{zeros}]}}"
             raise ModelError(key, f"is missing; a plant needs one, such as {form}")
         return self.position, self.velocity
@@ -101,14 +123,8 @@ class Model:
         Reading the text gives equal numbers. Matrices and samples from other files are in the
         text. ``provenance`` is the origin of the text, such as package, version and seed.
         """
-        form = self.element_form or _matrix_form(self.system)
-        document: dict[str, Value] = {"name": self.system.name, **form}
-        if self.system.unit != _unit_of(elements=bool(self.element_form)):
-            document["unit"] = self.system.unit
-        if self.element_form and "forcing" in form:  # the form may name a file
-            document["forcing"] = _sampled_of(self.system)
-        if self.system.frame is not None:
-            document["grounds"] = list(self.system.frame.grounds.written)
+        document = self._form() if self.robot is None else dict(self.robot.document)
+        document = {"name": self.subject.name, **document}
         if self.position is not None and self.velocity is not None:
             document["initial_state"] = {
                 "position": self.position.tolist(),
@@ -126,6 +142,17 @@ class Model:
         yaml.width = 99
         yaml.dump(document, stream)
         return stream.getvalue()
+
+    def _form(self) -> dict[str, Value]:
+        """The keys of a linear system."""
+        form = dict(self.element_form or _matrix_form(self.system))
+        if self.system.unit != _unit_of(elements=bool(self.element_form)):
+            form["unit"] = self.system.unit
+        if self.element_form and "forcing" in form:  # the form may name a file
+            form["forcing"] = _sampled_of(self.system)
+        if self.system.frame is not None:
+            form["grounds"] = list(self.system.frame.grounds.written)
+        return form
 
 
 def _unit_of(*, elements: bool) -> str:
@@ -339,6 +366,8 @@ def _with_rows(value: Value) -> Value:
 def _model(document: Value, folder: Path | None) -> Model:
     if not isinstance(document, Mapping):
         raise ModelError("", "is not a model: expected a YAML mapping with name, mass, ...")
+    if "urdf" in document:
+        return _robot_model(document, folder)
     form = elements.KEYS if "bodies" in document else _MATRIX_KEYS
     other = [k for k in (*elements.KEYS, *_MATRIX_KEYS) if k in document and k not in form]
     if other and any(k in document for k in form):
@@ -362,20 +391,37 @@ def _model(document: Value, folder: Path | None) -> Model:
         raise ModelError("unit", f"{unit!r} found; expected {units}, of the coordinates")
     system = replace(system, unit=unit)
     position, velocity = _initial_state(section, system)
-    provenance = section.value("provenance") if "provenance" in section else {}
-    if not isinstance(provenance, Mapping):
-        raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
-    provenance = {str(key): value for key, value in provenance.items()}
     known = read_uncertainty(section, system, parts)
     return Model(
         system,
         position,
         velocity,
-        provenance,
+        _provenance(section),
         elements=parts,
         element_form=written,
         uncertainty=with_deviations(known, plain, system, parts),
     )
+
+
+def _robot_model(document: Mapping[str, Value], folder: Path | None) -> Model:
+    """A model with the key ``urdf``."""
+    plain = without_deviations(document)
+    section = Section("", plain.document, ("name", *ROBOT_KEYS, *_COMMON_KEYS[2:]))
+    robot = read_robot(section.text("name"), section, folder)
+    return Model(
+        None,
+        *_state_parts(section, robot.n),
+        _provenance(section),
+        uncertainty=read_robot_uncertainty(section, plain, robot),
+        robot=robot,
+    )
+
+
+def _provenance(section: Section) -> dict[str, Value]:
+    provenance = section.value("provenance") if "provenance" in section else {}
+    if not isinstance(provenance, Mapping):
+        raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
+    return {str(key): value for key, value in provenance.items()}
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
@@ -486,18 +532,26 @@ def _factors(contact: Section, motions: GroundMotions) -> Vector:
     return factors
 
 
-def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:
-    """The plant's initial state, which must not be inside a stop."""
+def _state_parts(section: Section, n: int) -> tuple[Vector | None, Vector | None]:
+    """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
     if "initial_state" not in section:
         return None, None
     state = Section("initial_state", section.value("initial_state"), ("position", "velocity"))
-    position = frozen(state.vector("position", system.n))
-    velocity = frozen(state.vector("velocity", system.n))
+    position = frozen(state.vector("position", n))
+    velocity = frozen(state.vector("velocity", n))
     for name, values in (("position", position), ("velocity", velocity)):
         for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
             raise ModelError(
                 f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
             )
+    return position, velocity
+
+
+def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:
+    """The plant's initial state, which must not be inside a stop."""
+    position, velocity = _state_parts(section, system.n)
+    if position is None or velocity is None:
+        return None, None
     at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), np.append(position, velocity)[None])
     start = at_epoch[0, : system.n]
     for contact in system.penetrated(start):

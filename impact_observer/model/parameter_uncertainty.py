@@ -126,10 +126,24 @@ def read_uncertainty(
     """
     if KEY not in document:
         return None
+    names, section = named_section(document)
+    check_names(f"{KEY}.names", names, system, elements)
+    return declared_uncertainty(names, section)
+
+
+def named_section(document: Section) -> tuple[tuple[str, ...], Section]:
+    """The names in the key ``uncertainty`` of a model file, and the whole value of the key."""
     section = Section(KEY, document.value(KEY), ("names", "covariance", "fitted_to"))
     section.value("names")
-    names = tuple(str(value) for _, value in section.items("names"))
-    check_names(f"{KEY}.names", names, system, elements)
+    return tuple(str(value) for _, value in section.items("names")), section
+
+
+def declared_uncertainty(names: tuple[str, ...], section: Section) -> ParameterUncertainty:
+    """The value of the key ``uncertainty`` for parameters whose ``names`` are checked.
+
+    Raises:
+        ModelError: a value is wrong.
+    """
     if isinstance(given := section.value("covariance"), str):
         raise ModelError(
             section.key("covariance"), f"{given!r} found; expected one row of numbers a name"

@@ -272,6 +272,14 @@ class System:
         """Contact speeds ``gamma = W^T u``, shape (m,), paper's equation (3)."""
         return np.asarray(self.W.T @ u)
 
+    def contact_speeds(self, x: Vector) -> Vector:
+        """Contact speeds in a state ``x`` = (q, u), shape (m,)."""
+        return self.contact_speed(x[self.n :])
+
+    def gaps_at(self, ns: NDArray[np.int64], states: Matrix) -> Matrix:
+        """Gaps in ``states`` (q, u), (samples, 2n), at ``ns`` since the epoch, (samples, m)."""
+        return np.asarray(states[:, : self.n] @ self.W + self.q_r + self.gap_motion(ns))
+
     def rebound(self, gamma: Vector) -> Vector:
         """``r`` of all contacts at speeds ``gamma``, shape (m,), m/s; see ``ReboundLaw``."""
         rebounds: Vector = self.eps * gamma
@@ -343,8 +351,8 @@ class System:
             UsageError: a wrong number of values, or one that is not finite.
         """
         return (
-            _state_part("position", position, self.n),
-            _state_part("velocity", velocity, self.n),
+            checked_part("position", position, self.n),
+            checked_part("velocity", velocity, self.n),
         )
 
 
@@ -374,7 +382,12 @@ def moving_system(system: System, grounds: Grounds) -> System:
     return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
-def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
+def checked_part(name: str, values: ArrayLike, n: int) -> Vector:
+    """``values`` as a read-only array of shape (n,); ``name`` is that of the argument.
+
+    Raises:
+        UsageError: a wrong number of values, or one that is not finite or too large.
+    """
     try:
         array = frozen(values)
     except (TypeError, ValueError):

@@ -169,7 +169,7 @@ class SensorSimulation:
             return
         stamp = switching.instant.stamp
         self._send_spurious(stamp - 1)
-        approach = -self._system.contact_speed(switching.before[self._system.n :])
+        approach = -self._system.contact_speeds(switching.before)
         timing = _drawn_timing(self._true_timing)
         reported = []
         for switch in switching.switches:

@@ -180,7 +180,7 @@ def test_random_events_and_laws_that_move_each_replica_have_no_batches() -> None
         assert {len(each) for each in swept(model, faults={fault: [0.01]}).batches()} == {1}
     assert {len(each) for each in swept(model, "unilateral", "minimum-variance").batches()} == {1}
     contact = replace(model.system.contacts[0], contact_time=2e-3)
-    soft = replace(model, system=replace(model.system, contacts=(contact,)))
+    soft = replace(model, linear=replace(model.system, contacts=(contact,)))
     assert {len(each) for each in swept(soft).batches()} == {1}
 
 

@@ -73,7 +73,7 @@ def driven(model: System, *offsets: float) -> System:
 def rig() -> Model:
     """``two_mass`` on a stop that drives."""
     model = sample("two_mass")
-    return replace(model, system=driven(model.system, V))
+    return replace(model, linear=driven(model.system, V))
 
 
 def driven_systems(most: int) -> st.SearchStrategy[System]:

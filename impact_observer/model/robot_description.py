@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot as a model file declares it: a URDF, its joints and its contacts with fixed planes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model.document import Value, finite
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.system import LONGEST_CONTACT
+from impact_observer.model.urdf_file import FIXED, UNITS_BY_TYPE, Urdf, UrdfJoint
+from impact_observer.states import Vector, frozen
+
+_UNIT_LENGTH = 1e-6
+"""Largest error of the length of a normal, which is then scaled to 1."""
+DAMPING, ROTOR_INERTIA, RESTITUTION = "damping", "rotor-inertia", "restitution"
+"""Kinds of parameters that may have deviations, as first parts of their names."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneContact:
+    """A frame of a robot and a fixed plane: ``g = normal . p(frame) - offset``.
+
+    Attributes:
+        name: name of the contact in events.
+        frame: link whose origin ``p`` hits the plane.
+        normal: of unit length, into the free side, in the root frame, shape (3,).
+        offset: of the plane along the normal, m.
+        rebound: how the contact rebounds.
+        contact_time: duration of an impact, s; velocities jump half this time after the gap is
+            zero.
+    """
+
+    name: str
+    frame: str
+    normal: Vector
+    offset: float
+    rebound: ReboundLaw
+    contact_time: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDescription:
+    """The contents of a model file of a robot with n joints and m contacts.
+
+    Attributes:
+        name: name of the model.
+        joints: names of the n joints, in the order of the state.
+        urdf: the URDF; None while it is to come from ``topic``.
+        topic: latched topic of the URDF; empty for a file.
+        held: positions of movable joints that are no part of the state, by name, rad or m.
+        own_damping: damping beside that of the URDF, shape (n,), N m s/rad or N s/m.
+        rotor_inertia: reflected inertia of the rotors, shape (n,), kg m^2 or kg.
+        contacts: the contacts.
+        forces: topic and field of the measured efforts; None if efforts count as zero.
+        torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
+        gravity: in the root frame, shape (3,), m/s^2.
+        forcing: torques and forces of the plant's drives, N m or N.
+        document: the keys of the model file from which this was read, for its text.
+
+    Raises:
+        ModelError: a value is wrong; the error names the key of the model file.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    urdf: Urdf | None
+    topic: str = ""
+    held: Mapping[str, float] = field(default_factory=dict)
+    own_damping: Vector = field(default_factory=lambda: np.zeros(0))
+    rotor_inertia: Vector = field(default_factory=lambda: np.zeros(0))
+    contacts: tuple[PlaneContact, ...] = ()
+    forces: tuple[str, str] | None = None
+    torque_deviation: Vector = field(default_factory=lambda: np.zeros(0))
+    gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    forcing: Forcing = field(default_factory=lambda: Forcing.none(0))
+    document: Mapping[str, Value] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Copy, freeze and check all fields; vectors that are empty are zero."""
+        _check_names("joints", self.joints)
+        _check_names("contacts", [each.name for each in self.contacts])
+        n = self.n
+        for name in ("own_damping", "rotor_inertia", "torque_deviation"):
+            key = "damping" if name == "own_damping" else name
+            given = getattr(self, name)
+            values = finite(key, given if np.size(given) else np.zeros(n), (n,), f"{n} numbers")
+            for i in np.flatnonzero(values < 0).tolist():
+                problem = f"is {values[i]:g}; expected a number not below zero"
+                raise ModelError(f"{key}.{self.joints[i]}", problem)
+            object.__setattr__(self, name, values)
+        object.__setattr__(self, "gravity", finite("gravity", self.gravity, (3,), "3 numbers"))
+        contacts = tuple(_checked_contact(i, each) for i, each in enumerate(self.contacts))
+        object.__setattr__(self, "contacts", contacts)
+        forcing = self.forcing if self.forcing.constant.size else Forcing.none(n)
+        object.__setattr__(self, "forcing", forcing.checked(n))
+        if self.urdf is not None:
+            self._check_joints(self.urdf)
+            for i, each in enumerate(self.contacts):
+                if each.frame not in self.urdf.links:
+                    known = ", ".join(self.urdf.links)
+                    problem = f"{each.frame!r} is no link of {self.origin}; expected one of"
+                    raise ModelError(f"contacts[{i}].frame", f"{problem} {known}")
+
+    @property
+    def n(self) -> int:
+        """Number of joints in the state."""
+        return len(self.joints)
+
+    @property
+    def m(self) -> int:
+        """Number of contacts."""
+        return len(self.contacts)
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Names of the contacts."""
+        return tuple(each.name for each in self.contacts)
+
+    @property
+    def origin(self) -> str:
+        """Where the URDF comes from, in words: a file or a topic."""
+        return self.urdf.source if self.urdf is not None else f"topic {self.topic}"
+
+    @property
+    def known_urdf(self) -> Urdf:
+        """The URDF.
+
+        Raises:
+            UsageError: the URDF has not come from its topic.
+        """
+        if self.urdf is None:
+            raise UsageError(
+                f"{self.name}: the URDF comes from the topic {self.topic}, which only nodes read;"
+                " expected urdf: FILE in the model file"
+            )
+        return self.urdf
+
+    def with_urdf(self, text: str) -> "RobotDescription":
+        """The robot with the ``text`` of the URDF that came from the topic.
+
+        Raises:
+            ModelError: the URDF does not fit the model file.
+        """
+        urdf = Urdf(text, f"topic {self.topic}")
+        return replace(self, urdf=urdf, document={**self.document, "urdf": text})
+
+    @property
+    def urdf_joints(self) -> tuple[UrdfJoint, ...]:
+        """The joints of the state as the URDF has them."""
+        return tuple(self.known_urdf.joints[name] for name in self.joints)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the coordinates, ``rad`` or ``m`` each."""
+        return tuple(each.unit for each in self.urdf_joints)
+
+    @property
+    def damping(self) -> Vector:
+        """Damping with that of the URDF, shape (n,), N m s/rad or N s/m."""
+        return frozen(self.own_damping + [each.damping for each in self.urdf_joints])
+
+    @property
+    def holds(self) -> dict[str, float]:
+        """Positions of all movable joints that are no part of the state, by name, rad or m.
+
+        A joint that mimics a held one is held where that one puts it.
+        """
+        found: dict[str, float] = {}
+        for joint in self.known_urdf.joints.values():
+            if joint.name in self.joints or joint.type == FIXED:
+                continue
+            value = self.held.get(joint.name, 0.0)
+            if joint.mimics and joint.name not in self.held:
+                value = joint.multiplier * self.held.get(joint.mimics, 0.0) + joint.offset
+            found[joint.name] = value
+        return found
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values of the parameters that may have deviations, by name such as ``damping.elbow``."""
+        laws = [law.parameters for law in (each.rebound for each in self.contacts)]
+        return {
+            **_by_joint(DAMPING, self.joints, self.own_damping),
+            **_by_joint(ROTOR_INERTIA, self.joints, self.rotor_inertia),
+            **{
+                f"{RESTITUTION}.{contact.name}": each.value
+                for contact, parameters in zip(self.contacts, laws, strict=True)
+                for each in parameters
+                if each.kind == RESTITUTION
+            },
+        }
+
+    def with_parameters(self, values: Mapping[str, float]) -> "RobotDescription":
+        """The robot with other values of parameters, by their names.
+
+        Raises:
+            ModelError: a value is impossible, such as a restitution above 1.
+        """
+        known = {**self.parameters, **values}
+
+        def of_joints(kind: str) -> Vector:
+            return np.array([known[f"{kind}.{name}"] for name in self.joints])
+
+        return replace(
+            self,
+            own_damping=of_joints(DAMPING),
+            rotor_inertia=of_joints(ROTOR_INERTIA),
+            contacts=tuple(_with_restitution(each, known) for each in self.contacts),
+        )
+
+    def _check_joints(self, urdf: Urdf) -> None:
+        for i, name in enumerate(self.joints):
+            key = f"joints[{i}]"
+            if name not in urdf.joints:
+                known = ", ".join(k for k, each in urdf.joints.items() if each.type != FIXED)
+                raise ModelError(
+                    key,
+                    f"{name!r} is no joint of {self.origin}; expected one of {known or 'none'}",
+                )
+            joint = urdf.joints[name]
+            if joint.type not in UNITS_BY_TYPE:
+                wanted = ", ".join(UNITS_BY_TYPE)
+                raise ModelError(
+                    key, f"{name!r} is a {joint.type} joint of {self.origin}; expected {wanted}"
+                )
+            if joint.mimics:
+                raise ModelError(
+                    key, f"{name!r} mimics {joint.mimics!r}; expected a joint that moves by itself"
+                )
+            if joint.friction:
+                raise ModelError(
+                    key,
+                    f"{name!r} has dry friction of {joint.friction:g} in {self.origin}, which"
+                    " robots cannot have here; expected friction 0, and damping instead",
+                )
+        for joint in urdf.joints.values():
+            if joint.mimics in self.joints:
+                raise ModelError(
+                    f"joints[{self.joints.index(joint.mimics)}]",
+                    f"{joint.name!r} of {self.origin} mimics {joint.mimics!r}, so it moves too;"
+                    f" expected a URDF in which {joint.name!r} is fixed",
+                )
+        for name in self.held:
+            kind = urdf.joints[name].type if name in urdf.joints else ""
+            if kind not in UNITS_BY_TYPE or name in self.joints:
+                raise ModelError(
+                    f"held.{name}",
+                    f"is no joint that can be held in {self.origin}; expected a revolute,"
+                    " continuous or prismatic joint that is not in joints",
+                )
+
+
+def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, float]:
+    return {f"{kind}.{name}": value for name, value in zip(joints, values.tolist(), strict=True)}
+
+
+def _with_restitution(contact: PlaneContact, known: Mapping[str, float]) -> PlaneContact:
+    """The contact with the known value of its restitution."""
+    law = contact.rebound
+    values = [
+        known[f"{RESTITUTION}.{contact.name}"] if each.kind == RESTITUTION else each.value
+        for each in law.parameters
+    ]
+    return replace(contact, rebound=law.with_values(values)) if values else contact
+
+
+def _check_names(key: str, names: Sequence[object]) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
+    if key == "joints" and not names:
+        raise ModelError(key, "is empty; expected names of joints of the URDF")
+
+
+def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:
+    key = f"contacts[{i}]"
+    normal = finite(f"{key}.normal", contact.normal, (3,), "3 numbers")
+    length = math.sqrt(normal.dot(normal))
+    if abs(length - 1.0) > _UNIT_LENGTH:
+        raise ModelError(f"{key}.normal", f"has the length {length:g}; expected 1")
+    lasts = float(finite(f"{key}.contact_time", contact.contact_time, (), "a number, s"))
+    if not 0.0 <= lasts <= LONGEST_CONTACT:
+        wanted = f"expected a number in [0, {LONGEST_CONTACT:g}], s"
+        raise ModelError(f"{key}.contact_time", f"is {lasts:g}; {wanted}")
+    law = contact.rebound.checked(key)
+    if law.drives:
+        problem = f"drives what it hits ({law.text}); expected one that does not, for a robot"
+        raise ModelError(key, problem)
+    offset = float(finite(f"{key}.offset", contact.offset, (), "a number, m"))
+    return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law, lasts)

@@ -1,0 +1,561 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot: its equations of motion, its contacts, and the derivatives that a filter needs.
+
+``M(q) u' + C(q, u) u + h(q) + D u = tau + W(q) lambda``, ``q' = u``, with n joints and m contacts
+``g_i(q) = n_i . p_i(q) - o_i >= 0``, ``W_i = J_i' n_i``. States are ``x = (q, u)``, shape (2n,).
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.errors import ImpactLawError, ModelError, UsageError
+from impact_observer.events import Contacts
+from impact_observer.model.robot_description import RobotDescription
+from impact_observer.model.system import checked_part, per_second
+from impact_observer.robots.pinocchio_model import imported_pinocchio, pinocchio_model
+from impact_observer.states import Matrix, Vector, frozen
+
+_STEP = 6e-6
+"""Step of central differences, rad or m, rad/s or m/s: the cube root of the rounding error."""
+_INSIDE = 1e-12
+"""Largest gap that counts as rounding, relative to the terms of the gap."""
+_NOISE = 1e-14
+"""Contact speed of several contacts that is rounding, relative to that of all kinetic energy."""
+_EIGENVALUE = 1e-12
+"""Negative eigenvalue of ``G - E G E`` that is rounding, ``G`` having a unit diagonal."""
+_NEWTON_STEPS = 8
+"""Most Newton steps of a projection."""
+_ON_PLANE = 1e-16
+"""Gap that counts as zero after a projection, relative to the scale of the gap."""
+_SINGULAR = 1e-12
+"""Least eigenvalue of a mass matrix with a unit diagonal."""
+
+
+class Robot:
+    """A robot whose root is fixed, with n joints of one coordinate each and m contacts.
+
+    Arguments ``q`` and ``u`` are coordinates and velocities, shape (n,), rad or m and rad/s or
+    m/s; ``tau`` torques and forces of the joints, shape (n,), N m or N; ``contacts`` and
+    ``closed`` indices of contacts. Joints are in the order of the model file. An object has
+    memory of its own for pinocchio, so threads need a robot each.
+
+    Attributes:
+        description: the model file's contents.
+        name: name of the model.
+        coordinates: names of the joints, as in ``JointState``.
+        contact_names: names of the contacts.
+        units: units of the coordinates, ``rad`` or ``m``.
+        speed_units: units of the velocities.
+        lower: least coordinates by the URDF, shape (n,); minus infinity without a limit.
+        upper: largest coordinates by the URDF, shape (n,); infinity without a limit.
+        fastest: largest speeds by the URDF, shape (n,); infinity without a limit.
+        strongest: largest torques and forces by the URDF, shape (n,); infinity without a limit.
+        damping: ``D``, shape (n,), N m s/rad or N s/m.
+        eps: nominal restitution coefficients, shape (m,).
+        contact_time: durations of impacts, shape (m,), s.
+        torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
+    """
+
+    def __init__(self, description: RobotDescription) -> None:
+        """Prepare the equations of motion.
+
+        Raises:
+            UsageError: pinocchio is not installed, or the URDF has not come from its topic.
+            ModelError: the URDF makes no robot that can move, or the start is inside a plane.
+        """
+        self._pin = pin = imported_pinocchio()
+        self.description = description
+        joints = description.urdf_joints
+        self.name = description.name
+        self.coordinates = description.joints
+        self.contact_names = description.contact_names
+        self.units = description.units
+        self.speed_units = tuple(map(per_second, self.units))
+        self.lower = frozen([each.lower for each in joints])
+        self.upper = frozen([each.upper for each in joints])
+        self.fastest = frozen([each.velocity for each in joints])
+        self.strongest = frozen([each.effort for each in joints])
+        self.damping = description.damping
+        self.rebounds = tuple(each.rebound for each in description.contacts)
+        self._special = {i for i, law in enumerate(self.rebounds) if not law.is_plain}
+        self.eps = frozen([law.nominal for law in self.rebounds])
+        self.contact_time = frozen([each.contact_time for each in description.contacts])
+        self.torque_deviation = description.torque_deviation
+        self._world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        self._model = pinocchio_model(description)
+        self._data = self._model.createData()
+        ids = [self._model.getJointId(name) for name in self.coordinates]
+        place = np.array([self._model.joints[i].idx_v for i in ids])
+        self._in = np.argsort(place)  # pinocchio's order from ours
+        self._out = place  # ours from pinocchio's
+        self._square = np.ix_(place, place)
+        pairs = np.meshgrid(place, place)
+        self._upper = np.minimum(*pairs), np.maximum(*pairs)  # of a symmetric matrix
+        self._frames = [self._model.getFrameId(each.frame) for each in description.contacts]
+        self._normals = np.reshape([each.normal for each in description.contacts], (-1, 3))
+        self._offsets = np.array([each.offset for each in description.contacts])
+        self._all: Contacts = tuple(range(description.m))
+        self._check_mass()
+
+    def __reduce__(self) -> tuple[type["Robot"], tuple[RobotDescription]]:
+        """Copies and pickles are made of the description."""
+        return Robot, (self.description,)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.coordinates)
+
+    @property
+    def m(self) -> int:
+        """Number of contacts."""
+        return len(self.contact_names)
+
+    @cached_property
+    def reach(self) -> Vector:
+        """Scale of the gaps: offset, joints one after the other and 1 m, shape (m,), m."""
+        sizes = [np.linalg.norm(each.translation) for each in self._model.jointPlacements]
+        return frozen(np.abs(self._offsets) + (float(np.sum(sizes)) + 1.0))
+
+    # Motion
+
+    def torques(self, t: float) -> Vector:
+        """Torques and forces of the plant's drives at ``t``, s since the epoch, shape (n,)."""
+        force: Vector = self.description.forcing(t)
+        return force
+
+    def mass(self, q: Vector) -> Matrix:
+        """The mass matrix ``M(q)`` with the rotors, shape (n, n), kg m^2, kg m and kg."""
+        M = self._pin.crba(self._model, self._data, q[self._in])
+        return np.asarray(M[self._upper])
+
+    def inverse_mass(self, q: Vector) -> Matrix:
+        """``M(q)^-1``, shape (n, n)."""
+        inverse = self._pin.computeMinverse(self._model, self._data, q[self._in])
+        return np.asarray(inverse[self._upper])
+
+    def coriolis(self, q: Vector, u: Vector) -> Matrix:
+        """``C(q, u)`` of Christoffel's symbols, linear in ``u``, shape (n, n)."""
+        C = self._pin.computeCoriolisMatrix(self._model, self._data, q[self._in], u[self._in])
+        return np.asarray(C[self._square])
+
+    def rest_torque(self, q: Vector) -> Vector:
+        """``h(q)``: the torques that hold the robot at rest against gravity, shape (n,)."""
+        h = self._pin.computeGeneralizedGravity(self._model, self._data, q[self._in])
+        return np.asarray(h[self._out])
+
+    def kinetic_energy(self, q: Vector, u: Vector) -> float:
+        """``u' M(q) u / 2`` with the rotors, J."""
+        return float(u @ self.mass(q) @ u) / 2
+
+    def potential_energy(self, q: Vector) -> float:
+        """The energy of gravity, J."""
+        return float(self._pin.computePotentialEnergy(self._model, self._data, q[self._in]))
+
+    def acceleration(
+        self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int] = ()
+    ) -> Vector:
+        """``u'``, shape (n,); contacts ``closed`` keep their speeds: ``W'u' + W'' u = 0``."""
+        tau = tau - self.damping * u
+        free = self._pin.aba(self._model, self._data, q[self._in], u[self._in], tau[self._in])
+        free = free[self._out]
+        if not len(closed):
+            return np.asarray(free)
+        W = self.directions(q, closed)
+        held = self.inverse_mass(q) @ W
+        short = W.T @ free + self.bias(q, u, closed)
+        return np.asarray(free - held @ _least(W.T @ held, short))
+
+    def loads(self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int]) -> Vector:
+        """Forces ``lambda`` of the ``closed`` contacts, shape (len(closed),), N.
+
+        A negative force means that the contact is about to open.
+        """
+        W = self.directions(q, closed)
+        held = self.inverse_mass(q) @ W
+        short = W.T @ self.acceleration(q, u, tau) + self.bias(q, u, closed)
+        return np.asarray(_least(W.T @ held, -short))
+
+    def acceleration_derivatives(
+        self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int] = ()
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Derivatives of ``acceleration`` by ``q``, ``u`` and ``tau``, shape (n, n) each.
+
+        Without ``closed`` contacts they are exact; with them, differences of second order.
+        """
+        if len(closed):
+            return self._differences(q, u, tau, closed)
+        driven = (tau - self.damping * u)[self._in]
+        self._pin.computeABADerivatives(self._model, self._data, q[self._in], u[self._in], driven)
+        data, inverse = self._data, self._data.Minv[self._upper]
+        by_speed = data.ddq_dv[self._square] - inverse * self.damping
+        return np.asarray(data.ddq_dq[self._square]), by_speed, inverse
+
+    def rates(self, x: Vector, tau: Vector, closed: Sequence[int] = ()) -> Vector:
+        """The flow ``F = (u, u')`` in a state ``x``, shape (2n,)."""
+        u = x[self.n :]
+        return np.concatenate([u, self.acceleration(x[: self.n], u, tau, closed)])
+
+    def rate_derivatives(
+        self, x: Vector, tau: Vector, closed: Sequence[int] = ()
+    ) -> tuple[Matrix, Matrix]:
+        """Derivatives of ``rates`` by ``x``, shape (2n, 2n), and by ``tau``, shape (2n, n)."""
+        n = self.n
+        by_q, by_u, by_tau = self.acceleration_derivatives(x[:n], x[n:], tau, closed)
+        A, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n))
+        A[:n, n:] = np.eye(n)
+        A[n:, :n], A[n:, n:], B[n:] = by_q, by_u, by_tau
+        return A, B
+
+    def advanced(self, x: Vector, tau: Vector, seconds: float, closed: Contacts = ()) -> Vector:
+        """The state after one Runge-Kutta step of 4th order with constant ``tau``, (2n,)."""
+        h = seconds
+        one = self.rates(x, tau, closed)
+        two = self.rates(x + h / 2 * one, tau, closed)
+        three = self.rates(x + h / 2 * two, tau, closed)
+        four = self.rates(x + h * three, tau, closed)
+        return np.asarray(x + h / 6 * (one + 2 * two + 2 * three + four))
+
+    def advanced_with_derivatives(
+        self, x: Vector, tau: Vector, seconds: float, closed: Contacts = ()
+    ) -> tuple[Vector, Matrix, Matrix]:
+        """``advanced``, and its derivatives by ``x``, (2n, 2n), and ``tau``, (2n, n).
+
+        The derivatives are those of the Runge-Kutta step itself.
+        """
+        h, n = seconds, self.n
+        X, T = np.eye(2 * n), np.zeros((2 * n, n))
+        state, by_x, by_tau = x, X, T
+        total = np.zeros((2 * n, 1 + 3 * n))
+        for weight, ahead in ((1, h / 2), (2, h / 2), (2, h), (1, 0.0)):
+            A, B = self.rate_derivatives(state, tau, closed)
+            slope = np.column_stack([self.rates(state, tau, closed), A @ by_x, A @ by_tau + B])
+            total += weight * slope
+            state = x + ahead * slope[:, 0]
+            by_x, by_tau = X + ahead * slope[:, 1 : 2 * n + 1], T + ahead * slope[:, 2 * n + 1 :]
+        total *= h / 6
+        return x + total[:, 0], X + total[:, 1 : 2 * n + 1], total[:, 2 * n + 1 :]
+
+    # Contacts
+
+    def gaps(self, q: Vector, contacts: Sequence[int] | None = None) -> Vector:
+        """Gaps ``g`` of ``contacts``, by default of all, shape (k,), m."""
+        which = list(self._all if contacts is None else contacts)
+        pin, model, data = self._pin, self._model, self._data
+        pin.forwardKinematics(model, data, q[self._in])
+        points = [pin.updateFramePlacement(model, data, self._frames[i]) for i in which]
+        return np.array(
+            [
+                self._normals[i].dot(point.translation) - self._offsets[i]
+                for i, point in zip(which, points, strict=True)
+            ]
+        )
+
+    def directions(self, q: Vector, contacts: Sequence[int] | None = None) -> Matrix:
+        """``W(q)``: gradients of the gaps of ``contacts``, by default of all, shape (n, k)."""
+        which = list(self._all if contacts is None else contacts)
+        pin, model, data = self._pin, self._model, self._data
+        pin.computeJointJacobians(model, data, q[self._in])
+        W = np.empty((self.n, len(which)))
+        for k, i in enumerate(which):
+            pin.updateFramePlacement(model, data, self._frames[i])
+            J = pin.getFrameJacobian(model, data, self._frames[i], self._world)
+            W[:, k] = (self._normals[i] @ J[:3])[self._out]
+        return W
+
+    def contact_speeds(self, x: Vector) -> Vector:
+        """``gamma = W(q)'u`` of all contacts in a state ``x``, shape (m,), m/s."""
+        return np.asarray(self.directions(x[: self.n]).T @ x[self.n :])
+
+    def bias(self, q: Vector, u: Vector, contacts: Sequence[int] | None = None) -> Vector:
+        """``dW/dt'u``: accelerations of gaps where joints do not accelerate, (k,), m/s^2."""
+        which = list(self._all if contacts is None else contacts)
+        pin, model, data = self._pin, self._model, self._data
+        pin.forwardKinematics(model, data, q[self._in], u[self._in], np.zeros(self.n))
+        return np.array(
+            [
+                self._normals[i].dot(
+                    pin.getFrameClassicalAcceleration(
+                        model, data, self._frames[i], self._world
+                    ).linear
+                )
+                for i in which
+            ]
+        )
+
+    def gap_rates(
+        self, x: Vector, tau: Vector, contacts: Sequence[int], closed: Sequence[int] = ()
+    ) -> tuple[Vector, Vector, Vector]:
+        """``g, dg/dt, d2g/dt2`` of ``contacts`` along the flow, shape (k,) each, SI units."""
+        q, u = x[: self.n], x[self.n :]
+        W = self.directions(q, contacts)
+        acceleration = self.acceleration(q, u, tau, closed)
+        rising = W.T @ acceleration + self.bias(q, u, contacts)
+        return self.gaps(q, contacts), W.T @ u, np.asarray(rising)
+
+    def speed_gradients(
+        self, q: Vector, u: Vector, contacts: Sequence[int] | None = None
+    ) -> Matrix:
+        """Derivatives of ``gamma`` by ``q``, shape (n, k); those by ``u`` are ``directions``."""
+        which = list(self._all if contacts is None else contacts)
+        pin, model, data = self._pin, self._model, self._data
+        pin.computeForwardKinematicsDerivatives(
+            model, data, q[self._in], u[self._in], np.zeros(self.n)
+        )
+        found = np.empty((self.n, len(which)))
+        for k, i in enumerate(which):
+            frame = self._frames[i]
+            local, J = pin.getFrameVelocityDerivatives(
+                model, data, frame, pin.ReferenceFrame.LOCAL
+            )
+            R = pin.updateFramePlacement(model, data, frame).rotation
+            normal = self._normals[i] @ R  # in the frame, which turns with the joints
+            speed = pin.getFrameVelocity(model, data, frame, pin.ReferenceFrame.LOCAL).linear
+            turned = np.cross(J[3:], speed, axis=0)
+            found[:, k] = (normal @ (local[:3] + turned))[self._out]
+        return found
+
+    def closed_at(self, q: Vector) -> Contacts:
+        """Indices of the contacts with ``g <= 0`` but for rounding."""
+        return tuple(np.flatnonzero(self.gaps(q) <= _INSIDE * self.reach).tolist())
+
+    def penetrated(self, q: Vector) -> Contacts:
+        """Indices of the contacts with ``g < 0`` by more than rounding."""
+        return tuple(np.flatnonzero(self.gaps(q) < -_INSIDE * self.reach).tolist())
+
+    def projected(self, q: Vector, contacts: Sequence[int]) -> Vector:
+        """The nearest ``q`` in the metric of ``M`` with ``g = 0`` on ``contacts``, shape (n,)."""
+        if not len(contacts):
+            return q
+        reach = self.reach[list(contacts)]
+        for _ in range(_NEWTON_STEPS):
+            g = self.gaps(q, contacts)
+            if np.all(np.abs(g) <= _ON_PLANE * reach):
+                break
+            W = self.directions(q, contacts)
+            held = self.inverse_mass(q) @ W
+            q = q - held @ _least(W.T @ held, g)
+        return q
+
+    def stopped(self, q: Vector, u: Vector, contacts: Sequence[int]) -> Vector:
+        """The nearest ``u`` in the metric of ``M`` with ``gamma = 0`` on ``contacts``, (n,)."""
+        if not len(contacts):
+            return u
+        W = self.directions(q, contacts)
+        held = self.inverse_mass(q) @ W
+        return np.asarray(u - held @ _least(W.T @ held, W.T @ u))
+
+    # Impacts
+
+    def velocity_after(
+        self, q: Vector, u: Vector, active: Sequence[int], *, plastic: bool = False
+    ) -> Vector:
+        """Velocities after Newton's law on the ``active`` contacts, shape (n,).
+
+        ``plastic`` contacts have no restitution. The result is ``u`` if all contacts separate.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        impact = self._impact(q, u, active, plastic=plastic)
+        if impact is None:
+            return u
+        held, impulses = impact
+        return np.asarray(u + held @ impulses)
+
+    def pushed(self, q: Vector, u: Vector, active: Sequence[int]) -> Contacts:
+        """Those of the ``active`` contacts that take an impulse in an impact, as indices.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        impact = self._impact(q, u, active, plastic=False)
+        if impact is None:
+            return ()
+        return tuple(i for i, push in zip(active, impact[1].tolist(), strict=True) if push > 0)
+
+    def jumped(self, x: Vector, pushed: Sequence[int]) -> Vector:
+        """``R(x)``: the state after an impact in which exactly ``pushed`` contacts take part.
+
+        Impulses of either sign count, so the function is smooth in ``x``.
+        """
+        n = self.n
+        q, u = x[:n], x[n:]
+        W = self.directions(q, pushed)
+        held = self.inverse_mass(q) @ W
+        lost = self._lost(W.T @ u, pushed)
+        return np.concatenate([q, u - held @ _least(W.T @ held, lost)])
+
+    def jump_derivatives(self, x: Vector, pushed: Sequence[int]) -> Matrix:
+        """``D_x R`` of ``jumped``, shape (2n, 2n): by ``u`` exact, by ``q`` from differences."""
+        n = self.n
+        q, u = x[:n], x[n:]
+        W = self.directions(q, pushed)
+        held = self.inverse_mass(q) @ W
+        gamma = (W.T @ u).tolist()
+        rise = [1.0 + self.rebounds[i].slope(g) for i, g in zip(pushed, gamma, strict=True)]
+        X = np.eye(2 * n)
+        X[n:, n:] -= held @ _least(W.T @ held, np.array(rise)[:, None] * W.T)
+        for k in range(n):
+            step = np.zeros(2 * n)
+            step[k] = _STEP
+            change = self.jumped(x + step, pushed) - self.jumped(x - step, pushed)
+            X[n:, k] = change[n:] / (2 * _STEP)
+        return X
+
+    def jump_by_restitution(self, x: Vector, pushed: Sequence[int]) -> Matrix:
+        """Derivatives of ``jumped`` by the first parameter of each rebound law, (2n, k)."""
+        n = self.n
+        W = self.directions(x[:n], pushed)
+        held = self.inverse_mass(x[:n]) @ W
+        gamma = (W.T @ x[n:]).tolist()
+        lost = np.diag(
+            [self.rebounds[i].sensitivity(g)[0] for i, g in zip(pushed, gamma, strict=True)]
+        )
+        return np.vstack([np.zeros((n, len(pushed))), -held @ _least(W.T @ held, lost)])
+
+    def saltation(
+        self,
+        x: Vector,
+        tau: Vector,
+        hit: int,
+        pushed: Sequence[int] | None = None,
+        *,
+        closed: tuple[Contacts, Contacts] = ((), ()),
+    ) -> Matrix:
+        """``Xi = D_x R + (F+ - D_x R F-) D_x g / (D_x g F-)`` of an impact, shape (2n, 2n).
+
+        Args:
+            x: the state before the impact, on the plane of ``hit``.
+            tau: torques at the impact.
+            hit: the contact whose gap closes.
+            pushed: the contacts that take an impulse; ``hit`` alone if None.
+            closed: contacts that are closed before and after the impact.
+        """
+        pushed = (hit,) if pushed is None else pushed
+        J, n = self.jump_derivatives(x, pushed), self.n
+        before = self.rates(x, tau, closed[0])
+        after = self.rates(self.jumped(x, pushed), tau, closed[1])
+        gradient = np.append(self.directions(x[:n], (hit,))[:, 0], np.zeros(n))
+        return np.asarray(J + np.outer(after - J @ before, gradient) / gradient.dot(before))
+
+    def is_nonexpansive(self, q: Vector, contacts: Sequence[int]) -> bool:
+        """Whether ``G - E G E >= 0`` on ``contacts`` at ``q``: then no impact raises V.
+
+        Where the slope of a rebound law is not constant, this is known of one contact only.
+        """
+        if not all(self.rebounds[i].is_affine for i in contacts):
+            return len(contacts) == 1 and self.rebounds[contacts[0]].is_nonexpansive
+        W = self.directions(q, contacts)
+        G = W.T @ self.inverse_mass(q) @ W
+        size = np.sqrt(np.diag(G))
+        G, eps = G / np.outer(size, size), self.eps[list(contacts)]
+        if np.all(eps == eps[:1]):
+            return True
+        return bool(linalg.eigvalsh(G - np.outer(eps, eps) * G)[0] >= -_EIGENVALUE)
+
+    # Checks
+
+    def checked_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
+        """``position`` and ``velocity`` as read-only arrays of shape (n,).
+
+        Raises:
+            UsageError: a wrong number of values, or one that is not finite.
+        """
+        return (
+            checked_part("position", position, self.n),
+            checked_part("velocity", velocity, self.n),
+        )
+
+    def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
+        """The initial state of a plant, outside all planes.
+
+        Raises:
+            UsageError: a wrong number of values, one that is not finite, or a plane penetrated.
+        """
+        q, u = self.checked_state(position, velocity)
+        for i in self.penetrated(q):
+            raise UsageError(
+                f"{self.name}: position: is inside the plane of {self.contact_names[i]!r} (gap"
+                f" {self.gaps(q)[i]:g} m); expected gap >= 0"
+            )
+        return q, u
+
+    def beyond_limits(self, q: Vector) -> tuple[int, ...]:
+        """Indices of the joints whose limits in the URDF do not contain ``q``."""
+        return tuple(np.flatnonzero((q < self.lower) | (q > self.upper)).tolist())
+
+    def _check_mass(self) -> None:
+        M = self.mass(np.zeros(self.n))
+        diagonal = np.diag(M)
+        for i in np.flatnonzero(~(diagonal > 0)):
+            raise ModelError(
+                "urdf",
+                f"{self.description.origin}: joint {self.coordinates[i]!r} moves no mass; expected"
+                " an inertial of its link, or rotor_inertia",
+            )
+        size = np.sqrt(diagonal)
+        if np.linalg.eigvalsh(M / np.outer(size, size))[0] < _SINGULAR:
+            raise ModelError(
+                "urdf",
+                f"{self.description.origin}: the mass matrix is singular; expected an inertia of"
+                " each link, or rotor_inertia",
+            )
+
+    def _lost(self, gamma: Vector, contacts: Sequence[int]) -> Vector:
+        """``gamma + r(gamma)`` of ``contacts``, shape (k,), m/s."""
+        lost = (1.0 + self.eps[list(contacts)]) * gamma
+        for k, i in enumerate(contacts if self._special else ()):
+            if i in self._special:
+                lost[k] = gamma[k] + float(self.rebounds[i].rebound(gamma[k]))
+        return np.asarray(lost)
+
+    def _impact(
+        self, q: Vector, u: Vector, active: Sequence[int], *, plastic: bool
+    ) -> tuple[Matrix, Vector] | None:
+        """``M^-1 W`` and impulses of Newton's law; None where nothing is hit."""
+        W = self.directions(q, active)
+        held = self.inverse_mass(q) @ W
+        gamma = W.T @ u
+        if len(active) > 1:
+            energy = float(u @ self.mass(q) @ u)
+            noise = _NOISE * np.sqrt(energy * np.einsum("ik,ik->k", W, held))
+            gamma[np.abs(gamma) <= noise] = 0.0
+        lost = gamma if plastic else self._lost(gamma, active)
+        if not np.any(lost < 0):
+            return None
+        if len(active) == 1:
+            return held, -lost / W[:, 0].dot(held[:, 0])
+        root = np.linalg.cholesky(self.inverse_mass(q))
+        impulses = complementary(root.T @ W, lost)
+        if impulses is None:
+            names = [self.contact_names[i] for i in active]
+            raise ImpactLawError.for_contacts(
+                names, "Newton's impact law has no solution", gamma, self.eps[list(active)]
+            )
+        return held, impulses
+
+    def _differences(
+        self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int]
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Derivatives of ``acceleration`` with ``closed`` contacts."""
+        found = np.empty((3, self.n, self.n))
+        for kind in range(3):
+            for k in range(self.n):
+                ends = []
+                for sign in (1.0, -1.0):
+                    at = np.array([q, u, tau])
+                    at[kind, k] += sign * _STEP
+                    ends.append(self.acceleration(at[0], at[1], at[2], closed))
+                found[kind, :, k] = (ends[0] - ends[1]) / (2 * _STEP)
+        return found[0], found[1], found[2]
+
+
+def _least(G: Matrix, b: Matrix) -> Matrix:
+    """The least solution of ``G y = b``; ``G`` is singular where contacts depend on each other."""
+    return np.asarray(b / G[0, 0] if len(G) == 1 else linalg.lstsq(G, b)[0])

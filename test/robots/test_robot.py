@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The equations of a robot against equations by hand and differences."""
+
+import copy
+import pickle
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from arms import DOUBLE, PENDULUM, joint, link, model_of, random_arm, urdf, wall
+
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model import Model
+from impact_observer.model.robot_description import RobotDescription
+from impact_observer.robots.robot import Robot
+from impact_observer.states import Matrix, Vector
+
+pytest.importorskip("pinocchio", reason="not installed: extra robots")
+SEEDS = range(4)
+
+
+def described(model: Model) -> RobotDescription:
+    """The description in a model of a robot."""
+    assert model.robot is not None
+    return model.robot
+
+
+def arm(seed: int, n: int = 0) -> Robot:
+    """A random arm with two contacts."""
+    return Robot(described(random_arm(seed, n=n, contacts=2)))
+
+
+def state(robot: Robot, seed: int) -> tuple[Vector, Vector, Vector]:
+    """Random coordinates, velocities and torques."""
+    rng = np.random.default_rng(seed)
+    q, u, tau = rng.normal(size=(3, robot.n))
+    return q, u, tau
+
+
+def slope(function: Callable[[Vector], Vector], at: Vector, step: float = 1e-6) -> Matrix:
+    """Central differences, shape (values, arguments)."""
+    steps = step * np.eye(at.size)
+    changes = [(function(at + s) - function(at - s)) / (2 * step) for s in steps]
+    return np.asarray(np.transpose(changes))
+
+
+def test_a_double_pendulum_accelerates_as_lagranges_equations_say() -> None:
+    """The mass matrix, gravity, damping and rotors of a double pendulum, by hand."""
+    model = model_of(
+        DOUBLE,
+        "shoulder, elbow",
+        damping="{shoulder: 0.3, elbow: 0.2}",
+        rotor_inertia="{shoulder: 0.1, elbow: 0.05}",
+    )
+    robot = Robot(described(model))
+    q, u, tau = np.array([0.4, -0.9]), np.array([1.3, -2.1]), np.array([0.5, -0.7])
+    (a, b), m1, m2, length, c1, c2, g = q, 1.5, 0.8, 0.7, 0.4, 0.3, 9.81
+    coupled = m2 * length * c2 * np.cos(b)
+    own = m2 * c2**2 + 0.02
+    M = np.array(
+        [
+            [m1 * c1**2 + 0.05 + m2 * length**2 + own + 2 * coupled + 0.1, own + coupled],
+            [own + coupled, own + 0.05],
+        ]
+    )
+    s = m2 * length * c2 * np.sin(b)
+    forces = np.array([-s * u[1] * (2 * u[0] + u[1]), s * u[0] ** 2])
+    low = m2 * g * c2 * np.sin(a + b)
+    weight = np.array([(m1 * c1 + m2 * length) * g * np.sin(a) + low, low])
+    expected = np.linalg.solve(M, tau - [0.3, 0.2] * u - forces - weight)
+    assert np.allclose(robot.mass(q), M, rtol=1e-14)
+    assert np.allclose(robot.rest_torque(q), weight, rtol=1e-13)
+    assert np.allclose(robot.acceleration(q, u, tau), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_directions_are_the_gradients_of_gaps(seed: int) -> None:
+    """W, the acceleration bias and the gradients of contact speeds are those of differences."""
+    robot = arm(seed)
+    q, u, _ = state(robot, seed)
+    W = robot.directions(q)
+    assert np.allclose(W.T, slope(robot.gaps, q), atol=1e-8)
+    along = slope(lambda s: robot.directions(q + s[0] * u).T @ u, np.zeros(1))[:, 0]
+    assert np.allclose(robot.bias(q, u), along, atol=1e-7)
+    speeds = slope(lambda p: robot.directions(p).T @ u, q)
+    assert np.allclose(robot.speed_gradients(q, u).T, speeds, atol=1e-7)
+
+
+@pytest.mark.parametrize("closed", [(), (0,), (0, 1)])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_derivatives_of_accelerations_are_those_of_differences(
+    seed: int, closed: tuple[int, ...]
+) -> None:
+    """By coordinates, velocities and torques, with and without closed contacts."""
+    robot = arm(seed, n=4)
+    q, u, tau = state(robot, seed)
+    by_q, by_u, by_tau = robot.acceleration_derivatives(q, u, tau, closed)
+    size = 1.0 + np.abs(robot.acceleration(q, u, tau, closed)).max()
+    near = {"rtol": 1e-6, "atol": 1e-6 * size}
+    assert np.allclose(by_q, slope(lambda p: robot.acceleration(p, u, tau, closed), q), **near)
+    assert np.allclose(by_u, slope(lambda p: robot.acceleration(q, p, tau, closed), u), **near)
+    assert np.allclose(by_tau, slope(lambda p: robot.acceleration(q, u, p, closed), tau), **near)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_closed_contacts_do_not_accelerate_and_their_loads_do_it(seed: int) -> None:
+    """Gaps of closed contacts have no second derivative; M times the change are the loads."""
+    robot = arm(seed, n=4)
+    q, u, tau = state(robot, seed)
+    x = np.concatenate([q, u])
+    _, _, rising = robot.gap_rates(x, tau, (0, 1), (0, 1))
+    assert np.allclose(rising, 0.0, atol=1e-9)
+    loads = robot.loads(q, u, tau, (0, 1))
+    change = robot.acceleration(q, u, tau, (0, 1)) - robot.acceleration(q, u, tau)
+    assert np.allclose(robot.mass(q) @ change, robot.directions(q) @ loads, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_coriolis_is_christoffels(seed: int) -> None:
+    """C is linear in velocities, symmetric in two of them, and dM/dt - 2 C is skew."""
+    robot = arm(seed)
+    q, u, v = state(robot, seed)
+    C = robot.coriolis(q, u)
+    assert np.allclose(C @ v, robot.coriolis(q, v) @ u, atol=1e-12)
+    moved = slope(lambda s: robot.mass(q + s[0] * u).ravel(), np.zeros(1)).reshape(C.shape)
+    skew = moved - 2 * C
+    assert np.allclose(skew, -skew.T, atol=1e-7)
+    bent = C @ u + robot.rest_torque(q)
+    free = robot.acceleration(q, u, bent + robot.damping * u)
+    assert np.allclose(free, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_step_has_the_derivatives_of_differences(seed: int) -> None:
+    """The Runge-Kutta step and its derivatives by state and torques."""
+    robot = arm(seed)
+    q, u, tau = state(robot, seed)
+    x = np.concatenate([q, u])
+    after, by_x, by_tau = robot.advanced_with_derivatives(x, tau, 2e-3)
+    assert np.allclose(after, robot.advanced(x, tau, 2e-3), rtol=1e-14)
+    assert np.allclose(by_x, slope(lambda y: robot.advanced(y, tau, 2e-3), x), atol=1e-7)
+    assert np.allclose(by_tau, slope(lambda y: robot.advanced(x, y, 2e-3), tau), atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_one_contact_rebounds_and_the_rest_of_the_energy_stays(seed: int) -> None:
+    """gamma+ = -eps gamma-; the loss is (1 - eps^2) gamma-^2 / 2G; impulses act along W."""
+    robot = arm(seed)
+    q, u, _ = state(robot, seed)
+    u = u if (robot.directions(q).T @ u)[0] < 0 else -u
+    W, eps = robot.directions(q)[:, 0], float(robot.eps[0])
+    after = robot.velocity_after(q, u, (0,))
+    gamma, G = W @ u, W @ np.linalg.solve(robot.mass(q), W)
+    assert W @ after == pytest.approx(-eps * gamma, rel=1e-12)
+    lost = robot.kinetic_energy(q, u) - robot.kinetic_energy(q, after)
+    assert lost == pytest.approx((1 - eps**2) * gamma**2 / (2 * G), rel=1e-9)
+    assert np.allclose(np.linalg.solve(robot.mass(q), W * -(1 + eps) * gamma / G), after - u)
+    assert robot.pushed(q, u, (0,)) == (0,)
+    assert np.array_equal(robot.velocity_after(q, after, (0,)), after)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_several_contacts_obey_the_complementarity_law(seed: int) -> None:
+    """0 <= gamma+ + eps gamma- _|_ Lambda >= 0, with the impulses of the pushed contacts."""
+    robot = Robot(described(random_arm(seed, 4, contacts=3)))
+    q, u, _ = state(robot, seed)
+    W, active = robot.directions(q), (0, 1, 2)
+    after = robot.velocity_after(q, u, active)
+    left = W.T @ after + robot.eps * (W.T @ u)
+    pushed = robot.pushed(q, u, active)
+    impulse = robot.mass(q) @ (after - u)
+    share = np.linalg.lstsq(W[:, list(pushed)], impulse, rcond=None)[0]
+    assert np.all(left >= -1e-9)
+    assert np.all(share >= 0)
+    assert np.allclose(left[list(pushed)], 0.0, atol=1e-9)
+    assert np.allclose(W[:, list(pushed)] @ share, impulse, atol=1e-9)
+    x = np.concatenate([q, u])
+    assert np.allclose(robot.jumped(x, pushed)[robot.n :], after, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_derivatives_of_a_jump_are_those_of_differences(seed: int) -> None:
+    """By the state, and by the coefficient of restitution."""
+    description = described(random_arm(seed, contacts=2))
+    robot = Robot(description)
+    q, u, _ = state(robot, seed)
+    x, pushed = np.concatenate([q, u]), (1,)
+    found = slope(lambda y: robot.jumped(y, pushed), x, 1e-5)
+    assert np.allclose(robot.jump_derivatives(x, pushed), found, atol=1e-6)
+    name = "restitution.plane1"
+    value = description.parameters[name]
+
+    def with_restitution(eps: Vector) -> Vector:
+        other = Robot(description.with_parameters({name: float(eps[0])}))
+        return other.jumped(x, pushed)
+
+    by_eps = slope(with_restitution, np.array([value]), 1e-4)
+    assert np.allclose(robot.jump_by_restitution(x, pushed), by_eps, atol=1e-9)
+
+
+def landed(robot: Robot, x: Vector, tau: Vector) -> float:
+    """The time, s, from a state near the plane of contact 0 to the plane, by Newton."""
+    time = 0.0
+    for _ in range(30):
+        moved = robot.advanced(x, tau, time)
+        g, speed, _ = robot.gap_rates(moved, tau, (0,))
+        time -= float(g[0] / speed[0])
+    return time
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_saltation_is_the_derivative_of_a_flow_through_an_impact(seed: int) -> None:
+    """A perturbed state goes to its own impact, jumps there, and on to the same instant."""
+    robot = arm(seed)
+    q, u, tau = state(robot, seed)
+    q = robot.projected(q, (0,))
+    W = robot.directions(q)[:, 0]
+    away = robot.inverse_mass(q) @ W
+    x = np.concatenate([q, u - away * (W @ u + 1.0) / (W @ away)])  # it hits with 1 m/s
+    assert abs(robot.gaps(q)[0]) < 1e-15
+
+    def through(y: Vector) -> Vector:
+        time = landed(robot, y, tau)
+        return robot.advanced(robot.jumped(robot.advanced(y, tau, time), (0,)), tau, -time)
+
+    found = slope(through, x, 1e-5)
+    Xi = robot.saltation(x, tau, 0)
+    assert np.max(np.abs(Xi - found)) < 1e-6 * np.max(np.abs(Xi))
+
+
+def test_the_order_of_joints_is_that_of_the_model_file() -> None:
+    """Exchanged joints exchange rows and columns, whatever pinocchio's order."""
+    one = Robot(described(model_of(DOUBLE, "shoulder, elbow", contacts=wall())))
+    two = Robot(described(model_of(DOUBLE, "elbow, shoulder", contacts=wall())))
+    q, u, tau = np.array([[0.3, -0.8], [1.0, 2.0], [0.2, -0.4]])
+    assert np.allclose(one.mass(q)[::-1, ::-1], two.mass(q[::-1]), rtol=1e-14)
+    assert np.allclose(
+        one.acceleration(q, u, tau)[::-1], two.acceleration(q[::-1], u[::-1], tau[::-1])
+    )
+    assert np.allclose(one.directions(q)[::-1], two.directions(q[::-1]))
+    for mine, theirs in zip(
+        one.acceleration_derivatives(q, u, tau),
+        two.acceleration_derivatives(q[::-1], u[::-1], tau[::-1]),
+        strict=True,
+    ):
+        assert np.allclose(mine[::-1, ::-1], theirs, rtol=1e-12)
+
+
+def test_held_joints_stay_where_they_are_held() -> None:
+    """An elbow held at 0.7 rad makes a rigid arm of the two links."""
+    held = Robot(described(model_of(DOUBLE, "shoulder", held="{elbow: 0.7}", contacts=wall())))
+    whole = Robot(described(model_of(DOUBLE, "shoulder, elbow", contacts=wall())))
+    q = np.array([0.4, 0.7])
+    assert held.gaps(q[:1])[0] == pytest.approx(whole.gaps(q)[0], rel=1e-14)
+    assert held.mass(q[:1])[0, 0] == pytest.approx(whole.mass(q)[0, 0], rel=1e-14)
+
+
+def test_copies_are_whole_and_their_own() -> None:
+    """A robot can be copied and pickled, as for other processes."""
+    robot, q = arm(1), np.full(3, 0.1)[: arm(1).n]
+    for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
+        assert np.array_equal(other.gaps(q), robot.gaps(q))
+
+
+def test_a_link_without_mass_is_an_error_that_names_its_joint() -> None:
+    """The line says what is missing."""
+    text = urdf(
+        link("a", 1.0, "0 0 1") + '<link name="b"/>',
+        joint("one", "base", "a") + joint("two", "a", "b"),
+    )
+    with pytest.raises(ModelError, match="joint 'two' moves no mass; expected an inertial"):
+        Robot(described(model_of(text, "one, two")))
+
+
+def test_a_start_inside_a_plane_is_an_error() -> None:
+    """The line names the contact and the gap."""
+    robot = Robot(described(model_of(PENDULUM, "hinge", contacts=wall())))
+    with pytest.raises(UsageError, match=r"inside the plane of 'wall' \(gap -0\.\d+ m\)"):
+        robot.checked_start([-0.5], [0.0])
+
+
+def test_a_missing_pinocchio_is_one_line_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line names the extra and rosdep's key."""
+    description = described(model_of(PENDULUM, "hinge"))
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    with pytest.raises(UsageError, match=r"pip install impact_observer\[robots\].* rosdep"):
+        Robot(description)
