@@ -4,6 +4,7 @@
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.master import Master, make_plant
 from impact_observer.plant.random_parameters import RandomPlant, random_plant
+from impact_observer.plant.robot_plant import RobotPlant
 from impact_observer.plant.sensor import (
     IDEAL,
     SensorMessage,
@@ -20,6 +21,7 @@ __all__ = [
     "Master",
     "Plant",
     "RandomPlant",
+    "RobotPlant",
     "Run",
     "SensorMessage",
     "SensorModel",

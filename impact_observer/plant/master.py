@@ -8,15 +8,17 @@ from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS,
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.plant.event_driven import Plant
+from impact_observer.plant.robot_plant import RobotPlant
 from impact_observer.plant.time_stepping import TimeSteppingPlant
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
-Master: TypeAlias = Plant | TimeSteppingPlant
-"""A plant of either integrator."""
+Master: TypeAlias = Plant | TimeSteppingPlant | RobotPlant
+"""A plant of a linear system by either integrator, or of a robot."""
 
 
 def make_plant(
-    system: System,
+    system: System | Robot,
     position: Vector,
     velocity: Vector,
     *,
@@ -34,6 +36,12 @@ def make_plant(
         UsageError: a state or step that cannot be used, or an unknown integrator.
         ImpactLawError: contacts are closed at the start and their impact has no solution.
     """
+    if isinstance(system, Robot):
+        if integrator != EVENT_DRIVEN:
+            raise UsageError(
+                f"integrator: {integrator} found, which takes no robots; expected {EVENT_DRIVEN}"
+            )
+        return RobotPlant(system, position, velocity, epoch=epoch)
     if integrator == EVENT_DRIVEN:
         return Plant(system, position, velocity, epoch=epoch, live=live)
     if integrator == MOREAU:

@@ -17,6 +17,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.plant.switching import Switching
+from impact_observer.robots.robot import Robot
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
 
@@ -73,7 +74,7 @@ class SensorModel:
         """Whether events depend on a seed; the transport time changes arrivals only."""
         return bool(self.jitter or self.missed or self.spurious or self.mislabelled)
 
-    def check(self, system: System) -> None:
+    def check(self, system: System | Robot) -> None:
         """Raise unless this can be the sensor of ``system``.
 
         Raises:
@@ -112,7 +113,7 @@ class SensorSimulation:
     def __init__(
         self,
         sensor: SensorModel,
-        system: System,
+        system: System | Robot,
         *,
         epoch: int,
         last: int | None = None,
@@ -258,7 +259,7 @@ def _drawn_timing(draws: Sequence[np.random.Generator]) -> tuple[float, float]:
 
 def simulate_sensor(
     sensor: SensorModel,
-    system: System,
+    system: System | Robot,
     switchings: Iterable[Switching],
     *,
     epoch: int,

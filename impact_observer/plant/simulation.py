@@ -11,6 +11,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.plant.master import Master
 from impact_observer.plant.switching import Switching
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import whole_stamps
 from impact_observer.states import Stamps, Vector
 
@@ -39,11 +40,9 @@ class Run:
         which = np.searchsorted(self.stamps, stamps)
         return replace(self, stamps=stamps, states=self.states[which])
 
-    def nearest(self, system: System) -> tuple[float, str]:
+    def nearest(self, system: System | Robot) -> tuple[float, str]:
         """The smallest gap of the states, m, and the name of the contact; needs a contact."""
-        q, t = self.states[:, : system.n], self.stamps - self.epoch
-        gaps = q @ system.W + system.q_r + system.gap_motion(t)
-        least = np.min(gaps, axis=0)
+        least = np.min(system.gaps_at(self.stamps - self.epoch, self.states), axis=0)
         contact = int(np.argmin(least))
         return float(least[contact]), system.contact_names[contact]
 

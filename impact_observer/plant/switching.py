@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from impact_observer.events import Kind, Switch
 from impact_observer.model import System
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
 
@@ -36,7 +37,7 @@ class Switching:
 
 
 def switches(
-    system: System,
+    system: System | Robot,
     was_closed: tuple[int, ...],
     contacts: tuple[int, ...],
     closed: tuple[int, ...],

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.complementarity import complementary
@@ -256,6 +256,11 @@ class Robot:
             ]
         )
 
+    def gaps_at(self, ns: NDArray[np.int64], states: Matrix) -> Matrix:
+        """Gaps in ``states`` (q, u), (samples, 2n), at ``ns`` since the epoch, (samples, m)."""
+        del ns  # planes do not move
+        return np.array([self.gaps(x[: self.n]) for x in states]).reshape(len(states), self.m)
+
     def directions(self, q: Vector, contacts: Sequence[int] | None = None) -> Matrix:
         """``W(q)``: gradients of the gaps of ``contacts``, by default of all, shape (n, k)."""
         which = list(self._all if contacts is None else contacts)
@@ -265,7 +270,7 @@ class Robot:
         for k, i in enumerate(which):
             pin.updateFramePlacement(model, data, self._frames[i])
             J = pin.getFrameJacobian(model, data, self._frames[i], self._world)
-            W[:, k] = (self._normals[i] @ J[:3])[self._out]
+            W[:, k] = (self._normals[i] @ J.reshape(6, -1)[:3])[self._out]  # a vector for n = 1
         return W
 
     def contact_speeds(self, x: Vector) -> Vector:
@@ -316,8 +321,8 @@ class Robot:
             R = pin.updateFramePlacement(model, data, frame).rotation
             normal = self._normals[i] @ R  # in the frame, which turns with the joints
             speed = pin.getFrameVelocity(model, data, frame, pin.ReferenceFrame.LOCAL).linear
-            turned = np.cross(J[3:], speed, axis=0)
-            found[:, k] = (normal @ (local[:3] + turned))[self._out]
+            turned = np.cross(J.reshape(6, -1)[3:], speed, axis=0)
+            found[:, k] = (normal @ (local.reshape(6, -1)[:3] + turned))[self._out]
         return found
 
     def closed_at(self, q: Vector) -> Contacts:

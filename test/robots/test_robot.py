@@ -247,6 +247,20 @@ def test_the_order_of_joints_is_that_of_the_model_file() -> None:
         assert np.allclose(mine[::-1, ::-1], theirs, rtol=1e-12)
 
 
+def test_a_single_joint_has_matrices_and_vectors_too() -> None:
+    """A pendulum of 1 kg and 1 m: its mass, its gap and the gradients of gap and speed."""
+    robot, q, u = Robot(described(model_of(PENDULUM, "hinge", contacts=wall()))), 0.3, 2.0
+    at, speed = np.array([q]), np.array([u])
+    assert robot.mass(at).tolist() == [[pytest.approx(1.0)]]
+    assert robot.gaps(at).tolist() == [pytest.approx(np.sin(q))]
+    assert robot.directions(at).tolist() == [[pytest.approx(np.cos(q))]]
+    assert robot.speed_gradients(at, speed).tolist() == [[pytest.approx(-np.sin(q) * u)]]
+    assert robot.bias(at, speed).tolist() == [pytest.approx(-np.sin(q) * u * u)]
+    by_q, by_u, by_tau = robot.acceleration_derivatives(at, speed, speed)
+    found = [by_q.tolist(), by_u.tolist(), by_tau.tolist()]
+    assert found == [[[pytest.approx(-9.81 * np.cos(q))]], [[0.0]], [[pytest.approx(1.0)]]]
+
+
 def test_held_joints_stay_where_they_are_held() -> None:
     """An elbow held at 0.7 rad makes a rigid arm of the two links."""
     held = Robot(described(model_of(DOUBLE, "shoulder", held="{elbow: 0.7}", contacts=wall())))
