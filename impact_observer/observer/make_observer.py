@@ -13,6 +13,7 @@ from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
@@ -20,7 +21,7 @@ from impact_observer.states import Matrix, Vector
 
 
 def make_observer(
-    model: Model | System,
+    model: ModelSource,
     options: Options | None = None,
     others: Matrix | None = None,
     *,
@@ -28,7 +29,7 @@ def make_observer(
     measurements: Sequence[Measurement] = (),
     unknowns: UnknownParameters | None = None,
 ) -> Observer:
-    """An observer of a ``model`` that has received no event yet.
+    """An observer of a ``model``, or of that in a file, that has received no event yet.
 
     Of a model with elements their parameters can be estimated one by one, and parameters with
     deviations are considered. Where its file declares no number exact, published deviations
@@ -39,13 +40,15 @@ def make_observer(
     those that options and model name.
 
     Raises:
-        UsageError: an option cannot be used; the line names the option.
+        UsageError: there is no model, or an option cannot be used; the line names the option.
+        ModelError: the model file is wrong.
     """
     options = options or Options()
-    undeclared = TUNING.undeclared_error
-    if not isinstance(model, Model):
-        model, undeclared = Model(model), 0.0
-    undeclared = 0.0 if model.has_exact_numbers else undeclared
+    if not isinstance(options, Options):
+        raise UsageError(f"make_observer: {options!r} found; expected Options(), by default None")
+    is_exact = isinstance(model, System)
+    model = model_of(model, "make_observer")
+    undeclared = 0.0 if is_exact or model.has_exact_numbers else TUNING.undeclared_error
     system, live = connected(model.system)
     law = law or law_named(options.law)
     uncertainty = Uncertainty(

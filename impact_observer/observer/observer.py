@@ -24,9 +24,9 @@ from impact_observer.events import (
 )
 from impact_observer.filter.readings import sensors_of
 from impact_observer.filter.uncertainty import covariance_root, spread
-from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
@@ -97,7 +97,7 @@ class Observer:
 
     def __init__(
         self,
-        system: System,
+        system: ModelSource,
         law: Law,
         position: Vector,
         velocity: Vector,
@@ -113,7 +113,7 @@ class Observer:
         """Make an observer that has received nothing yet.
 
         Args:
-            system: the system.
+            system: the system; a model or the path of a model file names its system.
             law: a law for the same system.
             position: initial coordinates, shape (n,), m or rad.
             velocity: initial velocities, shape (n,).
@@ -126,8 +126,12 @@ class Observer:
             measurements: what is measured beside the impacts.
 
         Raises:
-            UsageError: a wrong state, or a number that is not positive.
+            UsageError: no system or law, a wrong state, or a number that is not positive.
+            ModelError: the model file is wrong.
         """
+        system = model_of(system, "Observer").system
+        if not isinstance(law, Law):
+            raise UsageError(f"Observer: {law!r} found; expected law_named(NAME)(system)")
         for name, value in (("history", history), ("agreed", agreed), ("ensemble", ensemble)):
             if not value > 0:
                 raise UsageError(f"{name}: {value:g} found; expected a positive number")

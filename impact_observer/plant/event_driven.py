@@ -17,10 +17,10 @@ from impact_observer.dynamics import (
     ended,
     persistent_contacts,
 )
-from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
 from impact_observer.kernel import PhaseMotion, RootSearch
-from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
+from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import (
@@ -56,9 +56,9 @@ class Plant:
 
     def __init__(
         self,
-        system: System,
-        position: Vector,
-        velocity: Vector,
+        system: ModelSource,
+        position: Vector | None = None,
+        velocity: Vector | None = None,
         *,
         epoch: int,
         live: LiveSignals | None = None,
@@ -66,13 +66,21 @@ class Plant:
     ) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
-        ``live`` are the signals of ``system``, known at the epoch, where it has live ones;
-        ``phases`` those of another plant of the same system, which are prepared already.
+        ``system`` may be a model, or the path of a model file; its initial state is taken where
+        neither is given. ``live`` are the signals of the system, known at the epoch, where it has
+        live ones; ``phases`` those of another plant of the same system, prepared already.
 
         Raises:
-            UsageError: a state of the wrong size, not finite, or inside a stop.
+            ModelError: the model file is wrong, or has no initial state that could be taken.
+            UsageError: no model, or a state of the wrong size, not finite, or inside a stop.
             ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
+        model = model_of(system, "Plant")
+        system = model.system
+        if position is None or velocity is None:
+            if position is not velocity:
+                raise UsageError("Plant: position or velocity is missing; expected both, or none")
+            position, velocity = model.initial_state()
         epoch = whole_stamp(epoch, "epoch")
         if live is None:
             refused(system, "a plant without signals")

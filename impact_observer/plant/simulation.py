@@ -9,7 +9,8 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
-from impact_observer.plant.master import Master
+from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.plant.master import Master, make_plant
 from impact_observer.plant.switching import Switching
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import whole_stamps
@@ -53,13 +54,18 @@ class Run:
 
 
 def simulate(
-    plant: Master, stamps: Stamps, *, progress: Callable[[int], None] = lambda _: None
+    plant: Master | ModelSource,
+    stamps: Stamps,
+    *,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Run:
     """Run ``plant`` from its present phase through all ``stamps``, ns, ascending, (samples,).
 
-    ``progress`` is called with the stamp of every switching, ns.
+    A model, or the path of its file, is run from its initial state, whose epoch is the first
+    stamp. ``progress`` is called with the stamp of every switching, ns.
 
     Raises:
+        ModelError: the model file is wrong, or has no initial state.
         ImpactLawError: the impact law has no solution.
         DynamicsError: the forcing ends before the last stamp.
         UsageError: stamps that do not ascend, or are no integers.
@@ -67,6 +73,11 @@ def simulate(
     stamps = whole_stamps(stamps)
     if np.any(stamps[1:] < stamps[:-1]):
         raise UsageError("stamps: they fall; expected an ascending array, such as one of grid")
+    if not isinstance(plant, Master):
+        model = model_of(plant, "simulate")
+        system = model.system if model.robot is None else Robot(model.robot)
+        epoch = int(stamps[0]) if stamps.size else 1
+        plant = make_plant(system, *model.initial_state(), epoch=epoch)
     states = np.empty((stamps.size, 2 * plant.system.n))
     switchings: list[Switching] = []
     events: list[ImpactEvent] = []

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What Python users import from the package itself."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_observer import (
+    Observer,
+    Options,
+    Plant,
+    grid,
+    law_named,
+    make_observer,
+    parse_model,
+    read_model,
+    replay,
+    simulate,
+)
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.resources import shared
+from impact_observer.states import Estimate
+
+EPOCH = 1_000_000_000
+STAMPS = grid(EPOCH, EPOCH + 3_000_000_000, 20.0)
+PATH = shared("config/two_mass.yaml")
+MODEL = read_model(PATH)
+WANTED = "expected a Model, a System, or the path of a model file"
+
+
+@pytest.mark.parametrize(
+    "source", [MODEL, PATH, str(PATH), "two_mass"], ids=["Model", "Path", "text", "sample"]
+)
+def test_plants_and_observers_take_a_model_or_its_path(source: Any) -> None:  # noqa: ANN401
+    """Each gives what it gives of the system and its initial state."""
+    q, u = MODEL.initial_state()
+    expected = simulate(Plant(MODEL.system, q, u, epoch=EPOCH), STAMPS)
+    for run in (simulate(source, STAMPS), simulate(Plant(source, epoch=EPOCH), STAMPS)):
+        np.testing.assert_array_equal(run.states, expected.states)
+        assert run.events == expected.events
+    law = law_named("geometric")(MODEL.system)
+    for observer in (
+        Observer(MODEL.system, law, q, u, epoch=EPOCH),
+        Observer(source, law, q, u, epoch=EPOCH),
+        make_observer(source, Options(law="geometric", initial_state="0.1,-0.2,0.5,0")),
+    ):
+        *_, last = replay(observer, expected.events, STAMPS)
+        assert isinstance(last, Estimate)
+        np.testing.assert_allclose([*last.q, *last.u], expected.states[-1], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda: make_observer(3), f"make_observer: int found; {WANTED}"),  # type: ignore[arg-type]
+        (lambda: Plant(None, epoch=1), f"Plant: NoneType found; {WANTED}"),  # type: ignore[arg-type]
+        (lambda: simulate({}, STAMPS), f"simulate: dict found; {WANTED}"),  # type: ignore[arg-type]
+        (
+            lambda: Observer([], law_named("geometric"), [0], [0]),  # type: ignore[arg-type]
+            f"Observer: list found; {WANTED}",
+        ),
+        (
+            lambda: Observer("two_mass", "geometric", [0], [0]),  # type: ignore[arg-type]
+            "Observer: 'geometric' found; expected law_named(NAME)(system)",
+        ),
+        (
+            lambda: make_observer("two_mass", "geometric"),  # type: ignore[arg-type]
+            "make_observer: 'geometric' found; expected Options(), by default None",
+        ),
+        (
+            lambda: make_observer(PATH.read_text("utf-8")),
+            "make_observer: a text of several lines found; expected parse_model(TEXT, NAME)",
+        ),
+        (
+            lambda: Plant("two_mass", np.zeros(2), epoch=1),
+            "Plant: position or velocity is missing; expected both, or none",
+        ),
+    ],
+)
+def test_what_is_no_model_is_one_line_that_says_what_was_wanted(
+    call: Callable[[], object], line: str
+) -> None:
+    """With the name of the function, and what was found."""
+    with pytest.raises(UsageError) as caught:
+        call()
+    assert str(caught.value) == line
+
+
+def test_a_plant_of_a_model_without_initial_state_names_the_key() -> None:
+    """A system has none either."""
+    text = PATH.read_text("utf-8").partition("initial_state")[0]
+    for source in (parse_model(text, "rig"), MODEL.system):
+        with pytest.raises(ModelError, match="initial_state: is missing; a plant needs one"):
+            Plant(source, epoch=1)
