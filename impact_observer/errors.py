@@ -29,6 +29,10 @@ class UsageError(ImpactObserverError, ValueError):
     exit_code = 2
 
 
+class OutputError(ImpactObserverError):
+    """A file that cannot be written, such as on a disk that is full."""
+
+
 class UnsetError(UsageError):
     """A required option is not set.
 

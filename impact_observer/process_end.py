@@ -6,6 +6,7 @@ the ``with`` and ``finally`` blocks of a command finish their work.
 """
 
 import ctypes
+import errno
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from types import FrameType, TracebackType
 from typing import final
 
 from impact_observer.errors import ImpactObserverError
+from impact_observer.input_files import shortened
 from impact_observer.plain_text import printable, say
 
 TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
@@ -27,6 +29,8 @@ TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
 MAINTAINERS = "maintainers@impact-observer.invalid"
 """Where unforeseen errors are reported, as in package.xml."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OF_THE_NAME = {errno.ENAMETOOLONG, errno.ELOOP}
+"""Errors of the system that are wrong use: no file can have such a name."""
 _PR_SET_PDEATHSIG = 1
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -157,7 +161,7 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return f"not enough memory{words and f': {words}'}; use a smaller model, or shorter data"
     if isinstance(error, OSError) and error.strerror:
-        return f"{printable(str(error.filename or 'files'))}: {error.strerror}"
+        return f"{printable(shortened(Path(error.filename or 'files')))}: {error.strerror}"
     place = next(
         (
             f" in {Path(frame.filename).relative_to(_PACKAGE.parent)}, line {frame.lineno}"
@@ -185,6 +189,8 @@ def _report(program: str, error: BaseException, number: int | None) -> int:
     code, words = 1, one_line(error)
     if isinstance(error, ImpactObserverError):
         code = error.exit_code
+    elif isinstance(error, OSError) and error.errno in _OF_THE_NAME:
+        code = 2
     elif isinstance(error, KeyboardInterrupt) or number is not None:
         how = "interrupted" if by_user else f"ended by {signal.Signals(number or 0).name}"
         done = map(str, error.args) if isinstance(error, KeyboardInterrupt) else ()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from impact_observer.errors import UsageError
+from impact_observer.input_files import check_input, shortened
 
 _SOURCE = Path(__file__).resolve().parent.parent
 
@@ -40,14 +41,14 @@ def read_text(path: Path) -> str:
     """The text of a file.
 
     Raises:
-        UsageError: the file is no text, or too large.
+        UsageError: the file is no regular one, no text, or too large.
     """
+    if (size := check_input(path)) > MOST_BYTES:
+        raise UsageError(
+            f"{path}: {size / 1e6:.1f} MB found; expected at most {MOST_BYTES / 1e6:g} MB;"
+            " write matrices as .npy files, and tables with fewer rows"
+        )
     try:
-        if (size := path.stat().st_size) > MOST_BYTES:
-            raise UsageError(
-                f"{path}: {size / 1e6:.1f} MB found; expected at most {MOST_BYTES / 1e6:g} MB;"
-                " write matrices as .npy files, and tables with fewer rows"
-            )
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
@@ -61,12 +62,12 @@ def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[P
         UsageError: the file is missing, or no text.
     """
     path = Path(source)
-    if not path.is_file():
+    if not os.path.exists(path) or path.is_dir():  # noqa: PTH110 (false for a name that is too long)
         samples = shared(folder)
-        sample = samples / f"{path.name}.yaml"
-        if path.parent != Path() or not sample.is_file():
-            names = ", ".join(sorted(each.stem for each in samples.glob("*.yaml")))
-            what = "a folder" if path.is_dir() else "no such file"
-            raise UsageError(f"{source}: {what}; expected {wanted}: {names}")
-        path = sample
+        known = {each.stem: each for each in sorted(samples.glob("*.yaml"))}
+        if path.parent != Path() or path.name not in known:
+            what = "a folder" if os.path.isdir(path) else "no such file"  # noqa: PTH112
+            names = ", ".join(known)
+            raise UsageError(f"{shortened(path)}: {what}; expected {wanted}: {names}")
+        path = known[path.name]
     return path, read_text(path)

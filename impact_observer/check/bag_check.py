@@ -20,6 +20,7 @@ from impact_observer.check.salvage import Salvage, summary
 from impact_observer.check.state_checks import StateCheck
 from impact_observer.draw.reports import counted, listed
 from impact_observer.errors import BagError, ModelError
+from impact_observer.input_files import open_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo
 from impact_observer.io.foreign_files import foreign_file, foreign_messages
@@ -317,7 +318,7 @@ def _journals(path: Path) -> Iterator[Finding]:
 def _checksums(path: Path) -> Iterator[Finding]:
     """What the checksums of MCAP files say of a bag that can be read as a whole."""
     for file in mcap_files(path):
-        with file.open("rb") as stream:
+        with open_input(file) as stream:
             chunks, unchecked = chunks_without_checksum(stream)
             damaged = data_are_damaged(stream)
         if damaged and unchecked < chunks:

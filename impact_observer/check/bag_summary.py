@@ -14,6 +14,7 @@ from impact_observer.check.mcap_records import summary_of
 from impact_observer.draw.reports import TextTable, counted, print_facts, print_table
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
+from impact_observer.input_files import open_input
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
@@ -182,7 +183,7 @@ def _chunks(bag: Path) -> dict[str, Any] | None:
     chunks = []
     for file in sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]:
         if file.suffix == ".mcap":
-            with file.open("rb") as stream:
+            with open_input(file) as stream:
                 index = summary_of(stream)
             chunks += index.chunk_indexes if index is not None else []
     if not chunks:

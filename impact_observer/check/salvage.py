@@ -20,6 +20,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from impact_observer.check.mcap_records import McapFile, McapMessage
 from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
+from impact_observer.input_files import open_input
 from impact_observer.io.bag_topics import TopicInfo, recover_command
 from impact_observer.io.foreign_files import ROS_2, foreign_file, foreign_messages
 from impact_observer.io.interfaces import Quality, absolute, usual_quality
@@ -91,7 +92,7 @@ class Salvage:
             plain = file
             if file.suffix == ".zstd":
                 plain = Path(folder) / file.stem
-                with file.open("rb") as source, plain.open("wb") as target:
+                with open_input(file) as source, plain.open("wb") as target:
                     try:
                         with zstandard.ZstdDecompressor().stream_reader(source) as stream:
                             shutil.copyfileobj(stream, target)
@@ -112,7 +113,7 @@ class Salvage:
         return RawMessage(raw.topic, raw.log_time, data)
 
     def _mcap(self, file: Path, plain: Path) -> _Read:
-        with plain.open("rb") as stream:
+        with open_input(plain) as stream:
             records = McapFile(stream)
             for each in records.messages():
                 if self._has_topic(each):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
+    add_force,
     add_model,
     add_namespace,
     add_observers,
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
     film = "the film: an MP4, GIF or HTML; an existing file is replaced"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
+    add_force(parser, "output")
     speed = "recorded seconds a second of the film (default 1)"
     add("--speed", metavar="X", type=positive, default=1.0, help=speed)
     add_part(parser, duration=f"to the end, up to {LONGEST:g} s of film")

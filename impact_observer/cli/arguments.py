@@ -291,6 +291,17 @@ def add_bag_output(parser: argparse.ArgumentParser) -> None:
     add_flush(parser)
 
 
+def add_force(parser: argparse.ArgumentParser, *outputs: str) -> None:
+    """Add ``--force``, without which no existing file is replaced.
+
+    Args:
+        parser: of the subcommand.
+        outputs: the arguments that name files to write, which are checked before the command runs.
+    """
+    parser.set_defaults(outputs=outputs)
+    parser.add_argument("--force", action="store_true", help="replace existing files")
+
+
 def add_flush(parser: argparse.ArgumentParser) -> None:
     """Add the longest time until a message of a bag is on the disk."""
     parser.add_argument(

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from impact_observer.cli.arguments import (
+    add_force,
     add_model,
     add_namespace,
     add_observer_arguments,
@@ -85,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
         " observers of --laws have the impacts before, too (default: all estimates count)",
     )
+    add_force(parser, "plot", "report", "csv")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
@@ -95,8 +97,8 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.compare.report import write_report
-    from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
+    from impact_observer.output_files import check_output
 
     options = _options(args)
     if args.plot is not None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_bag_output,
+    add_force,
     add_model,
     add_part,
     add_table,
@@ -70,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     picture = "a picture of the signals with threshold, impacts, dead times and what lay in them"
     add("--plot", metavar="FILE", type=Path, help=picture)
+    add_force(parser, "plot")
     add_bag_output(parser)
     add_table(parser.add_argument_group("a signal", "how its table is to be read"))
 
@@ -86,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
     if args.plot is not None:
-        from impact_observer.draw.output import check_output
+        from impact_observer.output_files import check_output
 
         check_output(args.plot)
     model = None if args.model is None else read_model(args.model)

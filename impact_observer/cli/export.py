@@ -11,7 +11,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, add_part, stamp
+from impact_observer.cli.arguments import add_force, add_model, add_namespace, add_part, stamp
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events}] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS]"
+        "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS] [--force]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -30,8 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         required=True,
-        help="a .csv or .parquet file; an existing file is replaced",
+        help="a .csv or .parquet file",
     )
+    add_force(parser, "output")
     parser.add_argument(
         "--what",
         choices=WHAT,

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import installed_laws, positive
+from impact_observer.cli.arguments import add_force, installed_laws, positive
 from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
     output = "the picture: a PNG, SVG or PDF"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
+    add_force(parser, "output")
     laws = f"laws of the observers, one curve each, or all (default {LAWS})"
     add("--laws", metavar="LAW,...", default=LAWS, help=laws)
     initial = (
@@ -56,12 +57,12 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.error_pictures import lyapunov_picture
     from impact_observer.compare.error_tables import seminorm_remarks, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
-    from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import print_facts, print_table
     from impact_observer.io.bag_part import TimeZero
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
+    from impact_observer.output_files import check_output
 
     check_output(args.output)
     read = read_model(args.model)

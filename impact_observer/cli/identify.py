@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from impact_observer.cli.arguments import (
+    add_force,
     add_measurements,
     add_model,
     add_namespace,
@@ -121,6 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
     )
+    add_force(parser, "output", "plot")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -285,15 +287,7 @@ def _check_usage(args: argparse.Namespace, free: tuple[str, ...], clock: float |
         )
     if not args.check and not free:
         raise UsageError("--free: names no parameter; expected some, such as restitution,gap")
-    _check_files(args.output, args.plot)
+    if args.plot is not None:
+        from impact_observer.output_files import check_output
 
-
-def _check_files(output: Path | None, plot: Path | None) -> None:
-    """Raise UsageError if a file cannot be made."""
-    if output is not None and (output.exists() or not output.parent.is_dir()):
-        problem = "exists already" if output.exists() else "its folder does not exist"
-        raise UsageError(f"{output}: {problem}; expected the name of a file to make")
-    if plot is not None:
-        from impact_observer.draw.output import check_output
-
-        check_output(plot)
+        check_output(args.plot)

@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_observers
+from impact_observer.cli.arguments import add_force, add_model, add_observers
 from impact_observer.plain_text import say
 
 _BAGS = {".mcap", ".db3"}
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser, "of a bag (default: the model in the bag)")
     output = "the layout: .json for Foxglove, .xml for PlotJuggler"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
+    add_force(parser, "output")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,13 +53,14 @@ def layout(
         0.
 
     Raises:
-        UsageError, ModelError: the arguments cannot be used, or the file cannot be written.
+        UsageError, ModelError: the arguments cannot be used, or the file may not be written.
+        OutputError: the disk is full or gone.
         BagError: the bag cannot be read, or has no observers.
     """
     from impact_observer.draw.curves import curves_of_bag, curves_of_model
     from impact_observer.draw.layouts import foxglove, plotjuggler
-    from impact_observer.draw.output import replacing
     from impact_observer.errors import UsageError
+    from impact_observer.output_files import replacing
 
     if (suffix := output.suffix.lower()) not in {".json", ".xml"}:
         raise UsageError(f"{output}: expected .json for Foxglove, or .xml for PlotJuggler")

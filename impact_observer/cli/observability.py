@@ -5,7 +5,13 @@ import argparse
 import json as json_module
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_measurements, add_model, add_namespace, positive
+from impact_observer.cli.arguments import (
+    add_force,
+    add_measurements,
+    add_model,
+    add_namespace,
+    positive,
+)
 from impact_observer.errors import BagError
 from impact_observer.plain_text import say
 
@@ -32,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write singular values over time: PNG, SVG, PDF"
     )
+    add_force(parser, "plot")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -72,7 +79,6 @@ def observe(
         BagError: the bag cannot be read, or contains no impact of the model's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
-    from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import print_table
     from impact_observer.filter.readings import sensors_of
@@ -87,6 +93,7 @@ def observe(
     from impact_observer.observability.rank_picture import rank_picture
     from impact_observer.observability.rank_report import for_json, print_observability
     from impact_observer.options import Options
+    from impact_observer.output_files import check_output
 
     if plot is not None:
         check_output(plot)

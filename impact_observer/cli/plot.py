@@ -10,6 +10,7 @@ import argparse
 from pathlib import Path
 
 from impact_observer.cli.arguments import (
+    add_force,
     add_measurements,
     add_model,
     add_namespace,
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="BAG", type=Path, help="a bag with estimates or truth")
     file = "a PNG, SVG, PDF or HTML; an existing file is replaced"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
+    add_force(parser, "output")
     select = (
         "positions, velocities, gaps; a coordinate for its position and velocity, a contact for"
         " its gap; or single quantities q_NAME, u_NAME, g_NAME (default: positions and velocities"
@@ -51,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw a bag; without a model, in the bag or named, there are no gaps."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.output import check_output
     from impact_observer.draw.pictures import save
     from impact_observer.draw.plot.page import check_plotly, write_page
     from impact_observer.draw.plot.picture import recording_picture
@@ -60,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.output_files import check_output
 
     check_output(args.output, (*PICTURES, *PAGES))
     is_page = args.output.suffix.lower() in PAGES

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
+    add_force,
     add_measurements,
     add_observer_arguments,
     count,
@@ -74,6 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
     where.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
     add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
+    add_force(parser, "plot")
     against = "the swept quantity on the axis of the picture (default: the first)"
     add("--against", metavar="NAME", help=against)
     add("--json", action="store_true", help="print the metrics as JSON")
@@ -143,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
         KeyboardInterrupt: the file has the cases that are done.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.output import check_output
+    from impact_observer.output_files import check_output
     from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
     from impact_observer.sweep.plan import plant_run
     from impact_observer.sweep.summary import document, groups_of, print_groups

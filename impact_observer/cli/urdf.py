@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from impact_observer.cli.arguments import not_negative, positive, seed
+from impact_observer.cli.arguments import add_force, not_negative, positive, seed
 from impact_observer.errors import UsageError
 from impact_observer.plain_text import say
 
@@ -22,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
     add("-o", "--output", metavar="FILE", type=Path, help="the file (default: standard output)")
+    add_force(parser, "output")
     add("--prefix", metavar="P", default="", help="before the names of all links but the first")
     add("--frame", metavar="NAME", default="world", help="the first link (default world)")
     add("--row", metavar="N", type=seed, default=0, help="number of the viewer's row (default 0)")
@@ -72,12 +73,13 @@ def urdf(
 
     Raises:
         UsageError, ModelError: the model cannot be read, a number is too large, or the file
-            cannot be written.
+            may not be written.
+        OutputError: the disk is full or gone.
     """
-    from impact_observer.draw.output import replacing
     from impact_observer.draw.scene.scene import Scene
     from impact_observer.draw.urdf_text import urdf_text
     from impact_observer.model import read_model
+    from impact_observer.output_files import replacing
 
     for name, value in (("amplitude", amplitude), ("row", row), ("length", length)):
         if value > _MOST[name]:

@@ -11,7 +11,7 @@ from impact_observer.compare.comparison import Comparison
 from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, metrics_of
 from impact_observer.draw.reports import ReportLine, TextTable, listed, print_facts, print_table
 from impact_observer.dynamics.lyapunov import is_seminorm
-from impact_observer.errors import UsageError
+from impact_observer.output_files import replacing
 from impact_observer.plain_text import say
 
 _ROUNDING = 1e-26
@@ -22,7 +22,8 @@ def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
     """Write a row of metrics for each estimate; a metric of states has one column for each state.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: the file may not be written.
+        OutputError: the disk is full or gone.
     """
     rows = []
     for label, comparison in labelled.items():
@@ -35,13 +36,13 @@ def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
                 row[key] = value
         rows.append(row)
     columns = dict.fromkeys(key for row in rows for key in row)
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [*columns])
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+    with (
+        replacing(path) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.DictWriter(file, [*columns])
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def print_tables(labelled: Mapping[str, Comparison]) -> None:

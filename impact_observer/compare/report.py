@@ -17,7 +17,7 @@ from impact_observer.compare.error_tables import errors_table, system_names, tab
 from impact_observer.compare.metrics import DISTANCE, IMPACTS
 from impact_observer.draw.pictures import svg
 from impact_observer.draw.reports import TextTable, listed
-from impact_observer.errors import UsageError
+from impact_observer.output_files import replacing
 from impact_observer.plain_text import markup
 from impact_observer.stamps import seconds_between
 
@@ -56,13 +56,12 @@ def write_report(
     """Write the page; an existing file is replaced.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: the file may not be written.
+        OutputError: the disk is full or gone.
     """
     text = "\n".join(_page(labelled, results))
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _page(

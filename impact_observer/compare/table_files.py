@@ -4,7 +4,6 @@
 import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import UsageError
 from impact_observer.io.bag_part import TimeZero
+from impact_observer.output_files import replacing
 from impact_observer.stamps import NS_PER_S, text
 from impact_observer.states import Stamps
 
@@ -50,8 +50,8 @@ def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
         Number of rows by topic.
 
     Raises:
-        UsageError: another ending, the file cannot be made, or ``pyarrow`` is not installed.
-        BagError: the disk is full or gone.
+        UsageError: another ending, the file may not be written, or ``pyarrow`` is not installed.
+        OutputError: the disk is full or gone.
     """
     write = {".csv": _write_csv, ".parquet": _write_parquet}.get(path.suffix.lower())
     if write is None:
@@ -63,11 +63,6 @@ def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
             raise UsageError(
                 f"{path}: Parquet needs pyarrow ({error}); pip install pyarrow"
             ) from None
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.touch()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be made: {error.strerror or error}") from None
     written: Counter[str] = Counter()
 
     def counted() -> Iterator[TableBlock]:
@@ -75,14 +70,8 @@ def write_table(path: Path, blocks: Iterable[TableBlock]) -> Counter[str]:
             yield block
             written[block.topic] += block.stamps.size
 
-    try:
-        write(part, counted())
-        part.replace(path)
-    except OSError as error:
-        raise BagError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink()
+    with replacing(path) as temporary:
+        write(temporary, counted())
     return written
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib import animation
 
-from impact_observer.draw.output import check_output, replacing
 from impact_observer.draw.scene.film import Film
 from impact_observer.draw.scene.film_figure import DPI, FilmFigure
-from impact_observer.errors import UsageError
+from impact_observer.errors import OutputError, UsageError
+from impact_observer.output_files import check_output, replacing
 
 _FASTEST = {".mp4": 120.0, ".gif": 50.0, ".html": 120.0}
 """Most pictures a second, by the suffix of the file."""
@@ -84,7 +84,8 @@ def write_film(
         progress: called with the number of pictures that are drawn, and of all.
 
     Raises:
-        UsageError: too many pictures for a GIF, ffmpeg fails, or the file cannot be written.
+        UsageError: too many pictures for a GIF, or the file may not be written.
+        OutputError: ffmpeg fails, or the disk is full or gone.
     """
     drawn = FilmFigure(film, title=title, speed=speed)
     stamps = film.stamps(fps, speed).tolist()
@@ -106,7 +107,7 @@ def write_film(
         except subprocess.CalledProcessError as error:
             lines = str(error.stderr or "").strip().splitlines()
             reason = lines[-1] if lines else "no reason given"
-            raise UsageError(f"{path}: ffmpeg failed: {reason}") from None
+            raise OutputError(f"{path}: ffmpeg failed: {reason}") from None
         if suffix == ".html":
             _make_offline(temporary)
 

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from impact_observer.draw.output import check_output, replacing
+from impact_observer.output_files import check_output, replacing
 from impact_observer.states import Vector
 
 mpl.use("Agg", force=False)
@@ -91,11 +91,12 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
 
     Args:
         figure: of matplotlib.
-        path: of the file; an existing file is replaced.
+        path: of the file; an existing file is replaced, but not one that was read.
         about: title in the metadata of the file.
 
     Raises:
-        UsageError: another suffix, a folder that does not exist, or the file cannot be written.
+        UsageError: another suffix, a folder that does not exist, or the file may not be written.
+        OutputError: the disk is full or gone.
     """
     check_output(path)
     with replacing(path) as temporary:

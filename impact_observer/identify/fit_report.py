@@ -33,6 +33,7 @@ from impact_observer.model.free_parameters import is_phase
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.output_files import replacing
 from impact_observer.plain_text import say
 from impact_observer.stamps import from_seconds, seconds_between, text
 from impact_observer.states import Vector
@@ -563,10 +564,15 @@ def write_model(
 
     Returns:
         A phrase that names the part that was left out; empty if the file is complete.
+
+    Raises:
+        UsageError: the file may not be written.
+        OutputError: the disk is full or gone.
     """
     inside = initial and bool(_inside(fitted))
     text = model_text(fitted, given, bag, output, initial=initial and not inside)
-    output.write_text(text, encoding="utf-8")
+    with replacing(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     return "without the initial state, which is inside a stop" if inside else ""
 
 

@@ -12,11 +12,13 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from impact_observer.input_files import open_input
+
 ROS_2 = "cdr"
 """Encoding of the messages of ROS 2."""
 _ROS_1_BAG = b"#ROSBAG V"
 _GIT_LFS_POINTER = b"version https://git-lfs.github.com/spec/v1"
-_SUFFIXES = {".bag", ".mcap", ".db3", ".yaml"}
+_SUFFIXES = {".bag", ".mcap", ".db3", ".yaml", ".zstd"}
 
 
 class ForeignFile(NamedTuple):
@@ -41,7 +43,7 @@ def foreign_file(path: Path) -> ForeignFile | None:
         path: a file, or a folder of which each file is looked at.
     """
     for file in _files(path):
-        with file.open("rb") as stream:
+        with open_input(file) as stream:
             first = stream.read(len(_GIT_LFS_POINTER))
         name = f"{file.name} " if file != path else ""
         if first.startswith(_GIT_LFS_POINTER):
@@ -93,7 +95,7 @@ def _encodings_in_sqlite(file: Path) -> set[str]:
 
 def _encodings_in_mcap(file: Path) -> set[str]:
     found: set[str] = set()
-    with file.open("rb") as stream:
+    with open_input(file) as stream:
         try:
             if (summary := make_reader(stream).get_summary()) is not None:
                 found = {each.message_encoding for each in summary.channels.values()}
@@ -113,6 +115,11 @@ def _encodings_in_mcap(file: Path) -> set[str]:
     return found
 
 
-def _files(path: Path) -> list[Path]:
+def bag_files(path: Path) -> list[Path]:
+    """What may be a file of a bag by its name: in the folder of a bag, or the one file."""
     inside = sorted(path.iterdir()) if path.is_dir() else [path]
-    return [each for each in inside if each.suffix in _SUFFIXES and each.is_file()]
+    return [each for each in inside if each.suffix in _SUFFIXES]
+
+
+def _files(path: Path) -> list[Path]:
+    return [each for each in bag_files(path) if each.is_file()]

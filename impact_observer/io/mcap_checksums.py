@@ -11,6 +11,8 @@ from zlib import crc32
 
 from mcap.reader import make_reader
 
+from impact_observer.io.foreign_files import bag_files
+
 _FOOTER, _DATA_END = struct.Struct("<BQQQI8s"), struct.Struct("<BQI")
 _CHUNK_CHECKSUM = 9 + 24
 """Where the checksum of a chunk is, from the beginning of its record."""
@@ -19,8 +21,7 @@ _BLOCK = 2**20
 
 def mcap_files(bag: Path) -> list[Path]:
     """The MCAP files of a bag that are not compressed as a whole: its folder's, or the bag."""
-    return [each for each in (sorted(bag.iterdir()) if bag.is_dir() else [bag])
-            if each.suffix == ".mcap"]  # fmt: skip
+    return [each for each in bag_files(bag) if each.suffix == ".mcap"]
 
 
 def index_is_damaged(file: BinaryIO) -> bool:

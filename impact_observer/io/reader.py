@@ -22,9 +22,10 @@ from rosbags.typesys.store import Typestore
 
 from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
+from impact_observer.input_files import check_input, open_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
-from impact_observer.io.foreign_files import ROS_2, encodings_at, foreign_messages
+from impact_observer.io.foreign_files import ROS_2, bag_files, encodings_at, foreign_messages
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
 from impact_observer.io.messages import (
@@ -135,9 +136,11 @@ class BagReader:
         self.end = self._reader.end_time - 1 if self.message_count else 0
 
     def _check_indexes(self) -> None:
-        """Check that the indexes of MCAP files match their checksums, if they have such."""
+        """Check that the files are regular ones, and the checksums of indexes of MCAP files."""
+        for file in bag_files(self.path):
+            check_input(file)
         for file in mcap_files(self.path):
-            with file.open("rb") as stream:
+            with open_input(file) as stream:
                 if index_is_damaged(stream):
                     raise BagError(
                         f"{self.path}: cannot be read as a bag: the index of {file.name} does not"

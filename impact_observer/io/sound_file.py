@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from impact_observer.errors import UsageError
+from impact_observer.input_files import check_input, open_input
 from impact_observer.io.wav_header import Wav, missing, read_header
 from impact_observer.states import Matrix
 
@@ -46,7 +47,7 @@ class SoundFile:
             self._open_coded()
             return
         try:
-            with path.open("rb") as stream:
+            with open_input(path) as stream:
                 self._wav = wav = read_header(path, stream)
         except OSError as error:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
@@ -69,7 +70,7 @@ class SoundFile:
         shape = struct.pack(
             f"{wav.order}IHHIIHH", 16, wav.kind, wav.channels, *rate, wav.frame, wav.bits
         )
-        with self._path.open("rb") as stream:
+        with open_input(self._path) as stream:
             stream.seek(wav.begin)
             for first in range(0, wav.frames, _AT_ONCE):
                 data = stream.read(wav.frame * min(_AT_ONCE, wav.frames - first))
@@ -90,6 +91,7 @@ class SoundFile:
                 f"{self._path}: FLAC and OGG need soundfile ({error}); pip install soundfile, or"
                 " impact_observer[sound]"
             ) from None
+        check_input(self._path)
         try:
             with soundfile.SoundFile(self._path) as sound:
                 self.channels, self.rate = sound.channels, sound.samplerate

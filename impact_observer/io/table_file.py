@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 from impact_observer.errors import UsageError
+from impact_observer.input_files import open_input
 from impact_observer.io.table_layout import (
     LINES,
     Layout,
@@ -28,6 +29,8 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 
 _SINCE_1970 = 100_000_000 * NS_PER_S
 """Least time that counts from 1970, ns; smaller times count from the start of the experiment."""
+_LONGEST = 10**6
+"""Letters of a line that is too long."""
 _PROBED = 4096
 """Bytes by which an encoding is recognised."""
 _NO_TEXT = re.compile(rb"[\x01-\x08\x0e-\x19\x1c-\x1f]")
@@ -310,10 +313,12 @@ class TableFile:
     def _decoded(self) -> Iterator[tuple[int, str]]:
         """Numbers and texts of the lines after those that are skipped."""
         try:
-            with self._path.open("rb") as file:
+            with open_input(self._path) as file:
                 encoding = self._encoding(file.read(_PROBED))
             with self._path.open(encoding=encoding, errors="surrogateescape") as lines:
-                for k, line in enumerate(lines, start=1):
+                for k, line in enumerate(iter(lambda: lines.readline(_LONGEST), ""), start=1):
+                    if len(line) == _LONGEST:
+                        self.wrong(k, f"is longer than {_LONGEST} letters; expected a table")
                     if k > self._form.skip_rows:
                         yield k, self._as_text(line)
         except (UnicodeDecodeError, OSError) as error:

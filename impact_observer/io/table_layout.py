@@ -39,7 +39,7 @@ LINES = 1000
 """Lines of the beginning of a table in which its header is looked for."""
 _BELOW = 5
 """Rows below a header among which two must have a time."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,6})?", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d{1,6})?", re.IGNORECASE)
 _NUMERIC = re.compile(r"[+-]?\.?\d")
 _AXES = {"x-axis", "x axis", "x", "source", "t", "time"}
 """Names above ``second`` in tables of oscilloscopes, whose row of names is the one above."""

@@ -49,7 +49,7 @@ _CLOCK = r"(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,:](?P<part>
 _ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 _DATE = re.compile(f"{_DAY}(?:(?:T|\\s+|,\\s*){_CLOCK}{_ZONE})?", re.IGNORECASE)
 _TIME_OF_DAY = re.compile(
-    r"(?P<hour>\d+):(?P<minute>\d\d):(?P<second>\d\d)(?:[.,:](?P<part>\d+))?"
+    r"(?P<hour>\d{1,9}):(?P<minute>\d\d):(?P<second>\d\d)(?:[.,:](?P<part>\d+))?"
 )
 _EPOCH = date(1970, 1, 1).toordinal()
 _MINUTES = 60

@@ -17,6 +17,7 @@ from impact_observer.io.interfaces import Quality, interface, usual_quality
 from impact_observer.io.mcap_output import Item, McapOutput
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
+from impact_observer.output_files import unwritable
 
 _BATCH = 1024
 _BATCH_BYTES = 2**20
@@ -37,10 +38,15 @@ def check_free(path: Path) -> None:
     """Check that a bag can be made at ``path``.
 
     Raises:
-        UsageError: something is there already, or its parent is no folder.
+        UsageError: something is there already, its parent is no folder, or the name is too long.
     """
-    if os.path.lexists(path):
+    try:
+        path.lstat()
         raise UsageError(f"{path}: exists already; remove it or choose another name")
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise unwritable(path, error) from None
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: no folder {path.parent}; make it first")
 

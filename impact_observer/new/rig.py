@@ -16,6 +16,7 @@ from impact_observer.model import Model, System, parse_model
 from impact_observer.model.degrees import DEGREES
 from impact_observer.model.system import UNITS, unit_of
 from impact_observer.new.parts import FORCE, GROUND, MASS, SENSOR, SPRING, STOP, Item, PartKind
+from impact_observer.output_files import unwritable
 from impact_observer.states import Vector
 
 COORDINATE_UNITS = (*UNITS, DEGREES)
@@ -255,7 +256,8 @@ def write(rig: NewRig, folder: Path) -> list[Path]:
     """Write the three files of a complete rig, or none of them; returns their paths.
 
     Raises:
-        UsageError: a file exists or cannot be written.
+        UsageError: a file exists or may not be written.
+        OutputError: the disk is full or gone.
     """
     texts = {
         folder / f"{rig.name}.yaml": rig.model_text(),
@@ -268,14 +270,19 @@ def write(rig: NewRig, folder: Path) -> list[Path]:
             with path.open("x", encoding="utf-8") as file:
                 written.append(path)
                 file.write(text)
+    except FileExistsError as error:
+        _remove(written)
+        raise UsageError(f"{error.filename}: is there already; choose another name") from None
     except OSError as error:
-        for each in written:
-            each.unlink()
-        problem = f"cannot be written: {error.strerror}"
-        if isinstance(error, FileExistsError):
-            problem = "is there already; choose another name"
-        raise UsageError(f"{error.filename}: {problem}") from None
+        _remove(written)
+        raise unwritable(Path(error.filename or written[-1]), error) from None
     return list(texts)
+
+
+def _remove(files: list[Path]) -> None:
+    """Remove what was written of a rig."""
+    for each in files:
+        each.unlink()
 
 
 def outside_stops(system: System) -> Vector:

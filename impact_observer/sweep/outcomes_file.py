@@ -9,12 +9,13 @@ file is always complete. Equal outcomes make equal files.
 import json
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-from impact_observer.errors import SweepError, UsageError
+from impact_observer.errors import UsageError
+from impact_observer.output_files import replacing
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.engines import run_batches
 from impact_observer.sweep.plan import Sweep
@@ -60,22 +61,16 @@ def write_outcomes(path: Path, sweep: Sweep, outcomes: Mapping[int, Outcome]) ->
     """Replace the file by one with all of ``outcomes``.
 
     Raises:
-        SweepError: the file cannot be written.
+        UsageError: the file may not be written.
+        OutputError: the disk is full or gone.
     """
     cases = [case for case in sweep.cases() if case.number in outcomes]
     labels = [case.labels for case in cases]
     present = [outcomes[case.number] for case in cases]
     columns = {name: [each[name] for each in labels] for name in labels[0]}
     columns |= {each.name: [getattr(o, each.name) for o in present] for each in fields(Outcome)}
-    part = path.with_name(f".{path.name}.part")
-    try:
-        pq.write_table(pa.table(columns, _schema(sweep)), part, compression="zstd")
-        part.replace(path)
-    except OSError as error:
-        raise SweepError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        with suppress(OSError):
-            part.unlink()
+    with replacing(path) as temporary:
+        pq.write_table(pa.table(columns, _schema(sweep)), temporary, compression="zstd")
 
 
 def _schema(sweep: Sweep) -> pa.Schema:
@@ -118,7 +113,8 @@ def run_missing(
 
     Raises:
         UsageError: a package is missing, or the scheduler cannot be used.
-        SweepError: processes have died, or the file cannot be written.
+        SweepError: processes have died.
+        OutputError: the disk of the file is full or gone.
         KeyboardInterrupt: with a line on what is done.
     """
     missing = [*sweep.batches(outcomes)]

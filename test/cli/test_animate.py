@@ -87,7 +87,7 @@ def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
         ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     output = tmp_path / "film.mp4"
     output.write_bytes(b"an older one")
-    assert main(["animate", str(sample_bag), "-o", str(output), *QUICK]) == 0
+    assert main(["animate", str(sample_bag), "-o", str(output), "--force", *QUICK]) == 0
     done = subprocess.run(
         [str(ffmpeg), "-i", str(output), "-f", "rawvideo", "-pix_fmt", "gray", "-"],
         capture_output=True,
@@ -134,8 +134,8 @@ def test_encoder_that_fails_is_one_line(
     monkeypatch.setenv("PATH", str(folder), prepend=":")
     output = tmp_path / "film.mp4"
     output.write_bytes(b"an older one")
-    code, line = refusal([str(sample_bag), "-o", str(output), *QUICK], capsys)
-    assert code == 2
+    code, line = refusal([str(sample_bag), "-o", str(output), "--force", *QUICK], capsys)
+    assert code == 1
     assert line.endswith("ffmpeg failed: no such encoder")
     assert output.read_bytes() == b"an older one"
     assert {path.name for path in tmp_path.iterdir()} == {sample_bag.name, "bin", "film.mp4"}

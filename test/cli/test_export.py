@@ -162,7 +162,10 @@ def test_only_the_topics_asked_for_are_exported(
     assert table["time_s"][0] == "0.500000000"
     assert f"1001 rows of states: 1001 of {ESTIMATE}" in capsys.readouterr().out
     joint = "/observer/joint_states"
-    assert set(exported(observed, file, "--topics", joint, TRUTH)["topic"]) == {joint, TRUTH}
+    assert set(exported(observed, file, "--topics", joint, TRUTH, "--force")["topic"]) == {
+        joint,
+        TRUTH,
+    }
 
 
 def test_long_bags_are_written_in_row_groups(observed: Path, tmp_path: Path) -> None:
@@ -195,7 +198,7 @@ def test_without_pyarrow_the_extra_is_named(
     ("options", "code", "said"),
     [
         (("-o", "x.xlsx"), 2, "x.xlsx: expected a file's name that ends with .csv or .parquet"),
-        (("-o", "no/x.csv"), 2, "no/x.csv: cannot be made: No such file or directory"),
+        (("-o", "no/x.csv"), 2, "no/x.csv: no folder no; make it first"),
         (("-o", "x.csv", "--topics", "/absent"), 2, "no topic or observer /absent; in the bag: /"),
         (("-o", "x.csv", "--topics", "/impacts"), 2, "/impacts is impact_observer_msgs/msg/Impac"),
         (("-o", "x.csv", "--what", "events", "--topics", "/a"), 2, "events have their own topic"),
@@ -215,7 +218,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     """An existing file is unchanged."""
     monkeypatch.chdir(tmp_path)
     Path("x.csv").write_text("kept")
-    assert main(["export", str(observed), *options]) == code
+    assert main(["export", str(observed), *options, "--force"]) == code
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1
     assert said in error

@@ -67,7 +67,7 @@ def test_the_file_extension_selects_the_format(
     """An older picture is replaced, and the table is printed."""
     output = tmp_path / f"v.{ending}"
     output.write_bytes(b"an older one")
-    assert main(["figure", "bouncing_ball", "--duration", "2", "-o", str(output)]) == 0
+    assert main(["figure", "bouncing_ball", "--duration", "2", "-o", str(output), "--force"]) == 0
     assert output.read_bytes().startswith(magic)
     assert b"our model and numbers" in output.read_bytes() or ending == "pdf"
     table = capsys.readouterr().out

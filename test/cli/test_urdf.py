@@ -39,7 +39,7 @@ def test_file_is_written_and_what_is_left_out_is_said(
     ("arguments", "problem"),
     [
         (["two_mass", "--frame", "x1"], "frame 'x1': a coordinate has this name"),
-        (["two_mass", "-o", "no/such/folder/x.urdf"], "cannot be written"),
+        (["two_mass", "-o", "no/such/folder/x.urdf"], "no folder no/such/folder; make it first"),
         (["two_masses"], "two_masses"),
         (["two_mass", "--amplitude", "1e300"], "--amplitude 1e+300: expected at most 1e+06"),
         (["two_mass", "--row", "9" * 12], "--row 1e+12: expected at most 1000"),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import to_hex, to_rgb
 
-from impact_observer.draw.output import replacing
 from impact_observer.draw.pictures import Style
 from impact_observer.draw.plot.picture import (
     BAND,
@@ -19,6 +18,7 @@ from impact_observer.draw.plot.picture import (
 )
 from impact_observer.draw.plot.series import PlotContent
 from impact_observer.errors import UsageError
+from impact_observer.output_files import replacing
 from impact_observer.plain_text import markup, printable
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ def write_page(recording: PlotContent, path: Path) -> None:
     """Write the page; an existing file is replaced.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: the file may not be written.
+        OutputError: the disk is full or gone.
     """
     title = markup(printable(recording.name)) or "recording"
     plot = page_figure(recording).to_html(

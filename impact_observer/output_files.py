@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that commands write: never in place of an input, and never half.
+
+Every command checks its outputs first, by :func:`check_output`, and writes each beside its place,
+by :func:`replacing`.
+"""
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from impact_observer.errors import ImpactObserverError, OutputError, UsageError
+from impact_observer.input_files import shortened, was_read
+
+_OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
+
+
+def check_output(
+    path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf"), *, force: bool = True
+) -> None:
+    """Raise unless a file can be written to ``path``; by default a picture.
+
+    Args:
+        path: the file.
+        suffixes: what its name may end with; none for any.
+        force: whether an existing file may be replaced, unless it was read.
+
+    Raises:
+        UsageError: ``path`` has none of the ``suffixes``, its folder does not exist, ``path`` is
+            no regular file, was read, or exists and there is no ``force``.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise UsageError(f"{path}: expected a name that ends in {', '.join(suffixes)}")
+    try:
+        if not path.absolute().parent.is_dir():
+            raise UsageError(
+                f"{shortened(path)}: no folder {shortened(path.parent)}; make it first"
+            )
+        if path.is_dir():
+            raise UsageError(f"{path}: is a folder; expected the name of a file")
+        exists = os.path.lexists(path)
+        if path.exists() and not path.is_file():
+            raise UsageError(f"{path}: is a device or a pipe; expected the name of a file")
+    except UsageError:
+        raise
+    except (OSError, ValueError) as error:  # a name too long, or with a null byte
+        raise unwritable(path, error) from None
+    if was_read(path):
+        raise UsageError(f"{path}: is an input of this command; choose another name")
+    if exists and not force:
+        raise UsageError(f"{path}: exists already; --force replaces it, or choose another name")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file beside ``path`` that replaces ``path`` if the block raises nothing.
+
+    Raises:
+        UsageError: ``path`` was read, or may not be written.
+        OutputError: the disk is full or gone.
+    """
+    check_output(path, ())
+    target = path.resolve()
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".new") as folder:
+            temporary = Path(folder) / target.name
+            yield temporary
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
+            if target.exists():
+                shutil.copymode(target, temporary)
+            check_output(path, ())  # what the block has read, too
+            temporary.replace(target)
+    except OSError as error:
+        raise unwritable(path, error) from None
+
+
+def check_outputs(paths: Sequence[Path], *, force: bool) -> None:
+    """Raise unless all of the files can be written, by :func:`check_output`.
+
+    Raises:
+        UsageError: as there, or two of the files are one.
+    """
+    for number, path in enumerate(paths):
+        check_output(path, (), force=force)
+        if path.resolve() in [each.resolve() for each in paths[:number]]:
+            raise UsageError(f"{path}: named twice; choose another name for one of the files")
+
+
+def unwritable(path: Path, error: OSError | ValueError) -> ImpactObserverError:
+    """The error for a file that cannot be written: of the disk, or of the name."""
+    reason = getattr(error, "strerror", None) or error
+    kind = OutputError if getattr(error, "errno", None) in _OF_THE_DISK else UsageError
+    return kind(f"{shortened(path)}: cannot be written: {reason}")

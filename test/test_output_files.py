@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No command replaces what it reads, nor what is there unasked; a full disk harms nothing."""
+
+import os
+import resource
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from workloads import OFFLINE, OUT, make_inputs
+
+from impact_observer.cli.main import main
+from impact_observer.resources import shared
+
+MINE = "mine\n"
+BESIDE = {
+    "identify": ["{bag}", "--free", "restitution", "--plot", "out.png"],
+    "observability": ["{bag}", "--plot", "out.png"],
+    "detect": [
+        "{switch}",
+        "--contact",
+        "stop",
+        "--topic",
+        "/switch",
+        "--plot",
+        "out.svg",
+        "-o",
+        "new",
+    ],
+    "compare": ["{bag}", "--csv", "out.csv"],
+    "export": ["{bag}", "-o", "out.parquet"],
+    "plot": ["{bag}", "-o", "out.png"],
+    "animate": ["{bag}", "--duration", "0.1", "-o", "out.gif"],
+    "layout": ["two_mass", "-o", "out.json"],
+}
+"""Other files that commands write."""
+WRITING = [
+    (command, arguments)
+    for commands in (OFFLINE, BESIDE)
+    for command, arguments in commands.items()
+    if command == "new" or any(each.startswith(OUT) for each in arguments)
+]
+QUICK = {"new", "simulate", "import", "sweep", "figure", "export", "urdf", "layout"}
+"""Commands that write in less than a second; ./dev soak has all of them."""
+LIMIT = 60
+"""Bytes that a file may have on a disk that is full."""
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the commands read."""
+    return make_inputs(tmp_path_factory.mktemp("inputs"))
+
+
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """No file grows beyond ``LIMIT`` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def output_of(command: str, arguments: list[str]) -> Path:
+    """The file or folder that a command of ``WRITING`` makes."""
+    return Path(
+        "rig_sensors.yaml"
+        if command == "new"
+        else next(filter(lambda a: a.startswith(OUT), arguments))
+    )
+
+
+@pytest.mark.parametrize(("command", "arguments"), WRITING)
+def test_what_is_there_is_not_replaced(
+    command: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, in one line, before anything is read; --force, where there is one, is named."""
+    output = output_of(command, arguments)
+    if command == "sweep" and output.suffix == ".parquet":
+        pytest.skip("goes on with a sweep that was interrupted")
+    output.write_text(MINE, encoding="utf-8")
+    assert (
+        main([command, *(each.format(bag="no", switch="no", csv="no") for each in arguments)]) == 2
+    )
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    if output.suffix and command != "new":
+        assert f"{output}: exists already; --force replaces it" in error
+    assert output.read_text("utf-8") == MINE
+    assert list(Path().iterdir()) == [output]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "arguments"), [each for each in WRITING if each[0] in QUICK])
+def test_a_full_disk_destroys_nothing_and_leaves_nothing(
+    command: str,
+    arguments: list[str],
+    inputs: dict[str, str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Exit code 1, in one line; the old file is whole, and no part of the new one is left."""
+    given = [each.format(**inputs) for each in arguments]
+    output = output_of(command, arguments)
+    keeps = bool(output.suffix) and command not in ("new", "sweep")
+    if keeps:
+        output.write_text(MINE, encoding="utf-8")
+        given.append("--force")
+    with full_disk():
+        code = main([command, *given])
+    error = capsys.readouterr().err
+    assert code == 1, error
+    assert "cannot be written: " in error
+    assert "File too large" in error
+    left = {each.name for each in Path().iterdir()}
+    assert left == ({output.name} if keeps else set())
+    assert not keeps or output.read_text("utf-8") == MINE
+
+
+@pytest.mark.parametrize("name", ["my.yaml", "./sub/../my.yaml", "symbolic", "hard"])
+def test_an_input_is_never_replaced(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """By whatever name, and with --force."""
+    Path("sub").mkdir()
+    shutil.copy(shared("config/two_mass.yaml"), "my.yaml")
+    Path("symbolic").symlink_to("my.yaml")
+    Path("hard").hardlink_to("my.yaml")
+    before = Path("my.yaml").read_bytes()
+    assert main(["urdf", "my.yaml", "-o", name, "--force"]) == 2
+    assert "is an input of this command; choose another name" in capsys.readouterr().err
+    assert Path("my.yaml").read_bytes() == before
+
+
+def test_a_table_that_the_model_names_is_an_input() -> None:
+    """The command reads the file, though no argument names it."""
+    text = shared("config/two_mass.yaml").read_text("utf-8")
+    head, _, rest = text.partition("forcing:")
+    tail = rest[rest.index("contacts:") :]
+    Path("table.csv").write_text("time,x1,x2\n0,0,1\n1,0,4\n", encoding="utf-8")
+    Path("my.yaml").write_text(f"{head}forcing: {{sampled: table.csv}}\n{tail}", encoding="utf-8")
+    before = Path("table.csv").read_bytes()
+    assert main(["urdf", "my.yaml", "-o", "table.csv", "--force"]) == 2
+    assert Path("table.csv").read_bytes() == before
+
+
+def test_force_replaces_a_file_and_keeps_its_mode() -> None:
+    """Nothing else stays in the folder; an input of a command before is none of this one."""
+    Path("out").write_text(MINE, encoding="utf-8")
+    Path("out").chmod(0o600)
+    assert main(["urdf", "two_mass", "-o", "out", "--force"]) == 0
+    assert Path("out").read_text("utf-8").startswith("<?xml")
+    assert Path("out").stat().st_mode & 0o777 == 0o600
+    assert list(Path().iterdir()) == [Path("out")]
+
+
+def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
+    """The second would replace the first."""
+    outputs = ["-o", "a.png", "--plot", "./a.png"]
+    assert main(["identify", "bag", "--free", "restitution", *outputs]) == 2
+    assert "a.png: named twice" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["a device", "a pipe"])
+def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With --force neither."""
+    os.mkfifo("pipe")
+    name = "/dev/null" if kind == "a device" else "pipe"
+    assert main(["urdf", "two_mass", "-o", name, "--force"]) == 2
+    assert f"{name}: is a device or a pipe" in capsys.readouterr().err
