@@ -131,6 +131,7 @@ def fitted(text: str, times: Array, free: str, clock: float, seed: int) -> Ident
     return identify(family, events, clock=clock)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [0.9, 2.4, 4.0, 5.3])
 @pytest.mark.parametrize(
     ("rig", "clock", "true"),
@@ -156,6 +157,7 @@ def test_an_unknown_phase_is_found_all_around_the_circle(
     assert np.all(np.abs(np.subtract(others, true)) < 4 * found.errors[1:])
 
 
+@pytest.mark.slow
 def test_a_recording_of_which_the_first_part_fits_is_answered_with_a_horizon(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -79,6 +79,7 @@ def written(found: Identification, text: str) -> str:
     return model_text(found, ModelText(text, "rig.yaml"), Path("bag"), Path("out.yaml"))
 
 
+@pytest.mark.slow
 def test_the_written_covariance_is_that_of_a_fit_of_the_written_file() -> None:
     """Ratios are relative to the file that is written; the stamps are those of the recording."""
     given = RIG.replace("10.2", "10")

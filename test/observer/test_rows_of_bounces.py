@@ -87,6 +87,7 @@ def errors(found: list[Estimate], run: Run) -> tuple[Matrix, Matrix]:
     return states - run.states[-len(half) :], np.sqrt(variances)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [-0.2])
 def test_the_bounces_that_a_debounced_switch_does_not_report_are_inserted(start: float) -> None:
     """A CLOSE at speed is the first edge of a row: the estimate bounces until it rests."""
@@ -117,6 +118,7 @@ def test_a_close_after_reported_bounces_is_a_rest() -> None:
     assert not any("first edge" in each for each in reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [4.5 * 1.03, 4.5 * 0.98])
 def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain(force: float) -> None:
     """A press whose force is a few percent off is refuted, and its covariance contains that."""
