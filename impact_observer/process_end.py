@@ -153,7 +153,7 @@ def one_line(error: BaseException) -> str:
     """An error in one line, without control characters.
 
     Errors of the package say what to do. The line of another error has the place in the package
-    and where to report the error.
+    and where to report the error, or the place in a user's own class, such as a law.
     """
     words = printable(" ".join(str(error).split()))
     if isinstance(error, ImpactObserverError):
@@ -162,19 +162,42 @@ def one_line(error: BaseException) -> str:
         return f"not enough memory{words and f': {words}'}; use a smaller model, or shorter data"
     if isinstance(error, OSError) and error.strerror:
         return f"{printable(shortened(Path(error.filename or 'files')))}: {error.strerror}"
-    place = next(
-        (
-            f" in {Path(frame.filename).relative_to(_PACKAGE.parent)}, line {frame.lineno}"
-            for frame in reversed(traceback.extract_tb(error.__traceback__))
-            if Path(frame.filename).is_relative_to(_PACKAGE)
-        ),
-        "",
-    )
-    kind = type(error).__name__
+    kind, words = type(error).__name__, words and f": {words}"
+    if (extension := _extension(error)) is not None:
+        place = place_in(_root(extension), error) or f" after {extension.__qualname__}"
+        return f"{kind}{place}{words}; {TRACEBACK}=1 shows all of it"
+    place = place_in(_PACKAGE.name, error)
     return (
-        f"unforeseen {kind}{place}{words and f': {words}'}; please report it to {MAINTAINERS},"
+        f"unforeseen {kind}{place}{words}; please report it to {MAINTAINERS},"
         f" with what {TRACEBACK}=1 shows"
     )
+
+
+def place_in(package: str, error: BaseException) -> str:
+    """The innermost line of a ``package`` in the traceback of an ``error``; empty if none.
+
+    The text is such as `` in my_laws/law.py, line 3``, and begins with a space.
+    """
+    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
+        if frame.f_globals.get("__name__", "").partition(".")[0] == package:
+            path = Path(frame.f_code.co_filename).resolve()
+            inside = path.is_relative_to(_PACKAGE)
+            return f" in {path.relative_to(_PACKAGE.parent) if inside else path}, line {line}"
+    return ""
+
+
+def _root(cls: type) -> str:
+    """The package or module at the top of the one that defines a class."""
+    return cls.__module__.partition(".")[0]
+
+
+def _extension(error: BaseException) -> type | None:
+    """A user's class, derived from one of the package, whose method has raised the ``error``."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        cls = type(frame.f_locals.get("self"))
+        if _root(cls) != _PACKAGE.name in map(_root, cls.__mro__):
+            return cls
+    return None
 
 
 def _report(program: str, error: BaseException, number: int | None) -> int:

@@ -4,13 +4,15 @@
 import ast
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from docs.tables import files
 from impact_observer.cli.main import COMMANDS
 from impact_observer.detector.sensor_file import parse_sources
-from impact_observer.model import parse_model
+from impact_observer.model import parse_model, read_model
 from impact_observer.observer import ReplicaLaw
 
 ROOT = Path(__file__).parents[1]
@@ -109,14 +111,31 @@ def test_the_law_of_the_docs_is_a_law() -> None:
     law = space["PositionOnly"]
     assert isinstance(law, type)
     assert issubclass(law, ReplicaLaw)
-    from impact_observer.model import read_model
-
     system = read_model("two_mass").system
-    import numpy as np
-
     x = law(system).impact(np.array([0.1, 0.2, 0.3, 0.4]), (0,), ())
     np.testing.assert_allclose(system.gap(x[:2]), 0.0, atol=1e-15)
     np.testing.assert_array_equal(x[2:], [0.3, 0.4])
+
+
+def test_the_law_of_the_page_of_laws_is_newtons_law() -> None:
+    """Contact speeds are reversed, and nothing else receives an impulse."""
+    space: dict[str, Any] = {}
+    (code,) = blocks((ROOT / "docs" / "laws.md").read_text(), "python")
+    exec(compile(code, "laws.md", "exec"), space)
+    system = read_model("three_mass").system
+    law, x = space["Newton"](system), np.random.default_rng(1).normal(size=2 * system.n)
+    for active in ((0,), tuple(range(system.m))):
+        for closed in ((), active[:1]):
+            after = law.impact(x, active, closed)
+            jump = after - x
+            speeds = system.contact_speed(after[system.n :])[list(active)]
+            before = system.contact_speed(x[system.n :])[list(active)]
+            rest = [0.0 if i in closed else system.eps[i] for i in active]
+            np.testing.assert_allclose(speeds, -np.multiply(rest, before), atol=1e-12)
+            np.testing.assert_array_equal(jump[: system.n], 0.0)
+            impulse, W = system.M @ jump[system.n :], system.W[:, list(active)]
+            unseen = impulse - W @ np.linalg.lstsq(W, impulse, rcond=None)[0]
+            np.testing.assert_allclose(unseen, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

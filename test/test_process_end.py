@@ -78,7 +78,7 @@ def test_a_third_signal_ends_at_once_without_a_traceback() -> None:
         (ImpactObserverError("two\nlines"), 1, "two lines"),
         (
             OSError(errno.ENAMETOOLONG, "File name too long", "x\ny"),
-            1,
+            2,
             "x\\ny: File name too long",
         ),
         (

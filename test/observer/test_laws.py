@@ -3,6 +3,7 @@
 
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -24,6 +25,7 @@ from systems import (
     vectors,
 )
 
+from impact_observer.cli.main import main
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
@@ -37,6 +39,7 @@ from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.plant import Plant, Switching
+from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -247,7 +250,7 @@ def test_law_of_another_package_is_found_by_its_entry_point(
     [
         ("math:pi", "law 'broken': math:pi is not a subclass of Law"),
         ("math:no_such", "law 'broken': math:no_such cannot be imported: .*no_such"),
-        ("no_such_module:Law", "law 'broken': no_such_module:Law cannot be imported: No module"),
+        ("no_such_module:Law", "law 'broken': no_such_module:Law cannot be imported: .*No mod"),
     ],
 )
 def test_entry_point_that_is_no_law_is_one_line(
@@ -257,6 +260,67 @@ def test_entry_point_that_is_no_law_is_one_line(
     install(monkeypatch, broken=value)
     with pytest.raises(UsageError, match=message):
         law_named("broken")
+
+
+LAW = """import numpy as np
+from impact_observer.dynamics import PositionProjection
+from impact_observer.observer import ReplicaLaw
+class Mine(ReplicaLaw):
+    name = "mine"
+    def impact(self, x, active, closed):
+        return {returned}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (LAW.format(returned="1 / len(())"), "ZeroDivisionError in {path}, line 7: division by"),
+        (LAW.format(returned="np.linalg.inv(x)"), "LinAlgError in {path}, line 7: 1-dimensional"),
+        (
+            LAW.format(returned="PositionProjection(self.system).position_after(x, active)"),
+            "ValueError in {path}, line 7: ",
+        ),
+        (LAW.format(returned="x[:3]"), "ValueError after Mine: "),
+        (
+            LAW.replace("np", "numby", 1).format(returned="np.zeros(4)"),
+            "NameError in {path}, line 7",
+        ),
+        (
+            LAW.format(returned="x\nMine.none()"),
+            "law 'mine': my_laws:Mine cannot be imported: AttributeError in {path}, line 8: ",
+        ),
+        (
+            LAW.replace("(ReplicaLaw)", "(LAWS[2])").replace("import Re", "import LAWS, Re"),
+            "law 'mine': my_laws:Mine cannot be imported: ImportError in {path}, line 3: ",
+        ),
+        (
+            LAW.format(returned="x +"),
+            "law 'mine': my_laws:Mine cannot be imported: SyntaxError: invalid syntax (my_",
+        ),
+    ],
+)
+def test_an_error_in_a_law_of_ones_own_names_its_line(
+    text: str,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The file and line of the user, no plea for a report, and one line."""
+    path, metadata = tmp_path / "my_laws.py", tmp_path / "my_laws-1.dist-info"
+    path.write_text(text)
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: my-laws\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text("[impact_observer.laws]\nmine = my_laws:Mine\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_laws", raising=False)
+    bag = str(shared("bags/two_mass"))
+    assert main(["observe", bag, "--law", "mine", "-o", str(tmp_path / "bag")]) > 0
+    errors = capsys.readouterr().err
+    assert line.format(path=path) in errors
+    assert "report it" not in errors
+    assert errors.count("\n") == 1
 
 
 def test_unknown_law_is_one_line_with_the_existing_ones(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.observer.laws.unilateral import Unilateral
+from impact_observer.process_end import place_in
 
 __all__ = [
     "BUILT_IN",
@@ -52,8 +53,10 @@ def law_named(name: str) -> type[Law]:
     for entry in entry_points(group=ENTRY_POINTS, name=name):
         try:
             law = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise UsageError(f"law {name!r}: {entry.value} cannot be imported: {error}") from None
+        except Exception as error:  # noqa: BLE001 (what a user's module may raise)
+            where = place_in(entry.module.partition(".")[0], error)
+            found = f"{type(error).__name__}{where}: {error}"
+            raise UsageError(f"law {name!r}: {entry.value} cannot be imported: {found}") from None
         if isinstance(law, type) and issubclass(law, Law):
             return law
         raise UsageError(f"law {name!r}: {entry.value} is not a subclass of Law")
