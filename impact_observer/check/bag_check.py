@@ -35,6 +35,7 @@ from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import INTEGRATOR
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 from impact_observer.model import System, parse_model
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.stamps import text
 
 _INTERFACES = (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES, interfaces.PLANT_MODEL)
@@ -59,7 +60,7 @@ _SENSORS = {
 
 def check_bag(
     path: Path,
-    system: System | None = None,
+    system: System | RobotDescription | None = None,
     *,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Report:
@@ -110,7 +111,7 @@ class BagCheck:
         counts: messages of each topic so far.
     """
 
-    def __init__(self, path: Path, system: System | None) -> None:
+    def __init__(self, path: Path, system: System | RobotDescription | None) -> None:
         """Check the bag at ``path`` against ``system``, or against the model in the bag."""
         self.counts: Counter[str] = Counter()
         self._path, self._name = path, _bag_name(path)
@@ -210,15 +211,17 @@ class BagCheck:
             yield from self._states[truth].findings(system, span)
         yield from self._undefined_types(topics)
 
-    def _model_in_bag(self, topic: str | None) -> tuple[System | None, list[Finding]]:
-        """The system of the model in the bag, and the faults of that model."""
+    def _model_in_bag(
+        self, topic: str | None
+    ) -> tuple[System | RobotDescription | None, list[Finding]]:
+        """The system or robot of the model in the bag, and the faults of that model."""
         remedy = "name one with --model MODEL"
         if (model := self._models.get(topic or "")) is None:
             fault = f"carries no model ({interfaces.PLANT_MODEL.topic})"
             remedy += "; contacts and epoch are checked then"
             return None, [Finding(WARNING, self._name, fault, remedy=remedy)]
         try:
-            return parse_model(model, "model").system, []
+            return parse_model(model, "model").subject, []
         except ModelError as error:
             fault = f"the model it carries is not valid ({error})"
             return None, [Finding(WARNING, topic or "", fault, remedy=remedy)]

@@ -205,7 +205,7 @@ def _model(reader: BagReader) -> dict[str, object] | None:
     except (BagError, ModelError) as error:
         return {"error": str(error)}
     keys = ("version", "seed", "integrator", "sensor")
-    return {"name": model.system.name} | {key: model.provenance.get(key) for key in keys}
+    return {"name": model.subject.name} | {key: model.provenance.get(key) for key in keys}
 
 
 def _law(reader: BagReader, prefix: str) -> str:

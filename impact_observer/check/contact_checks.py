@@ -10,6 +10,7 @@ from impact_observer.check.hit_times import FAST, HitTimes, too_slow
 from impact_observer.draw.reports import counted, listed
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.stamps import NS_PER_S
 
 _CHATTER, _CHATTER_SHARE = 5, 0.1
@@ -130,7 +131,9 @@ class ContactCheck:
                 contact.closed, contact.pending = True, 0
         contact.last_stamp = event.stamp
 
-    def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
+    def findings(
+        self, system: System | RobotDescription | None, *, simulated: bool = False
+    ) -> Iterator[Finding]:
         """Chatter, and unknown and silent contacts if a ``system`` is given.
 
         A switch of a ``simulated`` bag need not be debounced.
@@ -143,11 +146,11 @@ class ContactCheck:
                 fault += f" {FAST / 1e6:g} ms"
                 yield Finding(WARNING, f"{self._topic} {name}", fault, remedy=remedy)
         if system is not None:
-            if line := too_slow(self._times, system):
+            if isinstance(system, System) and (line := too_slow(self._times, system)):
                 yield Finding(WARNING, self._topic, line)
             yield from self._name_findings(system)
 
-    def _name_findings(self, system: System) -> Iterator[Finding]:
+    def _name_findings(self, system: System | RobotDescription) -> Iterator[Finding]:
         own = system.contact_names
         unknown = [name for name in self._contacts if name not in own]
         if unknown and len(unknown) == len(self._contacts):

@@ -11,6 +11,7 @@ from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurr
 from impact_observer.draw.reports import counted
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import System
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.event_order import NEAR_STAMPS
 from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.stamps import NS_PER_S, text
@@ -153,7 +154,9 @@ class EventCheck:
         self.first = min(self.first or event.stamp, event.stamp)
         self.last = max(self.last, event.stamp)
 
-    def findings(self, system: System | None, *, simulated: bool = False) -> Iterator[Finding]:
+    def findings(
+        self, system: System | RobotDescription | None, *, simulated: bool = False
+    ) -> Iterator[Finding]:
         """The findings; contacts and epoch are checked where a ``system`` is given."""
         if not self.valid:
             yield Finding(
@@ -212,7 +215,7 @@ class EventCheck:
         if len(episodes := {episode for _, episode in self._runs}) > 1:
             yield note(f"{len(episodes)} episodes: at each, an observer starts again")
 
-    def _clock_findings(self, system: System | None) -> Iterator[Finding]:
+    def _clock_findings(self, system: System | RobotDescription | None) -> Iterator[Finding]:
         """Stamps of another clock, and epochs."""
         warning = partial(Finding, WARNING, self.topic)
         if self._least_delay is not None and abs(self._least_delay) > _FAR:

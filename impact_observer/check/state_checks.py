@@ -15,6 +15,7 @@ from impact_observer.errors import BagError
 from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
 from impact_observer.io.reader import RawMessage
 from impact_observer.model import System
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.stamps import NS_PER_S, text
 
 _FAR = 3600 * NS_PER_S
@@ -65,7 +66,9 @@ class StateCheck:
         self.first = min(self.first or state.stamp, state.stamp)
         self.last = max(self.last, state.stamp)
 
-    def findings(self, system: System | None, events: tuple[int, int] | None) -> Iterator[Finding]:
+    def findings(
+        self, system: System | RobotDescription | None, events: tuple[int, int] | None
+    ) -> Iterator[Finding]:
         """The findings.
 
         Args:

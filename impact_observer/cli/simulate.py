@@ -20,7 +20,12 @@ from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS,
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from impact_observer.events import ImpactEvent
+    from impact_observer.model import System
+    from impact_observer.plant import Run
+    from impact_observer.robots.robot import Robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from impact_observer import plant
-    from impact_observer.check.hit_times import HitTimes, settling
     from impact_observer.cli.progress import Progress
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import (
@@ -82,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
     from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.robots.robot import simulated
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     check_free(args.output)
@@ -91,8 +96,9 @@ def run(args: argparse.Namespace) -> int:
     given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
     sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
     model, epoch, duration = read_model(args.model), args.epoch, args.duration
-    sensor.check(model.system)
-    true = plant.RandomPlant(model.system, {})
+    system = simulated(model)
+    sensor.check(system)
+    true = plant.RandomPlant(system, {})
     if args.random_parameters is not None:
         true = plant.random_plant(model, args.random_parameters)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
@@ -131,23 +137,37 @@ def run(args: argparse.Namespace) -> int:
             samples=samples,
             types=simulation.types,
             true_parameters=true.values,
+            system=system,
             progress=partial(show, f"writing {args.output}"),
         )
-        if warning := model.system.held_force(duration):
-            progress.line(f"warning: {warning}")
         of_sensor = f", {len(events)} events of a sensor with {', '.join(sensor.faults)}"
         of_sensor += f": {_counts(events)}"
         progress.line(
-            f"{args.output}: {model.system.name}, {duration:g} s, {_counts(done.events)},"
+            f"{args.output}: {system.name}, {duration:g} s, {_counts(done.events)},"
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
-        if line := settling(HitTimes(events)):
-            progress.line(f"note: {line}")
-        if not done.switchings and model.system.m:
-            gap, contact = done.nearest(true.system)
-            progress.line(f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}")
+        for line in _remarks(done, events, true.system, duration):
+            progress.line(line)
     return 0
+
+
+def _remarks(
+    run: "Run", events: "Sequence[ImpactEvent]", system: "System | Robot", seconds: float
+) -> "Iterator[str]":
+    """Remarks on a run of a system over ``seconds``, of which a sensor reports ``events``."""
+    from impact_observer.check.hit_times import HitTimes, settling
+    from impact_observer.robots.robot import held_joints
+
+    if line := system.held_force(seconds):
+        yield f"warning: {line}"
+    if line := settling(HitTimes(events)):
+        yield f"note: {line}"
+    if line := held_joints(system):
+        yield f"note: {line}"
+    if not run.switchings and system.m:
+        gap, contact = run.nearest(system)
+        yield f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}"
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:

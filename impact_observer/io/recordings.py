@@ -26,6 +26,7 @@ from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.sender_runs import in_order
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
@@ -61,9 +62,9 @@ def published_model(
     return model.text(provenance)
 
 
-def index_pulses(system: System, epoch: int, last: int) -> Iterator[int]:
+def index_pulses(system: System | Robot, epoch: int, last: int) -> Iterator[int]:
     """Stamps (ns) at which the drive of a system, if any, has turned at its nominal speed."""
-    if system.live is not None and system.live.nominal:
+    if isinstance(system, System) and system.live is not None and system.live.nominal:
         period = math.tau / system.live.nominal
         turns = range(int((last - epoch) / NS_PER_S / period) + 1)
         yield from (epoch + from_seconds(k * period) for k in turns)
@@ -131,6 +132,7 @@ def write_run(
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
     true_parameters: Mapping[str, float] = MappingProxyType({}),
+    system: System | Robot | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[ImpactEvent]:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
@@ -149,6 +151,7 @@ def write_run(
         samples: messages of sensors beside the impacts, as they arrive.
         types: of these messages, by topic.
         true_parameters: of the plant by name, where they are not those of the model.
+        system: what hits, by default the model's linear system.
         progress: called with the stamp (ns) of each message that is written.
 
     Returns:
@@ -159,10 +162,11 @@ def write_run(
             does not fit the model.
         BagError: the bag cannot be written.
     """
-    make, names = bag_messages(), model.system.coordinates
-    n, last = model.system.n, int(run.stamps[-1])
+    system = model.system if system is None else system
+    make, names = bag_messages(), system.coordinates
+    n, last = system.n, int(run.stamps[-1])
     received = simulate_sensor(
-        sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed
+        sensor, system, run.switchings, epoch=run.epoch, last=last, seed=seed
     )
     with all_or_nothing(path, flush) as writer:
         for each in PLANT_TOPICS:
@@ -187,7 +191,7 @@ def write_run(
         )
         pulses = [
             (stamp, interfaces.PHASE_REFERENCE.topic, make.pulse(stamp))
-            for stamp in index_pulses(model.system, run.epoch, last)
+            for stamp in index_pulses(system, run.epoch, last)
         ]
         if pulses:
             writer.declare(interfaces.PHASE_REFERENCE.topic)

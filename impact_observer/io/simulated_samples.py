@@ -20,6 +20,8 @@ from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
+from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_readings import robot_readings
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS
 from impact_observer.stamps import NS_PER_S, from_seconds
 from impact_observer.states import Stamps, Vector
@@ -105,6 +107,46 @@ def type_of(measurement: Measurement) -> str:
     return type_name
 
 
+class LinearSensors:
+    """What the sensors of a linear system measure without noise."""
+
+    def __init__(self, measurements: Sequence[Measurement], system: System) -> None:
+        """Resolve the names of the ``measurements``."""
+        self._system, self._sensors = system, sensors_of(measurements, system)
+        self._moving = MovingSystem(system)
+
+    def values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
+        """Values of all sensors in a state (q, u), shape (2n,), ``instant`` ns since the epoch."""
+        framed = self._system.to_frame(np.array([instant]), x[None])[0]
+        place = Place(instant / NS_PER_S, instant, framed, closed)
+        for sensor in self._sensors:
+            yield sensor.row(self._moving, place).value(framed)
+
+    def efforts(self, instant: int) -> dict[str, float]:
+        """Efforts by joint: none are known."""
+        del instant
+        return {}
+
+
+class RobotSensors:
+    """What the sensors of a robot measure without noise, and the efforts of its drives."""
+
+    def __init__(self, measurements: Sequence[Measurement], robot: Robot) -> None:
+        """Resolve the names of the ``measurements``."""
+        self._robot, self._readings = robot, robot_readings(measurements, robot)
+
+    def values(self, instant: int, x: Vector, closed: Contacts) -> Iterator[float]:
+        """Values of all sensors in a state (q, u), shape (2n,), ``instant`` ns since the epoch."""
+        tau = self._robot.torques(instant / NS_PER_S)
+        for reading in self._readings:
+            yield reading.value(x, tau, closed)
+
+    def efforts(self, instant: int) -> dict[str, float]:
+        """Torques and forces of the drives by joint, N m or N."""
+        tau = self._robot.torques(instant / NS_PER_S).tolist()
+        return dict(zip(self._robot.coordinates, tau, strict=True))
+
+
 class SampleSimulation:
     """The sensors of a plant; their random numbers follow from the seed and the instants.
 
@@ -116,7 +158,7 @@ class SampleSimulation:
     def __init__(
         self,
         measurements: Sequence[Measurement],
-        system: System,
+        system: System | Robot,
         faults: SampleFaults,
         seed: int,
         new: Callable[[str], AnyMessage] | None = None,
@@ -127,8 +169,12 @@ class SampleSimulation:
             UsageError: by file and key, where one cannot be simulated.
         """
         self.faults = faults
-        self._system, self._sensors = system, sensors_of(measurements, system)
-        self._moving = MovingSystem(system)
+        self._measured: LinearSensors | RobotSensors = (
+            RobotSensors(measurements, system)
+            if isinstance(system, Robot)
+            else LinearSensors(measurements, system)
+        )
+        self._declared = tuple(measurements)
         self._new = new or blank
         self._random = np.random.default_rng([seed, _STREAM])
         self.types: dict[str, str] = {}
@@ -155,34 +201,43 @@ class SampleSimulation:
     def messages_at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[SimulatedMessage]:
-        """Messages of all sensors for the state (q, u), shape (2n,), at ``stamp`` (ns)."""
+        """Messages of all sensors for the state (q, u), shape (2n,), at ``stamp`` (ns).
+
+        Joints of a robot share the messages of a topic, which have the efforts, too.
+        """
+        efforts = self._measured.efforts(stamp - epoch)
+        shared: dict[tuple[str, str, int], AnyMessage] = {}
         for sample, arrival in self.sampled(stamp, epoch, x, closed):
-            declared = self._sensors[sample.sensor].measurement
+            declared = self._declared[sample.sensor]
             late = sample.stamp + from_seconds(declared.delay)
             topic = f"/{declared.topic.lstrip('/')}"
-            yield SimulatedMessage(arrival, topic, self._message(declared, late, sample.value))
+            key = topic, declared.quantity, late
+            if (known := shared.get(key)) is not None:
+                _add_joint(known, declared, sample.value, efforts)
+                continue
+            message = self._message(declared, late, sample.value)
+            if efforts and declared.joint:
+                message.effort = np.array([efforts[declared.joint]])
+                shared[key] = message
+            yield SimulatedMessage(arrival, topic, message)
 
     def sampled(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[tuple[SensorSample, int]]:
         """Samples of all sensors for a state, each with its time of reception, ns."""
-        instant = stamp - epoch
-        framed = self._system.to_frame(np.array([instant]), x[None])[0]
-        place = Place(instant / NS_PER_S, instant, framed, closed)
-        for sensor in self._sensors:
-            declared, faults = sensor.measurement, self.faults
-            value = sensor.row(self._moving, place).value(framed)
+        values, faults = self._measured.values(stamp - epoch, x, closed), self.faults
+        for index, (declared, true) in enumerate(zip(self._declared, values, strict=True)):
             noise = float(self._random.normal())
             lost, transport = self._random.random(2).tolist()
             deviation = faults.noise if faults.noise >= 0 else declared.deviation or 0.0
-            value += deviation * noise
+            value = true + deviation * noise
             if faults.quantisation:
                 value = faults.quantisation * round(value / faults.quantisation)
             if lost < faults.dropouts:
                 continue
             late = stamp + from_seconds(declared.delay)
             arrival = late + round(-faults.transport * np.log1p(-transport) * NS_PER_S)
-            yield SensorSample(sensor.index, stamp, value), arrival
+            yield SensorSample(index, stamp, value), arrival
 
     def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
         message = self._new(type_of(declared))
@@ -215,6 +270,16 @@ def simulated_samples(simulation: SampleSimulation, run: Run) -> list[SimulatedM
     """The messages of all sensors on a run of a plant, in order of arrival."""
     messages = (message for at in _states(run) for message in simulation.messages_at(*at))
     return sorted(messages, key=lambda each: each.arrival)
+
+
+def _add_joint(
+    message: AnyMessage, declared: Measurement, value: float, efforts: Mapping[str, float]
+) -> None:
+    """Add the value and the effort of a further joint to a ``JointState``."""
+    message.name = [*message.name, declared.joint]
+    values = [*getattr(message, declared.quantity), value]
+    setattr(message, declared.quantity, np.array(values))
+    message.effort = np.array([*message.effort, efforts[declared.joint]])
 
 
 def _put(message: AnyMessage, path: FieldPath, value: float) -> None:

@@ -58,6 +58,15 @@ class Forcing:
         """Instant of the last sample, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
 
+    def held(self, t: float) -> str:
+        """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
+        if t <= self.end:
+            return ""
+        return (
+            f"forcing.sampled: the samples end at t = {self.end:.9g} s; from then on their last"
+            " force is held"
+        )
+
     def __call__(self, t: float) -> Vector:
         """``f(t)``, shape (n,), at ``t`` seconds since the epoch.
 

@@ -5,14 +5,11 @@ import dataclasses
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Protocol, TypeAlias
 
 from impact_observer.errors import UsageError
 from impact_observer.message_fields import FieldPath, parse_path
 from impact_observer.model.document import LARGEST
-
-if TYPE_CHECKING:
-    from impact_observer.model.system import System
 
 POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"
 KINDS = (POSITION, VELOCITY, ACCELERATION)
@@ -32,6 +29,22 @@ _RANGES = {
     "timeout": (1e-9, 1e9, "a positive number of seconds"),
 }
 """Least and largest value of each number, and the words for the range in errors."""
+
+
+class NamedSystem(Protocol):
+    """Names of a system or a robot that sensors measure."""
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Names of the contacts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +172,7 @@ class Measurement:
         orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
         return ("m", "m/s", "m/s^2")[orders[-1]]
 
-    def check(self, system: "System") -> None:
+    def check(self, system: NamedSystem) -> None:
         """Check that the system has the named coordinates and the named contact.
 
         Raises:

@@ -112,6 +112,16 @@ class RobotDescription:
         return len(self.joints)
 
     @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates: the joints."""
+        return self.joints
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether an observer needs an epoch: the torques that act are measured."""
+        return False
+
+    @property
     def m(self) -> int:
         """Number of contacts."""
         return len(self.contacts)

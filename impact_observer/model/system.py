@@ -232,13 +232,7 @@ class System:
 
     def held_force(self, t: float) -> str:
         """A warning if ``t``, s since the epoch, is after the last sample; otherwise empty."""
-        end = self.own_forcing.end
-        if t <= end:
-            return ""
-        return (
-            f"forcing.sampled: the samples end at t = {end:.9g} s; from then on their last"
-            " force is held"
-        )
+        return self.own_forcing.held(t)
 
     @property
     def m(self) -> int:

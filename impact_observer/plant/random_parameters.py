@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A plant whose parameters differ from those of its model by random errors."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ from impact_observer.errors import UsageError
 from impact_observer.model import Model, System
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parameter_uncertainty import root_in_own_units
+from impact_observer.robots.robot import Robot
+from impact_observer.states import Vector
 
 _MOST_DRAWS = 1000
 """Draws until one must be possible."""
@@ -22,7 +25,7 @@ class RandomPlant(NamedTuple):
         values: of the parameters by name, SI units.
     """
 
-    system: System
+    system: System | Robot
     values: dict[str, float]
 
 
@@ -34,27 +37,47 @@ def random_plant(model: Model, seed: int) -> RandomPlant:
     Raises:
         UsageError: the model has no deviations, or hardly any draw is possible.
     """
-    known, name = model.uncertainty, model.source or model.system.name
+    known, name = model.uncertainty, model.source or model.subject.name
     if known is None:
         raise UsageError(
             f"{name}: no deviations of parameters found; expected some, such as restitution:"
             " {value: 0.7, deviation: 0.01}"
         )
-    family = parametric_family(model.system, known.names, model.elements)
-    (low, high), root = family.bounds, root_in_own_units(known.covariance)
-    rng = np.random.default_rng(seed)
+    nominal, made = _family(model, known.names)
+    root, rng = root_in_own_units(known.covariance), np.random.default_rng(seed)
     for _ in range(_MOST_DRAWS):
-        drawn = family.nominal + root @ rng.normal(size=len(root))
-        if np.any((drawn < low) | (drawn > high)):
-            continue
+        drawn = nominal + root @ rng.normal(size=len(root))
         try:
-            system = family.system_at(drawn)
+            system = made(drawn)
             if model.position is not None:
                 system.checked_start(*model.initial_state())
         except UsageError:
             continue
-        return RandomPlant(system, dict(zip(family.names, drawn.tolist(), strict=True)))
+        return RandomPlant(system, dict(zip(known.names, drawn.tolist(), strict=True)))
     raise UsageError(
         f"{name}: none of {_MOST_DRAWS} draws of its parameters makes a plant; expected smaller"
         " deviations, or a start farther from the stops"
     )
+
+
+def _family(
+    model: Model, names: tuple[str, ...]
+) -> tuple[Vector, Callable[[Vector], System | Robot]]:
+    """Declared values of parameters, shape (p,), and a function of values that makes a plant.
+
+    The function raises UsageError for impossible values.
+    """
+    if (robot := model.robot) is not None:
+        values = np.array([robot.parameters[name] for name in names])
+        return values, lambda drawn: Robot(
+            robot.with_parameters(dict(zip(names, drawn.tolist(), strict=True)))
+        )
+    family = parametric_family(model.system, names, model.elements)
+    low, high = family.bounds
+
+    def linear(drawn: Vector) -> System:
+        if np.any((drawn < low) | (drawn > high)):
+            raise UsageError("a parameter is out of its bounds")
+        return family.system_at(drawn)
+
+    return family.nominal, linear

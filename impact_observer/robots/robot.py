@@ -15,6 +15,7 @@ from scipy import linalg
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.events import Contacts
+from impact_observer.model import Model, System
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import checked_part, per_second
 from impact_observer.robots.pinocchio_model import imported_pinocchio, pinocchio_model
@@ -128,6 +129,10 @@ class Robot:
         """Torques and forces of the plant's drives at ``t``, s since the epoch, shape (n,)."""
         force: Vector = self.description.forcing(t)
         return force
+
+    def held_force(self, t: float) -> str:
+        """A warning if ``t``, s since the epoch, is after the last sample of the torques."""
+        return self.description.forcing.held(t)
 
     def mass(self, q: Vector) -> Matrix:
         """The mass matrix ``M(q)`` with the rotors, shape (n, n), kg m^2, kg m and kg."""
@@ -564,3 +569,25 @@ class Robot:
 def _least(G: Matrix, b: Matrix) -> Matrix:
     """The least solution of ``G y = b``; ``G`` is singular where contacts depend on each other."""
     return np.asarray(b / G[0, 0] if len(G) == 1 else linalg.lstsq(G, b)[0])
+
+
+def simulated(model: Model) -> System | Robot:
+    """The linear system or the robot of a ``model``, for a plant.
+
+    Raises:
+        UsageError: pinocchio is not installed, or the start is inside a plane.
+        ModelError: the URDF makes no robot that can move.
+    """
+    if model.robot is None:
+        return model.system
+    try:
+        return Robot(model.robot)
+    except ModelError as error:
+        raise error.in_file(model.source) from None
+
+
+def held_joints(system: System | Robot) -> str:
+    """A line on joints that a robot holds; empty for none, and for linear systems."""
+    holds = system.description.holds if isinstance(system, Robot) else {}
+    shown = ", ".join(f"{name} at {value:g}" for name, value in holds.items())
+    return f"held, as no joint of the state: {shown}" if shown else ""

@@ -16,14 +16,16 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
 from impact_observer.io.simulated_samples import SampleFaults
-from impact_observer.model import read_model
-from impact_observer.model.live_signals import connected
+from impact_observer.model import System, read_model
+from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
+from impact_observer.robots.robot import held_joints, simulated
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
+from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, odd_epoch
 from impact_observer.states import Vector
@@ -58,7 +60,8 @@ class PlantNode(BaseNode):
         super().__init__("plant", parameters.PLANT)
         values = self.values
         self.done = False
-        self._model = read_model(values.text("model"))
+        self._model = with_urdf_of_topic(self, read_model(values.text("model")))
+        self._system = simulated(self._model)
         self._rate = values.number("rate")
         self._duration = from_seconds(values.number("duration"))
         self._integrator = values.text("integrator")
@@ -72,15 +75,9 @@ class PlantNode(BaseNode):
         self._timeout = values.number("input_timeout")
         faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
-        self._sensor.check(self._model.system)
+        self._sensor.check(self._system)
         self._check_time_source()
-        own_pulses = values.flag("publish_pulses")
-        self._pulses = PlantPulses(self, self._model.system, wanted=own_pulses)
-        self._system, self._live = (
-            (self._model.system, None)
-            if own_pulses
-            else connected(self._model.system, causal=True)
-        )
+        self._pulses, self._live = self._signals(own=values.flag("publish_pulses"))
         self._inputs = LiveIntake(
             self,
             self._live,
@@ -115,7 +112,16 @@ class PlantNode(BaseNode):
         waits = "nothing"
         if self._wanted_subscribers:
             waits = f"{self._wanted_subscribers} subscribers on each topic"
-        self.introduce(f"model {self._model.system.name}, {how}", waits)
+        self.introduce(f"model {self._system.name}, {how}", waits)
+        if line := held_joints(self._system):
+            self.lines.info(line)
+
+    def _signals(self, *, own: bool) -> tuple[PlantPulses, LiveSignals | None]:
+        """The pulses of the plant's ``own`` drive, if wanted; otherwise its live signals."""
+        pulses, live = PlantPulses(self, self._system, wanted=own), None
+        if isinstance(self._system, System) and not own:
+            self._system, live = connected(self._system, causal=True)
+        return pulses, live
 
     def _check_time_source(self) -> None:
         """Refuse two owners of the time, a pace or an epoch that others could not follow."""
@@ -206,7 +212,7 @@ class PlantNode(BaseNode):
         self._end = epoch + self._duration if self._duration else MAX_STAMP
         self._sensing = SensorSimulation(
             self._sensor,
-            self._model.system,
+            self._system,
             epoch=epoch,
             last=self._end,
             seed=self._seed,
@@ -218,7 +224,7 @@ class PlantNode(BaseNode):
         self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
-        name = self._model.system.name
+        name = self._system.name
         self.lines.info(f"{name}: episode {self._episode}, epoch {epoch} ns")
 
     def _now(self) -> int:
@@ -254,7 +260,7 @@ class PlantNode(BaseNode):
         """
         assert self._plant is not None
         last = min(now, self._end)
-        held = self._model.system.held_force((last - self._epoch) / NS_PER_S)
+        held = self._system.held_force((last - self._epoch) / NS_PER_S)
         if held and not self._is_held:
             self.lines.warning(held)
         self._is_held = bool(held)
@@ -280,7 +286,7 @@ class PlantNode(BaseNode):
     def _publish_states(self, last: int) -> None:
         """Publish true states of the present phase up to ``last`` and the end."""
         assert self._plant is not None
-        n, names = self._model.system.n, self._model.system.coordinates
+        n, names = self._system.n, self._system.coordinates
         last = min(last, self._end)
         self._pulses.publish(last)
         self._sensors.publish(last, self._state, self._closed)

@@ -17,6 +17,7 @@ from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation,
 from impact_observer.model import System
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
+from impact_observer.robots.robot import Robot
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -30,7 +31,7 @@ class PlantPulses:
         next_stamp: when the next pulse is due, ns; None for none.
     """
 
-    def __init__(self, node: BaseNode, system: System, *, wanted: bool) -> None:
+    def __init__(self, node: BaseNode, system: System | Robot, *, wanted: bool) -> None:
         """Make a publisher of pulses if they are ``wanted``.
 
         Raises:
@@ -42,7 +43,7 @@ class PlantPulses:
         self._publisher = None
         if not wanted:
             return
-        if system.live is None or not system.live.nominal:
+        if isinstance(system, Robot) or system.live is None or not system.live.nominal:
             raise UsageError(
                 f"parameter publish_pulses: nothing of {system.name} turns with a drive; expected"
                 " a model whose forces have an order, or false"
@@ -71,7 +72,7 @@ class PlantSensors:
         self,
         node: BaseNode,
         measurements: Sequence[Measurement],
-        system: System,
+        system: System | Robot,
         faults: SampleFaults,
         seed: int,
     ) -> None:
@@ -131,7 +132,7 @@ class PlantSensors:
 
 def _with_lists(message: AnyMessage) -> AnyMessage:
     """The message with lists instead of NumPy arrays, which ROS does not take."""
-    for name in ("position", "velocity"):
+    for name in ("position", "velocity", "effort"):
         if isinstance(values := getattr(message, name, None), np.ndarray):
             setattr(message, name, values.tolist())
     return message

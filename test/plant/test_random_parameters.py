@@ -10,7 +10,7 @@ from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import text_of_model
-from impact_observer.model import parse_model
+from impact_observer.model import System, parse_model
 from impact_observer.plant import random_plant
 
 RIG = """\
@@ -48,6 +48,7 @@ def test_a_draw_is_a_plant_with_its_values_outside_its_stops() -> None:
     )
     for seed in range(20):
         system, values = random_plant(parse_model(wide, "rig"), seed)
+        assert isinstance(system, System)
         assert system.eps[0] == values["restitution.stop"] <= 1
         assert system.q_r[0] == pytest.approx(values["gap.stop"])
         assert values["gap.stop"] >= 0.1 - 1e-9

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated robot in a bag: impacts, truth, encoders with efforts, and its model."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import DOUBLE, model_of, wall
+
+from impact_observer.cli.main import main
+from impact_observer.io import interfaces
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import model_of as model_in
+from impact_observer.model import read_model
+from impact_observer.model.measurement import Measurement
+from impact_observer.plant import random_plant
+from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_readings import RobotReading
+
+pytest.importorskip("pinocchio", reason="not installed: extra robots")
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three seconds of the sample, with encoders at 200 Hz."""
+    path = tmp_path_factory.mktemp("robot") / "bag"
+    words = "simulate hammer_arm --duration 3 --rate 200 --measurements hammer_arm"
+    assert main([*words.split(), "--measurement-rate", "200", "-o", str(path)]) == 0
+    return path
+
+
+def test_encoders_are_the_truth_with_noise_and_efforts_those_of_the_drives(bag: Path) -> None:
+    """One message has both joints; the noise has the declared deviation."""
+    with BagReader(bag) as reader:
+        truth = reader.joint_states(interfaces.PLANT_JOINT_STATES.topic)
+        positions = dict(zip(truth.stamps.tolist(), truth.q, strict=True))
+        messages = [*reader.messages("/joint_states")]
+        model = model_in(reader)
+    assert model.robot is not None
+    assert len(messages) == 601
+    errors = []
+    for _, message in messages:
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        assert list(message.name) == ["shoulder", "elbow"]
+        errors.append(message.position - positions[stamp])
+        drives = model.robot.forcing((stamp - 10**9) * 1e-9)
+        assert np.allclose(message.effort, drives, atol=1e-12)
+    assert np.std(errors) == pytest.approx(0.001, rel=0.1)
+    assert abs(np.mean(errors)) < 1e-4
+
+
+def test_commands_that_read_any_bag_read_this_one(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """info, check and export do; observe says that it needs a linear model."""
+    assert main(["info", str(bag), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["model"]["name"] == "hammer_arm"
+    assert main(["check", str(bag)]) == 0
+    assert main(["export", str(bag), "--what", "states", "-o", str(tmp_path / "s.csv")]) == 0
+    capsys.readouterr()
+    assert main(["smooth", str(bag), "-o", str(tmp_path / "smoothed")]) == 2
+    assert capsys.readouterr().err.endswith("; smooth needs a linear model\n")
+
+
+def test_a_random_plant_has_drawn_parameters() -> None:
+    """Damping and restitution of the draw act; impossible draws are drawn again."""
+    model = model_of(
+        DOUBLE,
+        "shoulder, elbow",
+        damping="{elbow: {value: 0.3, deviation: 0.1}}",
+        contacts=wall(restitution="{value: 0.95, deviation: 0.1}"),
+    )
+    for seed in range(10):
+        drawn = random_plant(model, seed)
+        assert isinstance(drawn.system, Robot)
+        assert drawn.system.damping[1] == drawn.values["damping.elbow"]
+        assert drawn.system.eps[0] == drawn.values["restitution.wall"] <= 1.0
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"position": (("shoulder", 1.0), ("elbow", -2.0))},
+        {"velocity": (("elbow", 1.0),)},
+        {"gap": "wall"},
+        {"acceleration": (("shoulder", 1.0),)},
+    ],
+)
+@pytest.mark.parametrize("closed", [(), (0,)])
+def test_gradients_of_measurements_are_those_of_differences(
+    given: dict[str, object], closed: tuple[int, ...]
+) -> None:
+    """Positions, velocities, gaps and accelerations, with and without a closed contact."""
+    model = read_model("hammer_arm")
+    assert model.robot is not None
+    robot = Robot(model.robot)
+    measurement = Measurement("s", "/s", field="data", deviation=0.1, **given)  # type: ignore[arg-type]
+    reading = RobotReading(measurement, robot)
+    x, tau = np.array([0.3, -0.6, 1.2, -0.7]), np.array([0.4, 0.1])
+    steps = 1e-6 * np.eye(4)
+    found = [
+        (reading.value(x + s, tau, closed) - reading.value(x - s, tau, closed)) / 2e-6
+        for s in steps
+    ]
+    assert np.allclose(reading.gradient(x, tau, closed), found, atol=1e-6)
