@@ -4,9 +4,9 @@
 ``du^ = M^-1 (tau - C(q, u^) u^ - h - D u^) dt + l (dq - u^ dt)`` and contact impulses at the
 measured ``q`` with the contact speeds of ``u^`` itself. With ``e = u - u^``, Christoffel's ``C``
 and ``mu(q, u^) = lambda_max(-(C + C')(q, u^), M)``, ``V = 1/2 e' M(q) e`` has between jumps
-``dV/dt = -e' C(q, u^) e - e' D e - l e' M e <= (mu / 2 - l) 2 V``. So ``l >= mu / 2 + alpha`` gives
-``V(t) <= V(0) exp(-2 alpha t)``, for whichever contacts are switched, if ``G - E G E >= 0`` on
-each set that is switched at once (``Robot.is_nonexpansive``).
+``dV/dt = -e' C(q, u^) e - e' D e - l e' M e <= (mu / 2 - l) 2 V``. So
+``l >= mu / 2 + alpha`` gives ``V(t) <= V(0) exp(-2 alpha t)``, for whichever contacts are
+switched, if ``G - E G E >= 0`` on each set that is switched at once (``Robot.is_nonexpansive``).
 
 This is proved of exact ``q(t)``, the true torques and parameters, and the true instants of
 impacts that last no time. Nothing is proved of noisy or sampled positions, wrong stamps, wrong
