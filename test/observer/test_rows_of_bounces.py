@@ -119,10 +119,9 @@ def test_a_close_after_reported_bounces_is_a_rest() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force", [4.5 * 1.03, 4.5 * 0.98])
-def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain(force: float) -> None:
-    """A press whose force is a few percent off is refuted, and its covariance contains that."""
-    run = stroke(press(force), 0.0)
+def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain() -> None:
+    """A press whose force is 2 percent off is refuted, and its covariance contains that."""
+    run = stroke(press(4.5 * 0.98), 0.0)
     found, _ = observed(press(), switched(run), run.stamps)
     error, deviation = errors(found, run)
     assert found[-1].misfit
