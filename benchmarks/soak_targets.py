@@ -12,10 +12,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import soak_commands, soak_files
+from benchmarks.soak_files import EPOCH, Attack, S
 from benchmarks.soak_inputs import mutated
 from impact_observer.check.bag_check import check_bag
 from impact_observer.check.salvage import Salvage, salvage
@@ -23,7 +25,7 @@ from impact_observer.cli.arguments import value_of
 from impact_observer.detector.sensor_file import parse_sources
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.io import BagReader, BagWriter, JointState
+from impact_observer.io import BagReader, JointState
 from impact_observer.io.csv_import import import_csv
 from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.measured_samples import SensorReader
@@ -47,11 +49,6 @@ from impact_observer.ros.event_intake import EventIntake
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP
 
-Attack: TypeAlias = Callable[[random.Random], object]
-"""Draws one input and gives it to what is attacked; what it raises is judged by the caller."""
-
-S = 1_000_000_000
-EPOCH = 5 * S
 _MODELS = ("two_mass", "three_mass", "bouncing_ball")
 _TABLE = b"time,x1,x2\n0,0,1\n0.5,1e-3,-2\n1,0,4\n"
 _IMPACTS = b"time,contact,kind,sequence\n0.5,stop,impact,1\n0.9,stop,close,2\n1.25,stop,open,3\n"
@@ -155,15 +152,7 @@ def _csv(folder: Path) -> Attack:
 def _bag(folder: Path) -> Attack:
     """A bag: read, checked, observed, salvaged."""
     source = folder / "seed"
-    make, names = bag_messages(), ("x1", "x2")
-    with BagWriter(source) as writer:
-        model = shared("config/two_mass.yaml").read_text("utf-8")
-        writer.write("/plant/model", S, make.model(model))
-        for k in range(1, 6):
-            event = ImpactEvent(EPOCH + k * S, (Switch("stop"),), k, 0, EPOCH)
-            writer.write("/impacts", event.stamp, make.event(event))
-            state = JointState(event.stamp, names, np.zeros(2), np.ones(2))
-            writer.write("/plant/joint_states", event.stamp, make.joint_state(state))
+    soak_files.write_two_mass(source)
     seeds = {file.name: file.read_bytes() for file in source.iterdir()}
     bag, number = folder / "bag", iter(range(2**62))
     bag.mkdir()
@@ -344,7 +333,13 @@ TARGETS = (
     Target("sensors", 0.5, _sensors),
     Target("measurements", 0.5, _measurements),
     Target("csv", 0.5, _csv),
+    Target("sound", 3, soak_files.sound),
+    Target("matrix", 3, soak_files.matrix),
+    Target("signal", 1, soak_files.signal),
+    Target("robot", 0.2, soak_files.robot),
     Target("bag", 0.1, _bag),
+    Target("database", 0.2, soak_files.database),
+    Target("commands", 0.2, soak_commands.commands),
     Target("parameters", 25, _parameters),
     Target("bag-message", 25, _rosbags_message),
     Target("message", 40, _message),

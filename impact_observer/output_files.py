@@ -42,12 +42,12 @@ def check_output(
             )
         if path.is_dir():
             raise UsageError(f"{path}: is a folder; expected the name of a file")
-        exists = os.path.lexists(path)
+        exists, _ = os.path.lexists(path), path.resolve()
         if path.exists() and not path.is_file():
             raise UsageError(f"{path}: is a device or a pipe; expected the name of a file")
     except UsageError:
         raise
-    except (OSError, ValueError) as error:  # a name too long, or with a null byte
+    except (OSError, RuntimeError, ValueError) as error:  # too long, a circle, a null byte
         raise unwritable(path, error) from None
     if was_read(path):
         raise UsageError(f"{path}: is an input of this command; choose another name")
@@ -91,7 +91,7 @@ def check_outputs(paths: Sequence[Path], *, force: bool) -> None:
             raise UsageError(f"{path}: named twice; choose another name for one of the files")
 
 
-def unwritable(path: Path, error: OSError | ValueError) -> ImpactObserverError:
+def unwritable(path: Path, error: Exception) -> ImpactObserverError:
     """The error for a file that cannot be written: of the disk, or of the name."""
     reason = getattr(error, "strerror", None) or error
     kind = OutputError if getattr(error, "errno", None) in _OF_THE_DISK else UsageError

@@ -165,6 +165,15 @@ def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert "a.png: named twice" in capsys.readouterr().err
 
 
+def test_a_link_in_a_circle_is_no_output(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line, and the link stays."""
+    Path("out").symlink_to("out")
+    for more in ([], ["--force"]):
+        assert main(["urdf", "two_mass", "-o", "out", *more]) == 2
+        assert capsys.readouterr().err.startswith("impact-observer: out: ")
+    assert Path("out").is_symlink()
+
+
 @pytest.mark.parametrize("kind", ["a device", "a pipe"])
 def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With --force neither."""

@@ -15,7 +15,16 @@ from impact_observer.cli.arguments import value_of
 from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options
 
-INPUTS = {"bag": 4, "csv": 12, "model": 12, "measurements": 12, "sensors": 12}
+INPUTS = {
+    "bag": 4,
+    "database": 6,
+    "commands": 12,
+    "robot": 8,
+    "csv": 12,
+    "model": 12,
+    "measurements": 12,
+    "sensors": 12,
+}
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda each: each.name)

@@ -2,6 +2,7 @@
 """Files that are taken for bags of ROS 2 and are none: what they are, and what helps."""
 
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from sqlite3 import Error as SqliteError
@@ -88,8 +89,9 @@ def _encodings_in_sqlite(file: Path) -> set[str]:
     wanted = "SELECT DISTINCT serialization_format FROM topics"
     try:
         with closing(connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
-            return {encoding for (encoding,) in database.execute(wanted)}
-    except SqliteError:
+            database.text_factory = partial(str, encoding="utf-8", errors="replace")
+            return {str(encoding) for (encoding,) in database.execute(wanted)}
+    except (SqliteError, UnicodeDecodeError):  # also of its own error, with a damaged name
         return set()
 
 

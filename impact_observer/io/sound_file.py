@@ -79,7 +79,7 @@ class SoundFile:
                 text = magic + whole + b"WAVEfmt " + shape + b"data" + size + data
                 try:
                     _, samples = wavfile.read(BytesIO(text))
-                except ValueError as error:
+                except Exception as error:  # noqa: BLE001 (scipy raises anything)
                     raise UsageError(f"{self._path}: cannot be decoded: {error}") from None
                 yield _of_full_scale(np.atleast_2d(samples.T))
 

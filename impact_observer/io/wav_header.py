@@ -10,6 +10,8 @@ from impact_observer.errors import UsageError
 _NO_SIZE = 0x7FFF0000
 """Sizes from here on, bytes, that a file does not have were never written: 0x7FFFFFFF and such."""
 PCM, FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_SIZES = {PCM: range(1, 9), FLOAT: (4, 8)}
+"""Bytes of a sample of one channel."""
 _FORMATS = {2: "ADPCM", 6: "A-law", 7: "mu-law", 0x11: "IMA ADPCM", 0x55: "MP3"}
 """Names of other formats of samples, by their number in the header."""
 _OTHERS = {b"fLaC": "FLAC", b"OggS": "OGG", b"ID3": "MP3", b"\xff\xfb": "MP3", b"FORM": "AIFF"}
@@ -151,6 +153,11 @@ def _format(path: Path, shape: bytes, order: str) -> tuple[int, int, int, int, i
     if not (channels and rate and frame):
         found = f"{channels} channels, {rate} Hz and {frame} bytes a frame"
         raise UsageError(f"{path}: its header says {found}; expected more than 0 of each")
+    size = frame // channels
+    if frame % channels or size not in _SIZES[kind] or not 0 < bits <= 8 * size:
+        found = f"{channels} channels of {bits} bits in {frame} bytes a frame"
+        expected = f"{_SIZES[kind][0]} to {_SIZES[kind][-1]} bytes a channel"
+        raise UsageError(f"{path}: its header says {found}; expected {expected}")
     return kind, channels, rate, frame, bits
 
 
