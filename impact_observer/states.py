@@ -43,7 +43,7 @@ class Estimate:
         bound: certified upper bound of V, J; -1 where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty.
         misfit: that the model does not explain the latest impacts, in words; empty while it does.
-        clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
+        clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for or stepped.
         parameters: what is estimated besides the state: name, value, standard deviation, SI units.
         last_sequence: sequence number of the last event applied; 0 before the first.
         last_event: stamp of the last event applied, ns; 0 before the first.

@@ -78,7 +78,17 @@ class FilterBank:
         restarts: Restarts,
         extent: Extent,
     ) -> tuple[Hypothesis, ...]:
-        """The hypotheses after an event, the likeliest first; their probabilities add to one.
+        """The hypotheses after an event, the likeliest first; their probabilities add to one."""
+        return normalised(self.weighed(change, predicted, restarts, extent))
+
+    def weighed(
+        self,
+        change: ContactChange,
+        predicted: Sequence[Hypothesis],
+        restarts: Restarts,
+        extent: Extent,
+    ) -> list[Hypothesis]:
+        """The same, with probabilities that add to the density of the event, 1/s.
 
         Args:
             change: the event.
@@ -94,7 +104,7 @@ class FilterBank:
         kept = self.pruning.distinct(posteriors)
         if not self.trusts_estimate:
             kept = [*kept, *self._restarted(change, branches, kept, restarts)]
-        return normalised(likeliest_first(kept))
+        return likeliest_first(kept)
 
     def _restarted(
         self,

@@ -87,6 +87,17 @@ class GaussianState(NamedTuple):
         root[:, :columns], root[:size, columns:] = self.root, added
         return self._replace(root=root)
 
+    def with_offset_error(self, deviation: float, offset: float = 0.0) -> "GaussianState":
+        """With another error of the clock's offset, s; an ``offset`` where it had none."""
+        size, (d, columns) = self.x.size + self.parameters, self.root.shape
+        root = np.zeros((size + 1, columns + 1))
+        root[:d, :columns], root[size, columns] = self.root, deviation
+        if d > size:
+            return self._replace(root=root)
+        constants, differences = np.append(self.constants, offset), self.differences
+        differences = np.pad(differences, ((0, 1), (0, 0)))
+        return self._replace(constants=constants, root=root, differences=differences)
+
     def propagated(
         self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None
     ) -> "GaussianState":

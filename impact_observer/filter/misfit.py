@@ -28,6 +28,10 @@ SILENCE = (
     "not reported: the sensor or its line may be dead, or the"
     " plant has stopped; see docs/misfit.md"
 )
+STEP = (
+    "the sensor's clock has stepped by {:.4g} s: stamps since then are taken for as late; see"
+    " docs/misfit.md"
+)
 EXPLAINED = "the model explains the impacts again"
 """What is said when a misfit has ended."""
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
@@ -68,6 +72,7 @@ class Fit(NamedTuple):
             standard deviations; 0 where they do not.
         was_misfit: whether the model did not explain the impacts up to the event before.
         is_misfit: whether the model does not explain the impacts.
+        step: by which the sensor's clock has stepped before the first of the events, s.
     """
 
     innovations: tuple[float, ...] = ()
@@ -82,6 +87,7 @@ class Fit(NamedTuple):
     contradictions: tuple[float, ...] = ()
     was_misfit: bool = False
     is_misfit: bool = False
+    step: float = 0.0
 
     def after(
         self,
@@ -126,6 +132,7 @@ class Fit(NamedTuple):
             self.is_refuted,
             (*self.contradictions[-(TUNING.window - 1) :], far),
             was_misfit=self.is_misfit,
+            step=self.step if len(self.as_reported) < TUNING.window else 0.0,
         )
         return _judged(after)
 
@@ -192,6 +199,8 @@ class Fit(NamedTuple):
         """That the model is doubted, in words; empty while it is not."""
         most = TUNING.doubtful_statistic if self.by_clock else TUNING.doubted_statistic
         is_doubted = self.is_misfit or self.is_in_error or self.statistic > most
+        if self.step and not is_doubted:
+            return "the sensor's clock has stepped"
         return "the model is doubted" if is_doubted else ""
 
     @property
@@ -206,7 +215,7 @@ class Fit(NamedTuple):
         ``account`` is what explains the impacts instead, if that is published.
         """
         if not self.is_misfit:
-            return ""
+            return STEP.format(self.step) if self.step else ""
         if (far := max(self.contradictions, default=0.0)) and not account:
             return CONTRADICTION.format(far)
         return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))

@@ -34,6 +34,20 @@ class Tuning:
     """
     log_restart: float = math.log(2.5e-3)
     """Prior probability that the covariance is too small, or the whole estimate wrong."""
+    log_clock_step: float = math.log(2.5e-3)
+    """Prior probability, at each event, that the sensor's clock has stepped before it. Its stamp
+    is then anywhere, as an event in the model's time scale.
+    """
+    largest_step: float = 1.0
+    """Largest step of a clock that is tried, s."""
+    possible_steps: int = 4
+    """Most steps that are tried beside each other."""
+    log_possible_step: float = -8.0
+    """Odds below which a step of the clock is not tried any more. Other than after a step the
+    event has been expected, or is one of noise as probable as a step.
+    """
+    step_deviation: float = 4.0
+    """Deviation of a step that is tried, over that of the event that gives it."""
     log_error_change: float = math.log(0.01)
     """Prior probability, at each event, that an error of the model begins, ends or becomes of the
     other kind. The limit of the odds in docs/theory/misfit.md is computed with this number.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
 from impact_observer.filter.branching import Extent
+from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.hypotheses import Hypothesis, published
 from impact_observer.filter.misfit import Fit
@@ -144,6 +145,7 @@ class Belief(NamedTuple):
         innovations: the estimate's gaps at the last event in standard deviations, by contact.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
+        clock: what is believed of steps of the sensor's clock.
         learned: estimated parameters, computed at the first request.
         fit: how the model has explained the latest events, for a law with innovations.
         hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The
@@ -163,6 +165,7 @@ class Belief(NamedTuple):
     innovations: Mapping[int, float] = _NOTHING
     accepted: bool = True
     clock_offset: float = 0.0
+    clock: SensorClock = SensorClock()
     learned: Learned = _NO_PARAMETERS
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()

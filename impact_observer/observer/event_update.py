@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import isfinite
 
 from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
 from impact_observer.observer.belief import Belief, Prediction
@@ -58,12 +59,13 @@ class EventUpdate:
             return replace(
                 previous, key=event, latest=latest, overruled=overruled, last=last, outcome=None
             )
-        stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
+        stamp = event.stamp - previous.belief.clock.late
+        s = max(seconds_between(previous.since, stamp), 0.0)
         change = ContactChange.of(
             Elapsed(stamp - (self.epoch or stamp)),
             previous.closed,
             meaning.switches,
-            stamp=stamp,
+            stamp=event.stamp,
             sequence=event.sequence,
             flown=s,
             disorder=disorder(event, meaning, previous.latest),
@@ -72,6 +74,7 @@ class EventUpdate:
             posterior, x = self._corrected(previous, change)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
+        stamp = event.stamp - posterior.clock.late
         result = self.test.after_event(previous.synchronization, change, x, posterior)
         if not isfinite(result.energy):
             raise DynamicsError(
@@ -96,6 +99,8 @@ class EventUpdate:
         s, belief = change.flown, previous.belief
         if s > 0:
             belief = self.prediction(previous).belief(s)
+        if self.sensors:  # their samples are stamped by a clock that has not stepped
+            belief = belief._replace(clock=SensorClock())
         return self.law.correct(change, belief), belief.x
 
     def _measured(self, previous: Entry, event: EventKey, value: float) -> Entry:

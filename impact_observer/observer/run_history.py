@@ -136,8 +136,11 @@ class RunHistory:
     def too_old(self, stamp: int) -> Refusal | None:
         """Why an event at ``stamp`` (ns) is too late to be applied; None if not too late."""
         timeline = self.timeline
-        if timeline is not None and timeline.newest.stamp <= stamp < timeline.entries[-1].since:
-            return Ruling.TOO_LATE, _before(timeline.entries[-1].since), Remark.TOO_LATE
+        if timeline is not None:
+            last = timeline.entries[-1]
+            since = last.since + last.belief.clock.late
+            if timeline.newest.stamp <= stamp < since:
+                return Ruling.TOO_LATE, _before(since), Remark.TOO_LATE
         if timeline is None or stamp >= self._earliest:
             return None
         start = self.last_event - self._history

@@ -67,6 +67,11 @@ class Entry:
         return bool(self.key.switches)
 
     @property
+    def begins(self) -> int:
+        """From when on estimates use it, ns: stamps of a clock that has stepped may be early."""
+        return max(self.key.stamp, self.since)
+
+    @property
     def event(self) -> tuple[int, int]:
         """Stamp and sequence of its event."""
         return self.key.stamp, self.key.sequence
@@ -286,10 +291,10 @@ class Timeline:
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
         """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
         entry = self.entries[-1]
-        if entry.key.stamp <= stamp:
+        if entry.begins <= stamp:
             return entry, None
-        after = max(bisect_right(self.entries, stamp, key=_stamp), 1)
-        following = self.entries[after].key.stamp if after < len(self.entries) else None
+        after = max(bisect_right(self.entries, stamp, key=_begins), 1)
+        following = self.entries[after].begins if after < len(self.entries) else None
         return self.entries[after - 1], following
 
     def restart(self, first: Entry, *, after: bool = False) -> None:
@@ -317,6 +322,10 @@ class Timeline:
 
 def _stamp(entry: Entry) -> int:
     return entry.key.stamp
+
+
+def _begins(entry: Entry) -> int:
+    return entry.begins
 
 
 def _is_superseded(entry: Entry, closing: Mapping[int, int]) -> bool:

@@ -141,6 +141,7 @@ class TracedLaw(MinimumVariance):
             them.
     """
 
+    tries_steps = False
     traces: dict[tuple[int, int], _Trace]
     last: Belief | None
     rejected: set[tuple[int, int]]

@@ -12,6 +12,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
 from impact_observer.filter.branching import LogPriors
+from impact_observer.filter.clock_steps import ClockStep, ClockSteps, SensorClock
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.filter_bank import FilterBank
@@ -19,7 +20,9 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import (
     Hypothesis,
     agreeing,
+    log_sum,
     mixture,
+    normalised,
     probabilities,
     published,
 )
@@ -52,6 +55,7 @@ from impact_observer.observer.laws.kalman_predictions import predicted_by
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
 from impact_observer.observer.laws.starts import Starts
+from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Vector
 
 _STAMP_ROUNDING = 1e-9 / math.sqrt(12)
@@ -69,12 +73,14 @@ class MinimumVariance(Law):
 
     Attributes:
         clocks: possible standard deviations of a stamp, s.
+        tries_steps: whether the sensor's clock may step.
     """
 
     name: ClassVar[str] = "minimum-variance"
     has_covariance: ClassVar[bool] = True
     learns: ClassVar[bool] = True
     uses_measurements: ClassVar[bool] = True
+    tries_steps: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the filter.
@@ -106,6 +112,8 @@ class MinimumVariance(Law):
             and ParameterAccounts.are_affordable(system)
         )
         self._replica = FallbackReplica(filter_)
+        self._steps = ClockSteps(self._bank)
+        self._tries_steps = self.tries_steps and system.depends_on_time
         each = zip(filter_.members.family.names, filter_.members.considered, strict=True)
         self._names = tuple("" if considered else name for name, considered in each)
         self._estimates_parameters = bool(
@@ -127,6 +135,8 @@ class MinimumVariance(Law):
             return belief
         corrected = self._corrected(change, belief)
         if not (change.hit and corrected.accepted):
+            return corrected
+        if corrected.clock.late != belief.clock.late:
             return corrected
         late = change.delay(self.system)
         onset = (
@@ -156,10 +166,28 @@ class MinimumVariance(Law):
         gap = fallback.gap(self.system, change.hit[0]) if change.hit else (math.nan, math.nan)
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
-        restarts = partial(self._starts.restarts, fallback, change.closed, count)
-        corrected = self._bank.update(change, hypotheses, restarts, fallback.extent)
-        corrected = corrected or restarts()
-        return self._judged(change, belief, corrected, fallback, gap)
+        restarts = partial(
+            self._starts.restarts, fallback, change.closed, count, hypotheses[0].state
+        )
+        weighed = self._bank.weighed(change, hypotheses, restarts, fallback.extent)
+        clock = belief.clock
+        if self._tries_steps and weighed:
+            evidence = log_sum([h.weight for h in weighed])
+            steps = self._steps.after(change, clock, evidence, fallback.extent)
+            if steps and steps[0].odds > TUNING.largest_evidence:
+                return self._stepped(change, clock, steps[0], fallback)
+            clock = SensorClock(clock.late, None, steps)
+        corrected = normalised(weighed) or restarts()
+        return self._judged(change, belief._replace(clock=clock), corrected, fallback, gap)
+
+    def _stepped(
+        self, change: ContactChange, clock: SensorClock, step: ClockStep, fallback: Fallback
+    ) -> Belief:
+        """The belief after an event that has shown a ``step`` of the clock."""
+        x = step.hypotheses[0].state.x
+        fallback = fallback._replace(x=x, errors=np.zeros_like(fallback.errors))
+        fit, clock = Fit(step=step.shift / NS_PER_S), SensorClock(clock.late + step.shift)
+        return self._posterior(step.hypotheses, fallback, fit, None, change, clock=clock)
 
     def _judged(
         self,
@@ -189,7 +217,7 @@ class MinimumVariance(Law):
             clocks = sorted({self.clocks[0], corrected[0].clock})
             state = mixture(published(corrected, misfit=True))
             account = self._accounts.begin(state, fallback.largest, clocks)
-        return self._posterior(corrected, fallback, fit, account, change)
+        return self._posterior(corrected, fallback, fit, account, change, clock=prior.clock)
 
     def measure(
         self, reading: Reading, prior: Belief
@@ -200,7 +228,8 @@ class MinimumVariance(Law):
 
         def restart() -> GaussianState:
             now = self._caught_up(prior, fallback, closed)
-            return self._starts.restarts(now, closed, 1 + prior.ensemble.others)[0].state
+            count, before = 1 + prior.ensemble.others, hypotheses[0].state
+            return self._starts.restarts(now, closed, count, before)[0].state
 
         found, outcome, known = self._samples.after(reading, hypotheses, fallback.largest, restart)
         if len(found) == len(hypotheses) == 1 and found[0].state is hypotheses[0].state:
@@ -266,7 +295,9 @@ class MinimumVariance(Law):
         account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         since, ago = belief.behind if belief.behind[1] else (t, 0.0)
 
-        moved = None
+        clock, moved = belief.clock, None
+        if self._tries_steps:
+            clock = clock._replace(before=ClockStep(0, t, hypotheses, 0.0))
         if belief.fit.is_compared:
             moved = self._replica.motion(since, fallback, closed)
 
@@ -274,9 +305,11 @@ class MinimumVariance(Law):
             predicted = self._bank.between.predict(hypotheses, t, s)
             later = None if account is None else self._accounts.predicted(t, account, s)
             if moved is not None:
-                return self._prior(predicted, moved(ago + s), belief.fit, later)
-            behind = since, ago + s
-            return self._prior(predicted, fallback, belief.fit, later, behind)
+                made = self._prior(predicted, moved(ago + s), belief.fit, later)
+            else:
+                behind = since, ago + s
+                made = self._prior(predicted, fallback, belief.fit, later, behind)
+            return made._replace(clock=clock)
 
         found = predicted_by(self._bank, t, partial(_shown, hypotheses, belief.fit), prior)
         some = partial(agreeing, hypotheses, self.system)
@@ -354,6 +387,8 @@ class MinimumVariance(Law):
         fit: Fit,
         account: Accounts | None = None,
         change: ContactChange | None = None,
+        *,
+        clock: SensorClock = SensorClock(),  # noqa: B008 (immutable)
     ) -> Belief:
         """The belief of ``hypotheses`` with their covariance, after a ``change`` if any."""
         hypotheses, ensemble = _estimate(hypotheses, fallback, fit, account)
@@ -378,8 +413,9 @@ class MinimumVariance(Law):
             root,
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
-            clock_offset=best.state.offset,
-            learned=Learned(partial(self._learned, shown, whole[size:], names)),
+            clock_offset=clock.late / NS_PER_S + best.state.offset,
+            clock=clock,
+            learned=Learned(partial(self._learned, shown, whole[size:], names, clock.late)),
             fit=fit,
             hypotheses=hypotheses,
             fallback=fallback,
@@ -388,7 +424,11 @@ class MinimumVariance(Law):
         )
 
     def _learned(
-        self, hypotheses: Sequence[Hypothesis], root: Matrix, names: Sequence[str]
+        self,
+        hypotheses: Sequence[Hypothesis],
+        root: Matrix,
+        names: Sequence[str],
+        late: int = 0,
     ) -> Parameters:
         """Estimated parameters of model and clock: name, value, standard deviation.
 
@@ -412,8 +452,9 @@ class MinimumVariance(Law):
             mean = float(weights.dot(values))
             variance = float(weights.dot((np.array(values) - mean) ** 2))
             found.append((name, mean, math.sqrt(variance)))
-        if self.uncertainty.clock_offset_error:
-            found.append(("clock_offset", best.offset, deviations[-1]))
+        if len(best.constants) > best.parameters:
+            offset = late / NS_PER_S + best.offset
+            found.append(("clock_offset", offset, deviations[-1]))
         return tuple(found)
 
 

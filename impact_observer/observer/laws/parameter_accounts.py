@@ -163,7 +163,7 @@ class AccountBank:
     def after(self, change: ContactChange, before: Account, fallback: Fallback) -> Account:
         """The account after an event."""
         prior = before.published[0].state
-        restarts = partial(self._starts.restarts, fallback, change.closed, 1)
+        restarts = partial(self._starts.restarts, fallback, change.closed, 1, prior)
         corrected = self._bank.update(change, before.hypotheses, restarts, fallback.extent)
         corrected = corrected or restarts()
         fit = fitted(before.fit, change, prior, corrected, self._bank)

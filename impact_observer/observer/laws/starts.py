@@ -33,14 +33,21 @@ class Starts:
         self.uncertainty = uncertainty
         self.clocks = clocks
 
-    def restarts(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
+    def restarts(
+        self, fallback: Fallback, closed: Contacts, count: int, before: GaussianState
+    ) -> tuple[Hypothesis, ...]:
         """Hypotheses of a restart: standard deviations as large as the motion was, any clock.
 
-        ``count`` is the number of replicas.
+        ``count`` is the number of replicas. Where the clock has an offset in the state ``before``
+        that was not declared, its value and deviation stay.
         """
         root = np.diag(fallback.largest)
         replicas = spread(fallback.x, root, count)
-        return self.per_clock(self.filter.begin(self.declared(replicas, root, closed)))
+        state = self.declared(replicas, root, closed)
+        if len(before.constants) > len(state.constants):
+            deviation = float(np.linalg.norm(before.root[-1]))
+            state = state.with_offset_error(deviation, before.offset)
+        return self.per_clock(self.filter.begin(state))
 
     def per_clock(self, state: GaussianState) -> tuple[Hypothesis, ...]:
         """One hypothesis for each accuracy of the clock, all equally likely."""

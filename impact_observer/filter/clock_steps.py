@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hypotheses that the sensor's clock has stepped: later stamps are shifted by one duration.
+
+The plant has not changed, so the state before the step holds on. The next predicted impact of a
+contact gives the shift; events that follow decide whether there was a step.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.events import Kind
+from impact_observer.filter.branching import Extent
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.hypotheses import Hypothesis, log_sum, normalised
+from impact_observer.filter.missed_switch import insert_switch
+from impact_observer.filter.tuning import TUNING
+from impact_observer.stamps import NS_PER_S
+
+_ROOT_2PI = math.sqrt(2 * math.pi)
+
+
+class ClockStep(NamedTuple):
+    """Hypotheses by which the clock has stepped before some event.
+
+    Attributes:
+        shift: of the stamps since then, ns.
+        t: when the hypotheses hold, s since the epoch by the clock before the step.
+        hypotheses: the likeliest first; their probabilities add up to one.
+        odds: logarithm of the probability of the step over that of no step.
+    """
+
+    shift: int
+    t: float
+    hypotheses: tuple[Hypothesis, ...]
+    odds: float
+
+
+class SensorClock(NamedTuple):
+    """What is believed of steps of the sensor's clock.
+
+    Attributes:
+        late: how late stamps are by all steps so far, ns.
+        before: the hypotheses after the last event; None where no step is tried.
+        possible: further steps that may have been, the likeliest first.
+    """
+
+    late: int = 0
+    before: ClockStep | None = None
+    possible: tuple[ClockStep, ...] = ()
+
+
+class ClockSteps:
+    """Tries steps of the clock at events that the bank of hypotheses did not expect."""
+
+    def __init__(self, bank: FilterBank) -> None:
+        """Steps of the clock whose events ``bank`` weighs."""
+        self._bank = bank
+        self._filter = bank.filter
+        self._log_rate = bank.branching.priors.rate
+
+    def after(
+        self,
+        change: ContactChange,
+        clock: SensorClock,
+        evidence: float,
+        extent: Extent,
+    ) -> tuple[ClockStep, ...]:
+        """The steps that are possible after an event, the likeliest first.
+
+        Something else may be wrong at an event, as probably as a step: no single one shows it.
+
+        Args:
+            change: the event.
+            clock: as it was believed before.
+            evidence: logarithm of the density of the event without a step.
+            extent: of the motion.
+        """
+        anything = TUNING.log_clock_step + self._log_rate
+        evidence = max(evidence, anything)
+        steps = [self._followed(change, each, extent) for each in clock.possible]
+        if clock.before is not None and anything - evidence > TUNING.log_possible_step:
+            steps += self._begun(change, clock.before, extent)
+        steps = [each._replace(odds=each.odds - evidence) for each in steps if each.hypotheses]
+        steps = [each for each in steps if each.odds > TUNING.log_possible_step]
+        return tuple(sorted(steps, key=lambda each: -each.odds)[: TUNING.possible_steps])
+
+    def _followed(self, change: ContactChange, step: ClockStep, extent: Extent) -> ClockStep:
+        """The ``step`` after an event, with the density of the event in its odds."""
+        t = change.t - step.shift / NS_PER_S
+        flown = t - step.t
+        if flown < 0:
+            return step._replace(hypotheses=())
+        shifted = change._replace(t=t, flown=flown)
+        predicted = self._bank.between.predict(step.hypotheses, step.t, flown)
+        found = self._bank.weighed(shifted, predicted, tuple, extent)
+        odds = step.odds + (log_sum([h.weight for h in found]) if found else 0.0)
+        return ClockStep(step.shift, t, normalised(found), odds)
+
+    def _begun(
+        self, change: ContactChange, before: ClockStep, extent: Extent
+    ) -> Iterator[ClockStep]:
+        """Steps before an event, each by an impact of its contact that was predicted."""
+        exact = [h for h in before.hypotheses if h.is_exact]
+        if not (exact and len(change.hit) == 1):
+            return
+        h = max(exact, key=lambda each: each.weight)
+        if h.ledger.events < TUNING.first_events:
+            return
+        (contact,), latest = change.hit, float(change.t) + TUNING.largest_step
+        for t, prior in self._impacts(before.t, h, contact, latest - before.t):
+            shift = round((change.t - t) * NS_PER_S)
+            if abs(shift) > TUNING.largest_step * NS_PER_S:
+                continue
+            deviation = self._deviation(contact, prior, h.clock)
+            doubted = h._replace(state=h.state.with_offset_error(deviation), weight=0.0)
+            odds = TUNING.log_clock_step + self._log_rate + math.log(_ROOT_2PI * deviation)
+            yield self._followed(change, ClockStep(shift, before.t, (doubted,), odds), extent)
+
+    def _impacts(
+        self, t: float, h: Hypothesis, contact: int, duration: float
+    ) -> Iterator[tuple[float, GaussianState]]:
+        """The next impacts of a contact: instants, s since the epoch, and states before them."""
+        state, level = h.state, h.acceleration_error
+        for _ in range(TUNING.possible_steps):
+            dips = self._bank.between.forecast(t, state, level).dips(duration)
+            if not dips:
+                return
+            (prior,) = self._filter.priors(t, dips[0].began, [state], [level])
+            t, duration = t + dips[0].began, duration - dips[0].began
+            if dips[0].contact == contact and dips[0].kind is Kind.IMPACT:
+                yield t, prior
+            if (inserted := insert_switch(self._filter, t, prior, dips[0])) is None:
+                return
+            state = inserted.state
+
+    def _deviation(self, contact: int, prior: GaussianState, clock: float) -> float:
+        """Standard deviation of the shift of the stamps, s, well above what the event leaves."""
+        n, speed = self._filter.system.n, abs(self._filter.speed(contact, prior))
+        gap = float(np.linalg.norm(self._filter.system.W[:, contact] @ prior.root[:n]))
+        known = math.hypot(clock, gap / speed) if speed else math.inf
+        return min(TUNING.step_deviation * known, TUNING.largest_step)
