@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What Python users import from the package itself."""
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from importlib.metadata import distribution
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +29,7 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.resources import shared
 from impact_observer.states import Estimate
 
+ROOT = Path(__file__).resolve().parents[1]
 EPOCH = 1_000_000_000
 STAMPS = grid(EPOCH, EPOCH + 3_000_000_000, 20.0)
 PATH = shared("config/two_mass.yaml")
@@ -86,6 +93,34 @@ def test_what_is_no_model_is_one_line_that_says_what_was_wanted(
     with pytest.raises(UsageError) as caught:
         call()
     assert str(caught.value) == line
+
+
+@pytest.mark.slow
+def test_mypy_finds_the_installed_package_with_its_types_and_nothing_else(tmp_path: Path) -> None:
+    """From another folder: a wrong argument is one, and the folders beside the package are not."""
+    installed = json.loads(distribution("impact_observer").read_text("direct_url.json") or "{}")
+    if installed.get("url") != ROOT.as_uri():
+        pytest.skip("another checkout is installed here: ./dev setup")
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "from impact_observer import Plant, make_observer\n"
+        "Plant(3, epoch=1)\n"
+        "reveal_type(make_observer('two_mass'))\n"
+        "import launch.demo, benchmarks, docs.tables\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--no-color-output", script.name],
+        cwd=tmp_path,
+        env={name: each for name, each in os.environ.items() if name != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = [line.partition("mine.py:")[2] for line in done.stdout.splitlines()]
+    assert found[0].startswith('2: error: Argument 1 to "Plant" has incompatible type "int"')
+    assert found[1].endswith('Revealed type is "impact_observer.observer.observer.Observer"')
+    missing = [f'module named "{name}"' for name in ("launch", "benchmarks", "docs")]
+    assert all(any(name in line for line in found[2:]) for name in missing), done.stdout
 
 
 def test_a_plant_of_a_model_without_initial_state_names_the_key() -> None:
