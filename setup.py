@@ -99,7 +99,6 @@ setup(
     version=manifest("version"),
     description=manifest("description"),
     maintainer=manifest("maintainer"),
-    maintainer_email="maintainers@impact-observer.invalid",
     license="Apache-2.0",
     python_requires=">=3.10",
     ext_modules=[

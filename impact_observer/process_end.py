@@ -26,8 +26,6 @@ from impact_observer.plain_text import printable, say
 
 TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
 """Environment variable: if set, errors show their traceback too."""
-MAINTAINERS = "maintainers@impact-observer.invalid"
-"""Where unforeseen errors are reported, as in package.xml."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OF_THE_NAME = {errno.ENAMETOOLONG, errno.ELOOP}
 """Errors of the system that are wrong use: no file can have such a name."""
@@ -153,7 +151,7 @@ def one_line(error: BaseException) -> str:
     """An error in one line, without control characters.
 
     Errors of the package say what to do. The line of another error has the place in the package
-    and where to report the error, or the place in a user's own class, such as a law.
+    and asks for a report, or has the place in a user's own class, such as a law.
     """
     words = printable(" ".join(str(error).split()))
     if isinstance(error, ImpactObserverError):
@@ -167,10 +165,7 @@ def one_line(error: BaseException) -> str:
         place = place_in(_root(extension), error) or f" after {extension.__qualname__}"
         return f"{kind}{place}{words}; {TRACEBACK}=1 shows all of it"
     place = place_in(_PACKAGE.name, error)
-    return (
-        f"unforeseen {kind}{place}{words}; please report it to {MAINTAINERS},"
-        f" with what {TRACEBACK}=1 shows"
-    )
+    return f"unforeseen {kind}{place}{words}; please report it, with what {TRACEBACK}=1 shows"
 
 
 def place_in(package: str, error: BaseException) -> str:
