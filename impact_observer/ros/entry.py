@@ -4,8 +4,12 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from itertools import takewhile
+from textwrap import fill
 
+from impact_observer.plain_text import say
 from impact_observer.ros.node_process import run_node
+from impact_observer.ros.parameters import TABLES
 
 NODES = {
     "plant": "PlantNode",
@@ -15,6 +19,20 @@ NODES = {
     "viewer": "ViewerNode",
 }
 """Class of each node in the module ``NAME_node``; docs/parameters.md lists the parameters."""
+_JOBS = {
+    "plant": "Simulates a system, and publishes its impacts and true states.",
+    "detector": "Finds impacts in what switches and other sensors publish.",
+    "observer": "Estimates the state of a system from its impacts.",
+    "monitor": "Compares an estimate with the true state.",
+    "viewer": "Publishes plant and estimates as markers, for RViz.",
+}
+_HELP = """\
+usage: {name} --ros-args -p PARAMETER:=VALUE ... [--params-file FILE] [-r NAME:=OTHER ...]
+
+{job} Topics: docs/nodes.md.
+
+parameters:
+"""
 
 
 def plant(args: Sequence[str] | None = None) -> int:
@@ -51,7 +69,20 @@ def main(args: Sequence[str] | None = None) -> int:
     return _run(given.node, given.ros_args)
 
 
+def _help(name: str) -> str:
+    """What ``--help`` of a node prints."""
+    lines = [_HELP.format(name=name, job=_JOBS[name])]
+    for each in TABLES[name]:
+        meaning = fill(each.description, 94, initial_indent="      ", subsequent_indent="      ")
+        lines += [f"  {each.name} ({each.type})", meaning]
+    return "\n".join(lines)
+
+
 def _run(name: str, args: Sequence[str] | None) -> int:
+    given = sys.argv[1:] if args is None else args
+    if not {"-h", "--help"}.isdisjoint(takewhile("--ros-args".__ne__, given)):
+        say(_help(name))
+        return 0
     return run_node(name, f"impact_observer.ros.{name}_node", NODES[name], args)
 
 
