@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _RATE = 4.0
 _LINES = 1.0
 """Lines a second where the output is no terminal."""
-_ONCE = 5.0
+_ONCE = 10.0
 """Longest time that ``--once`` waits for messages, s."""
 
 
@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--once",
         action="store_true",
         help="print one picture as soon as every topic has brought a message and every observer"
-        " has an estimate, after 5 s (or --duration) at the latest; exit code 1 if nothing was"
-        " received",
+        " has an estimate, with truth and V where a plant is, after 10 s (or --duration) at the"
+        " latest; exit code 1 if nothing was received",
     )
     parser.add_argument("--json", action="store_true", help="print the results as lines of JSON")
 

@@ -169,6 +169,16 @@ class View:
     observers: tuple[ObserverView, ...] = ()
     warnings: tuple[str, ...] = ()
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether every observer has an estimate, and where a plant is, the truth and V."""
+        return bool(self.observers) and all(
+            each.lines
+            and (not self.truth or each.lines[0].truth is not None)
+            and (not self.truth or not self.model or each.v is not None)
+            for each in self.observers
+        )
+
 
 class Listener:
     """Keeps the last messages of plants and observers.
@@ -693,8 +703,8 @@ def watch(
         show: called with each view.
         rate: rate of views, Hz.
         duration: how long, s of wall time.
-        once: whether to end as soon as every topic has brought a message and every observer has
-            an estimate, and its health if that comes within seconds.
+        once: whether to end as soon as every topic has brought a message and the view is
+            complete, with the health of observers if that comes within seconds.
 
     Returns:
         The last view.
@@ -712,8 +722,7 @@ def watch(
                 due = now + 1.0 / rate
                 view = listener.view(time.time_ns())
                 show(view)
-                complete = view.observers and all(each.lines for each in view.observers)
-                if once and complete and watcher.has_all():
+                if once and view.is_complete and watcher.has_all():
                     given_up = min(given_up, now + _HEALTH_TIME)
                     if now >= given_up or all(each.health for each in view.observers):
                         break

@@ -35,6 +35,7 @@ from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.io import BagReader, JointState
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.model import read_model
+from impact_observer.resources import shared
 from impact_observer.ros.watcher import (
     Listener,
     ObserverView,
@@ -119,6 +120,21 @@ def test_v_needs_the_truth_and_a_model(bag: Path) -> None:
     alone = received(bag, Listener(), ["/plant/joint_states"])
     assert not alone.truth
     assert (alone.observers[0].v, alone.observers[0].lines[0].truth) == (None, None)
+
+
+def test_a_view_is_complete_when_it_has_what_it_can_show() -> None:
+    """An estimate suffices alone; beside a plant it needs the truth of its stamp, and gives V."""
+    listener = Listener()
+    assert not listener.view(0).is_complete
+    listener.receive("/observer/state", estimate(5))
+    assert listener.view(0).is_complete
+    listener.receive("/plant/joint_states", truth(4))
+    assert not listener.view(0).is_complete
+    listener.receive("/plant/joint_states", truth(5))
+    assert listener.view(0).is_complete
+    listener.receive("/plant/model", MAKE.model(shared("config/two_mass.yaml").read_text()))
+    assert listener.view(0).is_complete
+    assert listener.view(0).observers[0].v == 0
 
 
 def test_diagnostics_go_to_their_observer() -> None:
@@ -457,6 +473,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
         assert (view.model, view.truth, view.simulated) == ("two_mass", True, True)
         assert (observer.name, observer.law) == ("/observer", "geometric")
         assert observer.health is not None
+        assert observer.v is not None
         assert observer.lines
         # The layouts of Foxglove and PlotJuggler draw these; some come after the first estimate.
         until = time.monotonic() + PATIENCE
