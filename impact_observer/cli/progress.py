@@ -71,7 +71,8 @@ class Progress:
 
     def _draw(self, what: str, done: float, total: float | None) -> None:
         """Draw the bar, if standard error is a terminal."""
-        if not self._bar.console.is_terminal:
+        # FORCE_COLOR and TTY_COMPATIBLE make any file a terminal for rich.
+        if not (sys.stderr.isatty() and self._bar.console.is_terminal):
             return
         self._bar.start()
         if self._task is None or what != self._shown:

@@ -7,6 +7,8 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 SCRIPT = """
 import time
 from impact_observer.cli.progress import Progress
@@ -68,10 +70,15 @@ def test_an_error_removes_the_bar() -> None:
     assert written.rfind("\x1b[?25h") > written.rfind("\x1b[?25l")
 
 
-def test_a_file_gets_the_lines_only() -> None:
-    """Standard error has no bar unless it is a terminal."""
+@pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])
+def test_a_file_gets_the_lines_only(forced: str) -> None:
+    """Standard error has no bar unless it is a terminal, though colours are asked for."""
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT.format(end="")], capture_output=True, text=True, check=True
+        [sys.executable, "-c", SCRIPT.format(end="")],
+        env=os.environ | {forced: "1"},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout == "a line [first]\na line that stays\n"
     assert done.stderr == ""
