@@ -159,7 +159,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "widened": fitted.widened,
         "widened_because": [*_reasons(fitted, check)] if fitted.widened > 1.0 else [],
         "held_back": fitted.held_back
-        and {**fitted.held_back._asdict(), "carries_over": fitted.held_back.carries_over},
+        and {**fitted.held_back._asdict(), "carries_over": fitted.carries_over},
         "fits": check.fits and fitted.converged,
         "others": {
             each.name: {
@@ -311,7 +311,7 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             f" with {figure(fitted.clock, 's')}: is the model that of the rig, and --time-unit"
             " that of the times that were imported?",
         )
-    if fitted.converged and fitted.held_back and not fitted.held_back.carries_over:
+    if fitted.converged and not fitted.carries_over:
         text = "The model does not carry over to the impacts that were held back."
         yield ReportLine("warning", text)
 
@@ -394,13 +394,14 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
             " them: record more impacts, or free fewer parameters.",
         )
     impacts = len(fitted.shifts) + len(fitted.recording.rejected)
-    many = fitted.doubted >= _MANY * impacts
-    if fitted.declared and many and not is_short and _may_be_a_clock(fitted):
+    many, shifts = fitted.doubted >= _MANY * impacts, min(fitted.accepted, fitted.rms)
+    too_small = fitted.declared and fitted.clock < shifts
+    if too_small and many and not is_short and _may_be_a_clock(fitted):
         yield ReportLine(
             "warning",
             f"--clock-error {fitted.clock:.3g} makes outliers: up to {fitted.doubted}"
             f" impacts were rejected or inserted, {impacts} are recorded. The shifts say"
-            f" {figure(min(fitted.accepted, fitted.rms), 's')}: leave --clock-error out or declare"
+            f" {figure(shifts, 's')}: leave --clock-error out or declare"
             " this value, unless the model is wrong.",
         )
     if fitted.recording.rejected:
@@ -463,7 +464,7 @@ def _about_errors(fitted: Identification, check: FitCheck) -> Iterator[ReportLin
         yield ReportLine("note", "No impacts were held back for a check.")
         return
     yield ReportLine(
-        "ok" if held.carries_over else "note",
+        "ok" if fitted.carries_over else "note",
         f"Checked on the last {counted(held.impacts, 'impact')}: residuals"
         f" {figure(held.residual, 's')} (fitted part {figure(held.fitted, 's')}"
         f"{_declared(fitted)}). The values are from all impacts.",

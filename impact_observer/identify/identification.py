@@ -145,6 +145,13 @@ class Identification:
         return not self.declared and self.rms > UNDECLARED
 
     @property
+    def carries_over(self) -> bool:
+        """Whether impacts held back are as good as the fit, or within the declared clock error."""
+        held = self.held_back
+        within = held is not None and self.declared and held.residual <= self.clock
+        return held is None or within or held.carries_over
+
+    @property
     def errors(self) -> Vector:
         """Standard errors of the parameters, shape (p,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance))[self.start.size :])

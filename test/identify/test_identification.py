@@ -233,6 +233,23 @@ def test_standard_errors_of_a_wrong_model_are_widened() -> None:
 
 
 @pytest.mark.slow
+def test_a_drift_below_the_declared_clock_error_carries_over() -> None:
+    """Residuals may be many times those of the fitted part, and still be errors of the clock."""
+    family = parametric_family(sample("two_mass").system, ["stiffness-scale"])
+    events = sensed("two_mass")
+    late = events[-len(events) // 5].stamp
+    changed = [replace(e, stamp=e.stamp + max(e.stamp - late, 0) // 100_000) for e in events]
+    carried = []
+    for clock in (1e-3, 1e-8):
+        found = identify(family, changed, clock=clock, trust_events=True)
+        held = found.held_back
+        assert held is not None
+        assert 100 * held.fitted < held.residual < 1e-3
+        carried.append(found.carries_over)
+    assert carried == [True, False]
+
+
+@pytest.mark.slow
 def test_a_model_that_drifts_does_not_carry_over() -> None:
     """The clock runs faster in the last fifth, as if all springs were weaker."""
     model = sample("two_mass").system
