@@ -52,6 +52,8 @@ class Robot:
         contact_names: names of the contacts.
         units: units of the coordinates, ``rad`` or ``m``.
         speed_units: units of the velocities.
+        turns: whether each joint is continuous, so that its encoder may count modulo a turn,
+            shape (n,).
         lower: least coordinates by the URDF, shape (n,); minus infinity without a limit.
         upper: largest coordinates by the URDF, shape (n,); infinity without a limit.
         fastest: largest speeds by the URDF, shape (n,); infinity without a limit.
@@ -77,6 +79,7 @@ class Robot:
         self.contact_names = description.contact_names
         self.units = description.units
         self.speed_units = tuple(map(per_second, self.units))
+        self.turns = np.array([each.type == "continuous" for each in joints])
         self.lower = frozen([each.lower for each in joints])
         self.upper = frozen([each.upper for each in joints])
         self.fastest = frozen([each.velocity for each in joints])
@@ -195,11 +198,18 @@ class Robot:
         """
         if len(closed):
             return self._differences(q, u, tau, closed)
+        return self._linearised(q, u, tau)[1:]
+
+    def _linearised(
+        self, q: Vector, u: Vector, tau: Vector
+    ) -> tuple[Vector, Matrix, Matrix, Matrix]:
+        """``acceleration`` without closed contacts, and its derivatives."""
         driven = (tau - self.damping * u)[self._in]
         self._pin.computeABADerivatives(self._model, self._data, q[self._in], u[self._in], driven)
         data, inverse = self._data, self._data.Minv[self._upper]
         by_speed = data.ddq_dv[self._square] - inverse * self.damping
-        return np.asarray(data.ddq_dq[self._square]), by_speed, inverse
+        by_place = np.asarray(data.ddq_dq[self._square])
+        return np.asarray(data.ddq[self._out]), by_place, by_speed, inverse
 
     def rates(self, x: Vector, tau: Vector, closed: Sequence[int] = ()) -> Vector:
         """The flow ``F = (u, u')`` in a state ``x``, shape (2n,)."""
@@ -234,17 +244,25 @@ class Robot:
         The derivatives are those of the Runge-Kutta step itself.
         """
         h, n = seconds, self.n
-        X, T = np.eye(2 * n), np.zeros((2 * n, n))
-        state, by_x, by_tau = x, X, T
-        total = np.zeros((2 * n, 1 + 3 * n))
+        first = np.zeros((2 * n, 1 + 3 * n))  # the state, and its derivatives
+        first[:, 0] = x
+        first[:, 1 : 2 * n + 1] = np.eye(2 * n)
+        at, total, slope = first, np.zeros_like(first), np.empty_like(first)
         for weight, ahead in ((1, h / 2), (2, h / 2), (2, h), (1, 0.0)):
-            A, B = self.rate_derivatives(state, tau, closed)
-            slope = np.column_stack([self.rates(state, tau, closed), A @ by_x, A @ by_tau + B])
+            q, u = at[:n, 0], at[n:, 0]
+            if closed:
+                acceleration = self.acceleration(q, u, tau, closed)
+                by_q, by_u, by_tau = self._differences(q, u, tau, closed)
+            else:
+                acceleration, by_q, by_u, by_tau = self._linearised(q, u, tau)
+            slope[:n] = at[n:]
+            slope[n:] = by_q @ at[:n] + by_u @ at[n:]
+            slope[n:, 2 * n + 1 :] += by_tau
+            slope[n:, 0] = acceleration
             total += weight * slope
-            state = x + ahead * slope[:, 0]
-            by_x, by_tau = X + ahead * slope[:, 1 : 2 * n + 1], T + ahead * slope[:, 2 * n + 1 :]
-        total *= h / 6
-        return x + total[:, 0], X + total[:, 1 : 2 * n + 1], total[:, 2 * n + 1 :]
+            at = first + ahead * slope
+        total = first + h / 6 * total
+        return total[:, 0], total[:, 1 : 2 * n + 1], total[:, 2 * n + 1 :]
 
     # Contacts
 
@@ -437,22 +455,31 @@ class Robot:
         pushed: Sequence[int] | None = None,
         *,
         closed: tuple[Contacts, Contacts] = ((), ()),
+        since_onset: tuple[Vector, Matrix] | None = None,
     ) -> Matrix:
         """``Xi = D_x R + (F+ - D_x R F-) D_x g / (D_x g F-)`` of an impact, shape (2n, 2n).
 
+        If the impact lasts, ``x`` is the state where velocities jump, half of the contact time
+        after the onset at which the gap is zero. There the last quotient becomes
+        ``D_x g Phi^-1 / gamma`` of the onset, with the flow ``Phi`` from there to the jump.
+
         Args:
-            x: the state before the impact, on the plane of ``hit``.
+            x: the state before the jump, on the plane of ``hit`` unless the impact lasts.
             tau: torques at the impact.
             hit: the contact whose gap closes.
             pushed: the contacts that take an impulse; ``hit`` alone if None.
             closed: contacts that are closed before and after the impact.
+            since_onset: of an impact that lasts: the state at the onset, shape (2n,), and
+                ``Phi``, shape (2n, 2n).
         """
         pushed = (hit,) if pushed is None else pushed
         J, n = self.jump_derivatives(x, pushed), self.n
         before = self.rates(x, tau, closed[0])
         after = self.rates(self.jumped(x, pushed), tau, closed[1])
-        gradient = np.append(self.directions(x[:n], (hit,))[:, 0], np.zeros(n))
-        return np.asarray(J + np.outer(after - J @ before, gradient) / gradient.dot(before))
+        onset, Phi = (x, np.eye(2 * n)) if since_onset is None else since_onset
+        gradient = np.append(self.directions(onset[:n], (hit,))[:, 0], np.zeros(n))
+        seen = np.linalg.solve(Phi.T, gradient) / gradient[:n].dot(onset[n:])
+        return np.asarray(J + np.outer(after - J @ before, seen))
 
     def is_nonexpansive(self, q: Vector, contacts: Sequence[int]) -> bool:
         """Whether ``G - E G E >= 0`` on ``contacts`` at ``q``: then no impact raises V.

@@ -229,6 +229,25 @@ def test_saltation_is_the_derivative_of_a_flow_through_an_impact(seed: int) -> N
     assert np.max(np.abs(Xi - found)) < 1e-6 * np.max(np.abs(Xi))
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_saltation_of_an_impact_that_lasts_is_a_derivative_too(seed: int) -> None:
+    """The gap is zero at the onset, and velocities jump 1 ms later, whatever the state."""
+    robot, late = arm(seed), 1e-3
+    q, u, tau = state(robot, seed)
+    q = robot.projected(q, (0,))
+    W = robot.directions(q)[:, 0]
+    away = robot.inverse_mass(q) @ W
+    onset = np.concatenate([q, u - away * (W @ u + 1.0) / (W @ away)])
+    x, Phi, _ = robot.advanced_with_derivatives(onset, tau, late)
+
+    def through(y: Vector) -> Vector:
+        time = landed(robot, robot.advanced(y, tau, -late), tau)  # from the onset on
+        return robot.advanced(robot.jumped(robot.advanced(y, tau, time), (0,)), tau, -time)
+
+    Xi = robot.saltation(x, tau, 0, since_onset=(onset, Phi))
+    assert np.max(np.abs(Xi - slope(through, x, 1e-5))) < 1e-6 * np.max(np.abs(Xi))
+
+
 def test_the_order_of_joints_is_that_of_the_model_file() -> None:
     """Exchanged joints exchange rows and columns, whatever pinocchio's order."""
     one = Robot(described(model_of(DOUBLE, "shoulder, elbow", contacts=wall())))
