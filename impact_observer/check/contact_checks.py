@@ -146,7 +146,7 @@ class ContactCheck:
                 fault += f" {FAST / 1e6:g} ms"
                 yield Finding(WARNING, f"{self._topic} {name}", fault, remedy=remedy)
         if system is not None:
-            if isinstance(system, System) and (line := too_slow(self._times, system)):
+            if line := too_slow(self._times, system):
                 yield Finding(WARNING, self._topic, line)
             yield from self._name_findings(system)
 

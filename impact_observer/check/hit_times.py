@@ -15,6 +15,7 @@ from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.stamps import NS_PER_S, odd_epoch
 
 FAST = 5_000_000
@@ -83,7 +84,9 @@ class HitTimes:
         return 0.0
 
 
-def doubts(bag: Path, times: HitTimes, system: System, *, has_covariance: bool) -> Iterator[str]:
+def doubts(
+    bag: Path, times: HitTimes, system: System | RobotDescription, *, has_covariance: bool
+) -> Iterator[str]:
     """Warnings about times of impacts that are unlikely for a model or costly for a filter.
 
     Args:
@@ -127,7 +130,7 @@ def settling(times: HitTimes) -> str:
     )
 
 
-def too_slow(times: HitTimes, system: System) -> str:
+def too_slow(times: HitTimes, system: System | RobotDescription) -> str:
     """A warning if impacts come far less often than the model makes likely; empty otherwise."""
     longest, median = longest_interval(system), times.median
     if median <= longest:
@@ -141,12 +144,14 @@ def too_slow(times: HitTimes, system: System) -> str:
     )
 
 
-def longest_interval(system: System) -> float:
+def longest_interval(system: System | RobotDescription) -> float:
     """Longest likely time between impacts, s; infinite if the model does not bound the time.
 
     The time is 30 periods of the slowest mode or excitation. If bodies fly, the time is at least
-    the duration of a flight under their constant forces that begins at 30 m/s.
+    the duration of a flight under their constant forces that begins at 30 m/s. Robots have none.
     """
+    if isinstance(system, RobotDescription):
+        return math.inf
     if system.live is not None or system.forcing.sampled is not None:
         return math.inf
     modes = UndampedModes.of_system(system)

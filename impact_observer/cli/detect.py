@@ -200,7 +200,7 @@ def _sources(
             option = _option(next(iter(given)))
             raise UsageError(f"{option}: given beside --sources; write it into {args.sources}")
         return read_sources(args.sources)
-    contacts = () if model is None else model.system.contact_names
+    contacts = () if model is None else model.subject.contact_names
     if len(contacts) == 1:
         given.setdefault("contact", contacts[0])
     if columns is not None:

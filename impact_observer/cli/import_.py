@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {_summary(imported)}")
         lines = imported.remarks
         if model is not None:
-            lines += doubts(args.output, hits, model.system, has_covariance=False)
+            lines += doubts(args.output, hits, model.subject, has_covariance=False)
         for line in lines:
             progress.line(f"warning: {line}")
         if imported.ignored:

@@ -58,9 +58,9 @@ class BagDetection:
         """
         self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
         self.doubts += detector.doubts
-        if model is not None and model.system.depends_on_time and not detector.epoch:
+        if model is not None and model.subject.depends_on_time and not detector.epoch:
             self.doubts.append(
-                f"no epoch, and the forcing of {model.system.name} depends on time: an observer"
+                f"no epoch, and the forcing of {model.subject.name} depends on time: an observer"
                 " needs it; give --epoch, or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
@@ -175,12 +175,12 @@ def check_contacts(model: Model, sources: Sequence[Source]) -> None:
     Raises:
         UsageError: the model has no contact of a sensor's name.
     """
-    names = model.system.contact_names
+    names = model.subject.contact_names
     for source in sources:
         if source.contact not in names:
             raise source.wrong(
                 "contact",
-                f"{source.contact!r} is none of the model {model.system.name}; expected one of"
+                f"{source.contact!r} is none of the model {model.subject.name}; expected one of"
                 f" {', '.join(names) or 'none'}",
             )
 

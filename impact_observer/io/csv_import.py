@@ -103,7 +103,7 @@ def import_csv(
         BagError: the bag cannot be written.
     """
     form = form or TableForm()
-    table = ImpactTable(path, form, None if model is None else model.system.contact_names)
+    table = ImpactTable(path, form, None if model is None else model.subject.contact_names)
     numbers = count(1)
 
     def read() -> None:
@@ -204,7 +204,7 @@ def _states(
     """Stamps (ns), topic and messages of the true states."""
     if model is None:
         raise UsageError(f"{path}: true states without a model; name it with --model")
-    make, names = bag_messages(), model.system.coordinates
+    make, names = bag_messages(), model.subject.coordinates
     for row in StateTable(path, form, names).rows(read):
         state = JointState(_stamp(path, row, start, 0), names, row.q, row.u)
         yield state.stamp, interfaces.PLANT_JOINT_STATES.topic, make.joint_state(state)

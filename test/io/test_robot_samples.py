@@ -11,6 +11,7 @@ from arms import DOUBLE, model_of, wall
 from impact_observer.cli.main import main
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in
 from impact_observer.io.recordings import model_of as model_in
 from impact_observer.model import read_model
 from impact_observer.model.measurement import Measurement
@@ -61,6 +62,22 @@ def test_commands_that_read_any_bag_read_this_one(
     capsys.readouterr()
     assert main(["smooth", str(bag), "-o", str(tmp_path / "smoothed")]) == 2
     assert capsys.readouterr().err.endswith("; smooth needs a linear model\n")
+
+
+def test_impacts_of_a_robot_are_imported_with_the_names_of_its_contacts(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table of impact times becomes a bag; the name of no contact is an error."""
+    table, imported = tmp_path / "events.csv", tmp_path / "imported"
+    assert main(["export", str(bag), "--what", "events", "-o", str(table)]) == 0
+    words = ["import", str(table), "--model", "hammer_arm", "-o"]
+    assert main([*words, str(imported)]) == 0
+    with BagReader(bag) as one, BagReader(imported) as two:
+        assert [each.stamp for each in events_in(one)] == [each.stamp for each in events_in(two)]
+    table.write_text(table.read_text().replace("wall", "floor"))
+    capsys.readouterr()
+    assert main([*words, str(tmp_path / "other")]) == 2
+    assert "floor" in capsys.readouterr().err
 
 
 def test_a_random_plant_has_drawn_parameters() -> None:
