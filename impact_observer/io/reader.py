@@ -20,7 +20,13 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
 
-from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
+from impact_observer.errors import (
+    BagError,
+    ImpactObserverError,
+    ModelError,
+    UnfitBagError,
+    UsageError,
+)
 from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.input_files import check_input, open_input
 from impact_observer.io import interfaces
@@ -48,6 +54,8 @@ from impact_observer.io.typestores import (
     deserialize,
     new_typestore,
 )
+from impact_observer.model.model_file import load_yaml
+from impact_observer.resources import read_text
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps
 
@@ -136,9 +144,14 @@ class BagReader:
         self.end = self._reader.end_time - 1 if self.message_count else 0
 
     def _check_indexes(self) -> None:
-        """Check that the files are regular ones, and the checksums of indexes of MCAP files."""
+        """Check that the files are regular ones, and the checksums of indexes of MCAP files.
+
+        Metadata with aliases are checked to have an end when they are written out.
+        """
         for file in bag_files(self.path):
             check_input(file)
+        if self.path.is_dir() and "&" in (text := read_text(self.path / "metadata.yaml")):
+            load_yaml(text)
         for file in mcap_files(self.path):
             with open_input(file) as stream:
                 if index_is_damaged(stream):
@@ -484,6 +497,8 @@ class BagReader:
         """Report an error of ``rosbags`` for a damaged bag as one line."""
         try:
             yield
+        except ModelError as error:
+            raise BagError(f"{self.path}: its metadata.yaml: {error}; {_SALVAGE}") from None
         except ImpactObserverError:
             raise
         except Exception as error:  # anything, in a damaged file

@@ -311,17 +311,43 @@ def load_yaml(text: str) -> Value:
     """The document in a YAML text.
 
     Raises:
-        ModelError: ``text`` is not YAML, or too long; the error has no key.
+        ModelError: ``text`` is not YAML, or too long, also with its aliases written out; the error
+            has no key.
     """
     if len(text) > MOST_BYTES:
         raise ModelError("", f"{len(text)} characters found; expected at most {MOST_BYTES}")
     try:
-        return YAML(typ="safe", pure=True).load(text)
+        document: Value = YAML(typ="safe", pure=True).load(text)
     except _NOT_YAML as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = str(getattr(error, "problem", None) or error).splitlines()[0]
         raise ModelError("", f"is not YAML{where}: {problem}") from None
+    if (count := _written_out(document, {})) > len(text) + _MOST_REPEATED:
+        problem = f"{count:.3g} values with its aliases written out; expected fewer"
+        raise ModelError("", problem)
+    return document
+
+
+def _written_out(value: Value, counts: dict[int, int]) -> int:
+    """Number of values in a document, aliases written out; ``counts`` has lists and mappings.
+
+    Raises:
+        ModelError: a value contains itself.
+    """
+    if not isinstance(value, (list, Mapping)):
+        return 1
+    if id(value) not in counts:
+        counts[id(value)] = -1  # until all that it contains is counted
+        members = value if isinstance(value, list) else [*value, *value.values()]
+        counts[id(value)] = 1 + sum(_written_out(each, counts) for each in members)
+    if (count := counts[id(value)]) < 0:
+        raise ModelError("", "a value contains itself by its alias; write it out")
+    return count
+
+
+_MOST_REPEATED = 100_000
+"""Most values that aliases may add, beside one for each character."""
 
 
 def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:

@@ -257,6 +257,20 @@ def test_mcap_with_broken_lengths_goes_on_at_the_next_chunk(whole: Path) -> None
     assert salvaged_count(bag, whole) == len(messages(whole))
 
 
+def test_metadata_with_aliases_without_an_end(whole: Path) -> None:
+    """The library would write them out in its error."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy")
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
+    text = (bag / "metadata.yaml").read_text("utf-8")
+    text = text.replace("storage_identifier: mcap", "storage_identifier: *a11")
+    assert "*a11" in text
+    (bag / "metadata.yaml").write_text("\n".join([*lines, text]), "utf-8")
+    with pytest.raises(BagError, match=r"bag: its metadata.yaml: .*e\+12 values with its aliases"):
+        BagReader(bag)
+    assert salvaged_count(bag, whole) == len(messages(whole))
+
+
 @pytest.mark.slow
 def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
     """The files hold all that is needed."""

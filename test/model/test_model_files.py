@@ -350,3 +350,25 @@ def test_a_file_that_takes_minutes_to_parse_is_refused_at_once(tmp_path: Path) -
         read_model(large)
     with pytest.raises(ModelError, match="10000009 characters found"):
         parse_model(large.read_text(), "model")
+
+
+def test_aliases_without_an_end_are_refused_at_once() -> None:
+    """A list of lists that repeat each other ten times over, and lists that contain themselves."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
+    bomb = "\n".join([*lines, "name: *a11", "bodies: *a11"])
+    with pytest.raises(ModelError, match=r"bomb: .*e\+12 values with its aliases written out"):
+        parse_model(bomb, "bomb")
+    for text in (
+        "name: q\nbodies: &a [*a]",
+        "&a {name: q, bodies: *a}",
+        "name: q\nx: &a {b: [*a]}",
+    ):
+        with pytest.raises(ModelError, match=r"itself: a value contains itself by its alias"):
+            parse_model(text, "itself")
+    repeated = "springs: [&s {between: [ground, x], stiffness: 1, damping: &d 2}, *s]"
+    text = f"name: q\nbodies: [{{name: x, mass: *d}}]\n{repeated}"
+    with pytest.raises(ModelError, match="undefined alias"):
+        parse_model(text, "before")
+    text = f"name: q\n{repeated}\nbodies: [{{name: x, mass: *d}}]"
+    assert parse_model(text, "twice").system.K == 2.0
