@@ -67,7 +67,7 @@ def soak(target: Target, numbers: Sequence[int], seed: int, place: Path) -> Outc
         except Exception as error:  # noqa: BLE001 (this is what is searched for)
             place_of = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{Path(place_of.filename).name}:{place_of.lineno}"
-            _note(found, f"{type(error).__name__} at {where}: {str(error)[:200]}", number)
+            _note(found, f"{type(error).__name__} at {where}: {str(error)[:500]}", number)
         found.slowest = max(found.slowest, time.process_time() - begin)
     return found
 

@@ -207,10 +207,10 @@ def _tried(words: list[str], limit: int | None) -> int:
             code = main(words)
         except SystemExit as end:
             code = int(end.code or 0)
-    line = f"{' '.join(words)!r:.300} with {limit} bytes: "
+    line = f"{' '.join(words)!r:.90} with {limit} bytes: "
     text = said.getvalue()
     assert code in (0, 1, 2), f"{line}exit code {code}"
-    assert "unforeseen" not in text, f"{line}{text:.400}"
+    assert "unforeseen" not in text, f"{line}{text[-400:]}"
     assert "Traceback" not in text, f"{line}{text:.400}"
     assert code == 0 or text.strip() or printed.getvalue(), f"{line}nothing is said"
     after, named = _contents(), {os.path.realpath(each) for each in words}

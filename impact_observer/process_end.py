@@ -239,4 +239,5 @@ def _hooks(program: str) -> Iterator[None]:
 def _say(line: str) -> None:
     """Write a line to standard error, unless the stream is closed."""
     with suppress(OSError, ValueError):
-        say(line, file=sys.stderr)
+        if sys.stderr is not None:
+            say(line, file=sys.stderr)

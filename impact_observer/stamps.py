@@ -152,13 +152,21 @@ def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
             f"{seconds_between(start, stop) * rate:.3g} samples: too many; lower rate or duration"
             f" to {MOST_SAMPLES:g}"
         )
+    if NS_PER_S / rate > stop - start + 1:  # also infinite
+        return np.array([start])
     last = int(seconds_between(start, stop) * rate) + 1
     stamps = start + np.rint(np.arange(last + 1) * (NS_PER_S / rate)).astype(np.int64)
     return np.asarray(stamps[stamps <= stop])
 
 
 def from_seconds(seconds: float) -> int:
-    """The nearest stamp or length in ns to ``seconds``."""
+    """The nearest stamp or length in ns to ``seconds``.
+
+    Raises:
+        UsageError: no number of nanoseconds is near.
+    """
+    if not math.isfinite(seconds * NS_PER_S):
+        raise UsageError(f"{seconds:g} s: too long; the last stamp is {text(MAX_STAMP)} s")
     return round(seconds * NS_PER_S)
 
 

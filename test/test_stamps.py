@@ -22,7 +22,7 @@ from impact_observer import (
     simulate,
 )
 from impact_observer.errors import UsageError
-from impact_observer.stamps import NS_PER_S, Elapsed, odd_epoch
+from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, odd_epoch
 
 DAY = 86_400 * NS_PER_S
 
@@ -107,6 +107,18 @@ def test_a_grid_needs_a_rate(rate: float) -> None:
     """Above zero, and finite."""
     with pytest.raises(UsageError, match=r"rate: .* found; expected a number of Hz above 0"):
         grid(0, NS_PER_S, rate)
+
+
+def test_a_grid_of_a_rate_near_zero_has_its_start() -> None:
+    """The period is no number of nanoseconds."""
+    for rate in (1e-308, 5e-324, 1e-12):
+        assert grid(7, 10 * NS_PER_S, rate).tolist() == [7]
+
+
+def test_a_length_without_nanoseconds_is_one_line() -> None:
+    """Such as --duration 1e308."""
+    with pytest.raises(UsageError, match=r"1e\+308 s: too long; the last stamp is 2147483647"):
+        from_seconds(1e308)
 
 
 def test_stamps_of_a_run_ascend() -> None:

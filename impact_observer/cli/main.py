@@ -2,6 +2,7 @@
 """The entry point: parses the arguments and runs the subcommand."""
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -100,6 +101,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     one_matrix_thread()  # before numpy is imported
     own = argv is None
+    if own:  # pictures go to files: matplotlib needs no window, and no unknown one
+        os.environ["MPLBACKEND"] = "agg"
     given = sys.argv[1:] if argv is None else argv
     return run(PROGRAM, lambda: _run(given), own=own)
 

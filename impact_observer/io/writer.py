@@ -44,11 +44,21 @@ def check_free(path: Path) -> None:
         path.lstat()
         raise UsageError(f"{path}: exists already; remove it or choose another name")
     except (FileNotFoundError, NotADirectoryError):
-        pass
+        _check_length(path)
     except OSError as error:
         raise unwritable(path, error) from None
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: no folder {path.parent}; make it first")
+
+
+def _check_length(path: Path) -> None:
+    """Raise UsageError if the name of the file in the bag ``path`` is too long."""
+    try:
+        path.with_name(bag_file(path)).lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise unwritable(path, error) from None
 
 
 @final

@@ -118,7 +118,7 @@ def test_missing_parent_is_refused_and_nothing_is_made(tmp_path: Path) -> None:
 
 def test_folder_that_may_not_be_made_is_one_line(tmp_path: Path) -> None:
     """A name longer than the file system allows."""
-    with pytest.raises(BagError, match="cannot be written: File name too long"):
+    with pytest.raises(UsageError, match="cannot be written: File name too long"):
         BagWriter(tmp_path / ("x" * 300))
     assert list(tmp_path.iterdir()) == []
 
