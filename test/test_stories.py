@@ -127,6 +127,8 @@ def test_the_tutorial_runs_live(
     assert live[-1].node == "plant"
     last = watched(live, ("-p", "duration:=7.0"), ros_environment, tmp_path)
     (estimate,) = last["observers"]
+    assert 0.4 < estimate["history"][0] < 2.7  # a busy machine sees the first second late
+    assert 0 < estimate["v"] < 2e-3
     assert last["impacts"] == 4
     assert dict(estimate["counts"]) == {"applied": 4}
     assert all(line["truth"] is not None for line in estimate["lines"])
