@@ -106,6 +106,8 @@ def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector
 def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure:
     """Draw a recording, in two columns of panels if the picture is wide enough.
 
+    Where an estimate has deviations, a panel below has these over time on a logarithmic scale.
+
     Args:
         recording: content of the picture.
         width: of the picture, inches.
@@ -116,12 +118,14 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
     rows = mark_rows_of(recording)
     above = width < _TWO_COLUMNS
     strip = (_NAMED_ROW if above else _ROW) * (len(rows) + 0.6) if rows else 0.0
-    heights = [*([strip] if rows else []), *[_PANEL] * height]
+    banded = any(np.isfinite(each.deviations).any() for each in recording.series)
+    heights = [*([strip] if rows else []), *[_PANEL] * (height + banded)]
     drawn = styles_of_recording(recording)
+    time = "time [s]" if width < _SHORT else recording.zero.axis
     with mpl.rc_context({"font.size": 9.0}):
         figure = Figure(figsize=(width, _REST + sum(heights)), layout="constrained")
         grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-        first = len(heights) - height
+        first = len(heights) - height - banded
         panels: list[Axes] = []
         for column, quantity in enumerate(recording.quantities):
             place = grid[first + column % height, column // height]
@@ -130,9 +134,13 @@ def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure
             axes.set_ylabel(quantity.label.replace(" [", "\n["), fontsize="small")
             last = column % height == height - 1 or column == count - 1
             axes.tick_params(labelbottom=last)
-            if last:
-                axes.set_xlabel("time [s]" if width < _SHORT else recording.zero.axis)
+            if last and not banded:
+                axes.set_xlabel(time)
             panels.append(axes)
+        if banded:
+            axes = figure.add_subplot(grid[-1, :], sharex=panels[0])
+            _draw_deviations(axes, recording, drawn)
+            axes.set_xlabel(time)
         panels[0].set_xlim(recording.start, recording.end)
         for k in range(columns if rows else 0):
             axes = figure.add_subplot(grid[0, k], sharex=panels[0])
@@ -175,6 +183,24 @@ def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style
         axes.text(0.99, 0.97, cut_off, fontsize="x-small", color="0.35", **where)
     axes.set_ylim(low, high)
     axes.grid(visible=True, which="major", color="0.92")
+
+
+def _draw_deviations(axes: Axes, recording: PlotContent, drawn: Sequence[Style]) -> None:
+    """Draw the standard deviations of all quantities, coloured by quantity, with a log scale."""
+    handles = []
+    for column, quantity in enumerate(recording.quantities):
+        style: Style = {"color": f"C{column % 10}", "linewidth": 1.0}
+        for each, own in zip(recording.series, drawn, strict=True):
+            deviation = each.deviations[:, column]
+            if np.isfinite(deviation).any():
+                shown = np.where(deviation > 0, deviation, np.nan)
+                style["linestyle"] = own.get("linestyle", "-")
+                axes.plot(each.seconds[:, column], shown, **style)
+        handles.append(Line2D([], [], **style | {"linestyle": "-", "label": quantity.label}))
+    axes.set_yscale("log")
+    axes.set_ylabel("standard\ndeviation", fontsize="small")
+    axes.grid(visible=True, which="major", color="0.92")
+    axes.legend(handles=handles, loc="upper right", fontsize="x-small", ncol=len(handles) // 5 + 1)
 
 
 def limits(recording: PlotContent, column: int) -> tuple[float, float, str]:

@@ -25,8 +25,8 @@ def labels(figure: Figure) -> list[str]:
 def test_a_panel_for_each_quantity_in_two_columns_or_one() -> None:
     """A narrow picture has one column; units are on the axes."""
     wide, narrow = recording_picture(recording()), recording_picture(recording(), width=4.0)
-    assert len(wide.axes) == 4 + 2
-    assert len(narrow.axes) == 4 + 1
+    assert len(wide.axes) == 4 + 1 + 2  # panels, deviations, marks in both columns
+    assert len(narrow.axes) == 4 + 1 + 1
     assert wide.axes[0].get_ylabel() == "x0\n[m or rad]"
     assert {axes.get_xlim() for axes in wide.axes} == {(0.0, 2.0)}
     assert narrow.get_figheight() > wide.get_figheight()
@@ -40,6 +40,28 @@ def test_range_is_that_of_the_lines_and_not_of_the_bands() -> None:
     assert 2.0 < high < 2.5
     (band,) = [each for each in axes.collections if isinstance(each, PolyCollection)]
     assert band.get_paths()[0].get_extents().height == pytest.approx(402.0)
+
+
+def test_deviations_have_a_panel_with_a_logarithmic_scale() -> None:
+    """A line for each quantity, which stays visible where a band does not; zeros are left out."""
+    truth, estimate = recording().series
+    deviations = np.array(estimate.deviations)
+    deviations[:, 0], deviations[0, 1] = np.geomspace(1.0, 1e-9, len(deviations)), 0.0
+    content = replace(recording(), series=(truth, replace(estimate, deviations=deviations)))
+    (axes,) = (
+        each for each in recording_picture(content).axes if "deviation" in each.get_ylabel()
+    )
+    assert axes.get_yscale() == "log"
+    first, second, *others = (np.asarray(each.get_ydata(), float) for each in axes.get_lines())
+    np.testing.assert_array_equal(first, deviations[:, 0])
+    assert np.flatnonzero(np.isnan(second)).tolist() == [0]
+    assert len(others) == len(content.quantities) - 2
+    legend = axes.get_legend()
+    assert legend is not None
+    shown = [each.get_text() for each in legend.get_texts()]
+    assert shown == [each.label for each in content.quantities]
+    plain = recording_picture(recording(deviation=np.nan))
+    assert all(each.get_yscale() == "linear" for each in plain.axes)
 
 
 def test_legend_has_what_is_drawn_and_nothing_else() -> None:
@@ -124,7 +146,7 @@ def test_long_names_of_rows_leave_a_narrow_picture_its_width() -> None:
         assert [each.get_text() for each in figure.axes[-1].texts] == list(
             mark_rows_of(recording(marks=marks))
         )
-        assert (figure.axes[3].get_xlabel() == "time [s]") == short
+        assert (figure.axes[4].get_xlabel() == "time [s]") == short
     assert not recording_picture(recording(marks=marks)).axes[-1].texts
 
 
