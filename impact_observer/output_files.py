@@ -67,7 +67,7 @@ def replacing(path: Path) -> Iterator[Path]:
     target = path.resolve()
     try:
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=".new") as folder:
-            temporary = Path(folder) / target.name
+            temporary = Path(folder) / path.name  # whose suffix is the format
             yield temporary
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())

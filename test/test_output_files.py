@@ -165,6 +165,15 @@ def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert "a.png: named twice" in capsys.readouterr().err
 
 
+def test_a_link_to_a_file_of_another_kind_has_the_format_of_its_own_name() -> None:
+    """The file behind the link is replaced."""
+    Path("old.txt").write_text(MINE, encoding="utf-8")
+    Path("out.svg").symlink_to("old.txt")
+    assert main(["figure", "two_mass", "--duration", "0.1", "-o", "out.svg", "--force"]) == 0
+    assert Path("out.svg").is_symlink()
+    assert "<svg" in Path("old.txt").read_text("utf-8")
+
+
 def test_a_link_in_a_circle_is_no_output(capsys: pytest.CaptureFixture[str]) -> None:
     """One line, and the link stays."""
     Path("out").symlink_to("out")
