@@ -3,10 +3,13 @@
 
 Innovations of a model that fits are independent. Those of one that does not have one sign, or
 alternate: the portmanteau test (Ljung and Box, On a measure of lack of fit in time series models,
-1978), without subtracting the mean.
+1978), without subtracting the mean. In a periodic motion they repeat, however small they are
+beside the error of a clock that is not declared: a likelihood ratio that their scale does not
+change.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,6 +67,8 @@ class Fit(NamedTuple):
         errors: events in a row with an error of the model (``Tuning.established_error``).
         by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
+        repetition: logarithm of the odds that innovations repeat to those that they are white;
+            0 before the state may be known.
         evidence: logarithm of the odds of an error of the model to none, which one event
             raises by ``Tuning.evidence_step`` at most.
         residuals: at the latest impacts.
@@ -81,6 +86,7 @@ class Fit(NamedTuple):
     errors: int = 0
     by_clock: bool = False
     statistic: float = 0.0
+    repetition: float = 0.0
     evidence: float = 0.0
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
@@ -110,7 +116,8 @@ class Fit(NamedTuple):
         in_error &= considered <= TUNING.least_considered
         exact = exact if considered <= TUNING.least_considered else 1.0
         evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
-        innovations, errors, statistic = self.innovations, self.errors, self.statistic
+        innovations, errors = self.innovations, self.errors
+        statistic, repetition = self.statistic, self.repetition
         size = abs(innovation or 0.0)
         far = size if is_trusted and size > TUNING.contradiction else 0.0
         if innovation is None:
@@ -119,7 +126,8 @@ class Fit(NamedTuple):
             left = max(size - TUNING.considered_deviations * considered, 0.0)
             clipped = math.copysign(min(left, TUNING.clipping), innovation)
             innovations = (*innovations[-(TUNING.window - 1) :], clipped)
-            errors, statistic = errors + 1 if in_error else 0, _statistic(innovations)
+            errors = errors + 1 if in_error else 0
+            statistic, repetition = _statistic(innovations), repetition_of(innovations)
         after = Fit(
             innovations,
             (*self.as_reported[-(TUNING.window - 1) :], as_reported),
@@ -127,6 +135,7 @@ class Fit(NamedTuple):
             errors,
             by_clock,
             statistic,
+            repetition if len(self.as_reported) >= TUNING.first_events else 0.0,
             evidence if len(self.as_reported) >= TUNING.first_events else 0.0,
             self.residuals,
             self.is_refuted,
@@ -177,6 +186,7 @@ class Fit(NamedTuple):
         fewest, latest = TUNING.fewest, self.explained[-TUNING.fewest :]
         is_excused = len(latest) == fewest and sum(latest) < TUNING.doubted_explained * fewest
         is_correlated = self.statistic > TUNING.doubted_statistic
+        is_correlated = is_correlated or self.repetition > TUNING.doubted_repetition
         is_improbable = self.evidence > TUNING.doubted_evidence
         is_in_doubt = is_excused or is_correlated or is_improbable
         return self.is_misfit or is_in_doubt or self.errors >= TUNING.doubted_events
@@ -199,6 +209,7 @@ class Fit(NamedTuple):
         """That the model is doubted, in words; empty while it is not."""
         most = TUNING.doubtful_statistic if self.by_clock else TUNING.doubted_statistic
         is_doubted = self.is_misfit or self.is_in_error or self.statistic > most
+        is_doubted = is_doubted or self.repetition > TUNING.doubted_repetition
         if self.step and not is_doubted:
             return "the sensor's clock has stepped"
         return "the model is doubted" if is_doubted else ""
@@ -273,6 +284,7 @@ def _judged(fit: Fit) -> Fit:
     n = len(fit.as_reported)
     is_excused = n >= TUNING.fewest_excused and sum(fit.as_reported) < TUNING.least_explained * n
     is_correlated = fit.statistic > TUNING.largest_statistic
+    is_correlated = is_correlated or fit.repetition > TUNING.largest_repetition
     lasts = fit.was_misfit and fit.is_in_error
     is_improbable = fit.is_in_error and fit.evidence > TUNING.largest_evidence
     is_contradicted = any(fit.contradictions)
@@ -292,3 +304,26 @@ def _statistic(innovations: tuple[float, ...]) -> float:
     nu, lags = np.array(innovations), range(1, TUNING.lags + 1)
     rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
     return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))
+
+
+def repetition_of(innovations: Sequence[float]) -> float:
+    """Logarithm of the odds that the latest ``innovations`` repeat to those that they are white.
+
+    If they repeat, each is that some events before, one to ``Tuning.lags``, plus a share
+    ``Tuning.repeated`` of their scale, of which both know nothing (Jeffreys' prior). All numbers
+    of latest innovations count alike. White ones pass ``x`` with a probability of at most
+    ``exp(-x)`` (Markov). Zeros do not count, nor do outliers, which are cut off.
+    """
+    nu, least = np.array(innovations), TUNING.fewest_repeated
+    nu = nu[(nu != 0) & (np.abs(nu) < TUNING.clipping)]
+    squares = np.cumsum(nu[::-1] ** 2)
+    shares, odds = np.array(TUNING.repeated)[:, None], [np.zeros(0)]
+    for lag in range(1, min(TUNING.lags, nu.size - least) + 1):
+        number = np.arange(least + lag, nu.size + 1)
+        steps = np.cumsum((nu[lag:] - nu[:-lag])[::-1] ** 2)[number - lag - 1]
+        whole = squares[number - 1]
+        sizes = whole - squares[number - lag - 1] + steps / shares**2
+        each = (lag - number) * np.log(shares) - number / 2 * np.log(sizes / whole)
+        odds.append(each.ravel())
+    found = np.concatenate(odds)
+    return float(np.logaddexp.reduce(found) - math.log(found.size)) if found.size else 0.0

@@ -236,6 +236,18 @@ class Tuning:
     """The same, above which parameters are estimated too. Exact models seldom get there."""
     doubtful_statistic: float = 16.0
     """The same, above which errors of the clock are no good explanation."""
+    repeated: tuple[float, ...] = (0.3, 0.1, 0.03)
+    """Steps between innovations that repeat, over their size."""
+    fewest_repeated: int = 5
+    """Fewest such steps that are tested."""
+    largest_repetition: float = 12.0
+    """Log odds of innovations that repeat to white ones, above which the model does not explain
+    the impacts. White ones pass it with a probability of at most 6e-6 (docs/theory/misfit.md).
+    """
+    doubted_repetition: float = 3.0
+    """The same, above which parameters are estimated too, and nothing is synchronized: of
+    simulated white ones 0.1 % are.
+    """
     established_error: float = 0.8
     """Probability of an error of the model from which on an event counts as one with an error."""
     doubted_events: int = 6

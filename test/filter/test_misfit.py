@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from impact_observer.filter.misfit import MISFIT, Fit, Residual
+from impact_observer.filter.misfit import MISFIT, Fit, Residual, repetition_of
 from impact_observer.filter.tuning import TUNING
 
 
@@ -31,6 +31,43 @@ def test_statistic_agrees_with_its_definition() -> None:
     rho = [sum(nu[i] * nu[i - k] for i in range(k, 20)) / sum(nu**2) for k in range(1, 5)]
     expected = 20 * 22 * sum(r * r / (20 - k) for k, r in enumerate(rho, 1))
     assert fitted(nu).statistic == pytest.approx(expected, rel=1e-12)
+
+
+def test_repetition_is_the_mean_ratio_of_two_densities() -> None:
+    """Of directions of normal vectors: white ones, and sums of steps of the given shares."""
+    nu, ratios = np.random.default_rng(8).normal(size=9) + 1.0, []
+    for lag in range(1, 5):
+        for size in range(5 + lag, 10):
+            some = nu[-size:]
+            sums = np.array(
+                [[i >= j and (i - j) % lag == 0 for j in range(size)] for i in range(size)]
+            )
+            for share in TUNING.repeated:
+                root = sums * np.where(np.arange(size) < lag, 1.0, share)
+                inside = some @ np.linalg.solve(root @ root.T, some) / (some @ some)
+                ratios.append(inside ** (-size / 2) / np.linalg.det(root))
+    assert repetition_of(nu.tolist()) == pytest.approx(np.log(np.mean(ratios)), rel=1e-9)
+
+
+def test_white_innovations_hardly_repeat() -> None:
+    """By Markov's inequality at most ``exp(-3)`` of them are beyond 3; far fewer are."""
+    rng = np.random.default_rng(9)
+    found = [repetition_of(rng.normal(size=32).tolist()) for _ in range(2000)]
+    assert np.mean(np.array(found) > 3.0) < 0.01
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_innovations_that_repeat_warn_however_small_they_are(scale: float) -> None:
+    """A jitter that is learned too large makes them small; eight of them suffice."""
+    rng = np.random.default_rng(10)
+    first = rng.normal(size=12).tolist()
+    later = scale * np.resize([1.0, -0.4], 10) * (1 + 0.03 * rng.normal(size=10))
+    fit = fitted(first, by_clock=True)
+    assert not fit.doubt
+    for each in later.tolist():
+        fit = fit.after(each, by_clock=True)
+    assert fit.statistic < TUNING.largest_statistic
+    assert fit.is_misfit
 
 
 def test_rounding_is_no_innovation() -> None:
@@ -138,7 +175,7 @@ def test_events_that_need_an_excuse_are_a_misfit() -> None:
     """Spurious, missed and restarted in turn, with few innovations; one in five is no misfit."""
     fit, fair, nu = Fit(), Fit(), np.random.default_rng(10).normal(size=40).tolist()
     for k in range(40):
-        fit = fit.after(None if k % 2 else 0.5, as_reported=k % 4 == 0)
+        fit = fit.after(None if k % 2 else nu[k], as_reported=k % 4 == 0)
         fair = fair.after(nu[k], as_reported=k % 5 > 0)
         assert not fair.is_misfit
         assert fit.is_misfit == (k >= 15)
