@@ -182,7 +182,13 @@ def directions(problem: Problem, shot: Shot) -> Directions:
     speed = np.max(reach[n:])
     state = np.repeat([max(np.max(reach[:n]), speed * problem.interval) or 1.0, speed or 1.0], n)
     units = np.concatenate([state, problem.family.sizes])
-    values, right = linalg.svd(problem.gaps_of(shot, problem.moved(shot))[1] * units)[1:]
+    rows = problem.gaps_of(shot, problem.moved(shot))[1]
+    inserted = [k for k, m in enumerate(problem.moments) if m.hit and not m.measured]
+    if inserted:  # a hit without a stamp determines its own instant alone
+        moved = np.zeros((len(rows), len(inserted)))
+        moved[: shot.gaps.size] = shot.by_instant[:, inserted]
+        rows = linalg.null_space(moved.T).T @ rows
+    values, right = linalg.svd(rows * units)[1:]
     singular = np.zeros(units.size)
     singular[: values.size] = values
     rank = int(np.count_nonzero(singular > RANK * singular[0]))

@@ -19,6 +19,7 @@ from impact_observer.draw.reports import (
     print_facts,
     print_table,
 )
+from impact_observer.events import Kind
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
@@ -26,10 +27,11 @@ from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
+from impact_observer.identify.unreported import has_rows
 from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
-from impact_observer.model.free_parameters import is_phase
+from impact_observer.model.free_parameters import is_observed, is_phase
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
@@ -294,7 +296,7 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
             f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
-            f"{_about_time(fitted.family)}{_about_others(fitted)}",
+            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}{_about_others(fitted)}",
         )
     elif not check.fits:
         stamps = counted(len(fitted.shifts), "stamp")
@@ -314,6 +316,19 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     if fitted.converged and not fitted.carries_over:
         text = "The model does not carry over to the impacts that were held back."
         yield ReportLine("warning", text)
+
+
+def _about_dead_time(fitted: Identification) -> str:
+    """What to do where the sensor reports only the first edges of rows of bounces, or may."""
+    recording, family = fitted.recording, fitted.family
+    if not has_rows(recording, family.system):
+        return " If the sensor has a dead time (is debounced), declare it as --dead-time."
+    names = [each.name for each in family.parameters if is_observed(each.name)]
+    learned = f" --estimate-parameters {','.join(names)}" if names else ""
+    return (
+        " The sensor reports first edges of rows of bounces: observe --law minimum-variance"
+        f"{learned} follows these from event to event, and needs no fit of all."
+    )
 
 
 def _about_horizon(fitted: Identification) -> str:
@@ -410,12 +425,29 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
         dead = len(fitted.recording.in_dead_time)
         known = f" ({dead} of them in the dead time)" if dead else ""
         yield _hits(fitted, fitted.recording.inserted, f"inserted as missed{known}")
+    yield from _about_rows(fitted)
     if settled := len(fitted.recording.settled):
         yield ReportLine(
             "note",
             f"{counted(settled, 'impact')} left out: in bounces that settle, flights"
             " are as short as the stamps are wrong, so one closing stands for each row.",
         )
+
+
+def _about_rows(fitted: Identification) -> Iterator[ReportLine]:
+    """What the motion has and the sensor does not report."""
+    rows, hits = fitted.recording.rows, len(fitted.recording.row_hits)
+    openings = sum(kind is Kind.OPEN for key in rows for _, kind in key.switches)
+    closings = len(fitted.recording.bouncing)
+    if hits:
+        where = " inside its dead time"
+        if closings:
+            where = f" of rows of bounces, of which {counted(closings, 'CLOSE')} report the first"
+        bounces = counted(hits, "impact")
+        yield ReportLine("note", f"{bounces}{where} follow from the motion; none is an outlier.")
+    if openings:
+        text = f"{counted(openings, 'OPEN')} not reported: the contact opens where its load ends."
+        yield ReportLine("note", text)
 
 
 def _declared(fitted: Identification) -> str:

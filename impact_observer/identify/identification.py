@@ -10,12 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.errors import IdentificationError, UsageError
+from impact_observer.errors import (
+    DynamicsError,
+    IdentificationError,
+    ModelError,
+    UsageError,
+)
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
 from impact_observer.identify.growing import Grown, grown, phases_of, stage_of
 from impact_observer.identify.late_start import late_start
-from impact_observer.identify.least_squares import usual_size
+from impact_observer.identify.least_squares import is_lost, usual_size, weighed
 from impact_observer.identify.other_parameters import (
     OtherParameter,
     fits_with_others,
@@ -43,6 +48,7 @@ from impact_observer.identify.search import (
 from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
 from impact_observer.identify.sensor_rows import used_samples
 from impact_observer.identify.smoothed_start import is_crowded, smoothed_start
+from impact_observer.identify.unreported import has_rows, is_same, opened, with_rows
 from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside
 from impact_observer.model.live_signals import refused
@@ -72,6 +78,10 @@ _PART = 32
 """Events of each further part of a long recording."""
 _PARTS = 8
 """Most further parts."""
+_ROW_ROUNDS = 60
+"""Most fits, each with the bounces of the one before: each may show one row more."""
+_FAILURES = 3
+"""Such fits in a row that do not converge, after which no more follow."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -294,6 +304,13 @@ class _Search(NamedTuple):
         clock, family = self.clock, self.family
         if clock is not None and (smoothed := self._smoothed(clock)):
             return smoothed
+        if has_rows(self.whole, family.system) and (rowed := self._with_rows()):
+            return rowed
+        return self._replace(whole=opened(self.whole)).fit_as_reported()
+
+    def fit_as_reported(self) -> _Fitted:
+        """The fit without bounces that the sensor does not report."""
+        family = self.family
         self.report.stage("all impacts accepted")
         problem, solution = gated(*fit(self.whole.problem(family)))
         first = self._accepting(self.whole, problem, solution)
@@ -313,6 +330,51 @@ class _Search(NamedTuple):
         is_part = reached is not None and reached.moments < len(problem.moments)
         own = replace(fitted.identification, reached=reached if is_part else None)
         return fitted._replace(identification=own)
+
+    def _with_rows(self) -> _Fitted | None:
+        """The fit with the bounces that the sensor does not report; None if it explains nothing.
+
+        The search begins without bounces: a contact that closes rests, until it hits again where
+        no opening is reported.
+        """
+        self.report.stage("bounces that are not reported")
+        try:
+            fitted = self._rowed(self.whole)
+        except (IdentificationError, DynamicsError, ModelError, linalg.LinAlgError):
+            return None
+        is_one = fitted.identification.recording.rows and self._explains(*fitted[1:])
+        return fitted if is_one else None
+
+    def _rowed(self, recording: Recording) -> _Fitted:
+        """The fit with the bounces that it makes itself, begun without any, and with given values.
+
+        A contact that does not bounce says nothing of its restitution.
+        """
+        given, n2 = replace(self.family, parameters=()), 2 * self.family.system.n
+        problem, solution = fit(recording.problem(given))
+        if not problem.has_closings and is_lost(problem, solution.shifts, solution.freedom):
+            raise IdentificationError(
+                "bounces of a motion that is far from the events say nothing"
+            )
+        for family in (given, self.family):
+            y = np.concatenate([solution.y[:n2], family.nominal])
+            failures = 0
+            for _ in range(_ROW_ROUNDS):
+                after = with_rows(recording, problem, solution, self.clock or 0.0)
+                if failures == _FAILURES or (
+                    is_same(after, recording) and problem.family is family
+                ):
+                    break
+                recording = after
+                problem, solution = weighed(recording.problem(family), y)
+                lost = not solution.converged or is_lost(
+                    problem, solution.shifts, solution.freedom
+                )
+                y, failures = solution.y, failures + 1 if lost else 0
+            if not self.family.size:
+                break
+        problem, solution = gated(problem, solution)
+        return _Fitted(self._accepting(recording, problem, solution), problem, solution)
 
     def _accepting(
         self, recording: Recording, problem: Problem, solution: Solution

@@ -66,6 +66,11 @@ class Problem(NamedTuple):
         return np.array([each.t for each in self.moments])
 
     @property
+    def has_closings(self) -> bool:
+        """Whether a contact stays closed after some moment."""
+        return any(each.held for each in self.moments)
+
+    @property
     def begin(self) -> Vector:
         """The instants with which a fit begins, s since the epoch, shape (moments,)."""
         return np.array([self.instants.get((each.t, each.hit), each.t) for each in self.moments])

@@ -42,6 +42,9 @@ class Recording:
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
         report: receives how far a fit is.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
+        rows: switches that follow from the motion and that the sensor does not report: those of
+            rows of bounces, of which it has reported the first edge, and openings.
+        bouncing: closings that are such a first edge, and so impacts.
     """
 
     episode: Episode
@@ -55,6 +58,8 @@ class Recording:
     instants: Instants = field(default_factory=lambda: AT_STAMPS)
     report: Callable[[str], None] = no_report
     dead_time: float = 0.0
+    rows: tuple[EventKey, ...] = ()
+    bouncing: frozenset[Hit] = field(default=frozenset())
 
     @property
     def start(self) -> float:
@@ -65,6 +70,16 @@ class Recording:
     def outliers(self) -> int:
         """Number of impacts that are rejected or inserted, but for those in a dead time."""
         return len(self.rejected) + len(self.inserted) - len(self.in_dead_time)
+
+    @property
+    def row_hits(self) -> frozenset[Hit]:
+        """The hits of ``rows``."""
+        return frozenset(
+            (key.stamp, i)
+            for key in self.rows
+            for i, kind in key.switches
+            if kind is not Kind.OPEN
+        )
 
     @property
     def in_dead_time(self) -> set[Hit]:
@@ -90,7 +105,7 @@ class Recording:
         kept = []
         for key in self.episode.keys:
             switches = [
-                (contact, kind)
+                (contact, Kind.IMPACT if (key.stamp, contact) in self.bouncing else kind)
                 for contact, kind in key.switches
                 if kind is Kind.OPEN or (key.stamp, contact) not in self.rejected
             ]
@@ -100,7 +115,7 @@ class Recording:
             EventKey(stamp, 0, ((contact, Kind.IMPACT),))
             for stamp, contact in self.inserted - known
         ]
-        keys = sorted([*(key for key in kept if key.switches), *added])
+        keys = sorted([*(key for key in kept if key.switches), *added, *self.rows])
         return changes(keys, self.episode.epoch)
 
     def problem(self, family: ParametricFamily) -> Problem:
@@ -110,9 +125,9 @@ class Recording:
             ImpactLawError: the impact law has no solution at an event.
         """
         newton, phases = ImpactLaw(family.system), Phases(family.system)
-        moments = []
+        moments, unmeasured = [], self.inserted | self.row_hits
         for change in self._changes():
-            inserted = any((change.stamp, i) in self.inserted for i in change.hit)
+            inserted = any((change.stamp, i) in unmeasured for i in change.hit)
             moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))

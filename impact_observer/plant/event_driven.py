@@ -53,6 +53,9 @@ class Plant:
     _watch: Watch
     _next: Switching | None
     _moving: PhaseMotion | None
+    _pending: list[tuple[Instant, int]]
+    _inside: tuple[int, ...]
+    _left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None
 
     def __init__(
         self,
@@ -95,15 +98,21 @@ class Plant:
         self._zeno = ZenoCutoff(self._phases)
         self._accumulation = AccumulationDetector(self._zeno.shortest)
         self._instant_changes = 0
-        self._pending: list[tuple[Instant, int]] = []
-        self._inside: tuple[int, ...] = ()
-        self._left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None = None
         self._watch_of = lru_cache(KEPT)(self._watched)
         self._switches = lru_cache(KEPT)(partial(switches, system))
         gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)), ())
         self.impacts = PlainImpacts(self._phases, self._law, gaps.guards, self._zeno.shortest, LOW)
         self._energetic = 0.0
-        start, x = Instant(epoch), np.concatenate([q, u])
+        self.restart(epoch, np.concatenate([q, u]))
+
+    def restart(self, stamp: int, x: Vector) -> None:
+        """Go on from the state ``x`` (q, u) in the system's frame at ``stamp``, ns; all is open.
+
+        Raises:
+            ImpactLawError: contacts are closed there and their impact has no solution.
+        """
+        system, start, (q, u) = self.system, Instant(stamp), np.split(x, 2)
+        self._pending, self._inside, self._left = [], (), None
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
         self._begin(start, x, grip)
         gamma, drives = system.contact_speed(u), system.drives

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A debounced switch reports first edges of rows of bounces: the fit has the other bounces."""
+
+import numpy as np
+import pytest
+
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.identify import fit_report
+from impact_observer.identify.fit_check import check_fit
+from impact_observer.identify.identification import identify
+from impact_observer.model import Model, parse_model
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import from_seconds, grid
+
+EPOCH = 1_700_000_000 * 10**9
+PRESS = """
+name: press
+bodies: [{{name: ram, mass: 1.6}}, {{name: tool, mass: 0.6}}]
+springs:
+  - {{between: [ground, ram], stiffness: 38, damping: 0.5}}
+  - {{between: [ram, tool], stiffness: 55, damping: 0.5}}
+forces: [{{body: tool, constant: 4.5}}, {{body: ram, amplitude: 13, frequency: 2.5}}]
+stops: [{{name: die, body: tool, limit: 0.05, side: above, restitution: {0}}}]
+"""
+CLOCK = 1e-5
+ROW = 0.16
+"""Longest time between two hits of a row, s."""
+
+
+def press(restitution: float = 0.3) -> Model:
+    """A tool that a force presses on its die, where it bounces until it rests."""
+    return parse_model(PRESS.format(restitution), "press")
+
+
+def hits_of(model: Model, start: float, seconds: float) -> list[tuple[int, Kind]]:
+    """Stamps, ns, and kinds of all switches from rest at a position of both bodies, m."""
+    stamps = grid(EPOCH, EPOCH + from_seconds(seconds), 50.0)
+    run = simulate(Plant(model.system, np.full(2, start), np.zeros(2), epoch=EPOCH), stamps)
+    return [(s.instant.stamp, each.kind) for s in run.switchings for each in s.switches]
+
+
+def first_edges(hits: list[tuple[int, Kind]]) -> list[tuple[int, Kind]]:
+    """The first edge of each row, as CLOSE if the row ends at rest, and each OPEN."""
+    found, last = list[tuple[int, Kind]](), 0
+    for stamp, kind in hits:
+        if kind is Kind.OPEN or stamp - last > from_seconds(ROW):
+            found.append((stamp, kind))
+        elif kind is Kind.CLOSE:
+            found[-1] = found[-1][0], Kind.CLOSE
+        last = stamp
+    return found
+
+
+def events(hits: list[tuple[int, Kind]], contact: str = "die") -> list[ImpactEvent]:
+    """Numbered events with stamps that jitter by ``CLOCK``."""
+    late = CLOCK * np.random.default_rng(3).standard_normal(len(hits))
+    return [
+        ImpactEvent(stamp + from_seconds(dt), (Switch(contact, kind),), k, 1, EPOCH)
+        for k, ((stamp, kind), dt) in enumerate(zip(hits, late.tolist(), strict=True), start=1)
+    ]
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
+    opens: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Closings at the first edge are fitted as rows, whether or not openings are reported."""
+    reported = [
+        each for each in first_edges(hits_of(press(), -0.2, 12.0)) if opens or each[1] != Kind.OPEN
+    ]
+    guess = press(0.35)
+    family = parametric_family(guess.system, ("restitution",), guess.elements)
+    fitted = identify(family, events(reported), clock=CLOCK)
+    assert check_fit(fitted).fits
+    assert fitted.values[0] == pytest.approx(0.3, abs=4 * fitted.errors[0])
+    assert fitted.errors[0] < 0.01
+    fit_report.print_parameters(fitted, check_fit(fitted))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of rows of bounces, of which" in said
+    assert ("OPENs not reported" in said) is not opens
+    assert not fitted.recording.outliers
+
+
+def test_a_check_takes_a_dead_time_beside_closings() -> None:
+    """The right model fits first edges of a switch whose dead time is declared."""
+    family = parametric_family(press().system, (), press().elements)
+    reported = first_edges(hits_of(press(), -0.2, 12.0))
+    fitted = identify(family, events(reported), clock=CLOCK, dead_time=0.02)
+    assert check_fit(fitted).fits
+    assert fitted.recording.bouncing
+    assert not fitted.recording.outliers
