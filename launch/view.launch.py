@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant and estimates side by side: the node viewer, and RViz to look at what it publishes.
+"""Plant and estimates side by side: the node viewer, robots of the estimates, and RViz.
 
     ros2 launch impact_observer demo.launch.py
     ros2 launch impact_observer view.launch.py model:=two_mass observers:=observer_geometric
 
 An argument beats params_file; one that is left out stays as the file, else the node, has it.
+With the argument model, robot_state_publisher moves a robot by the joint states of each observer.
 """
 
 from pathlib import Path
@@ -16,6 +17,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from impact_observer.draw.urdf_text import model_urdf
+from impact_observer.io.interfaces import OBSERVER_JOINT_STATES
+from impact_observer.model import read_model
 from impact_observer.options import Option
 from impact_observer.ros.parameters import VIEWER
 from impact_observer.ros.wiring import following, local_discovery
@@ -29,7 +33,7 @@ PARAMETERS = (
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The arguments, the viewer, and RViz if it is wanted."""
+    """The arguments, the viewer, and the robots and RViz if they are wanted."""
     return LaunchDescription(
         [
             *(_argument(each) for each in PARAMETERS),
@@ -41,6 +45,9 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "impacts", default_value="impacts", description="the topic of the impacts"
+            ),
+            DeclareLaunchArgument(
+                "robots", default_value="true", description="whether estimates move robots, too"
             ),
             DeclareLaunchArgument(
                 "rviz", default_value="true", description="whether to start RViz too"
@@ -68,6 +75,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         for each in PARAMETERS
         if given[each.name]
     }
+    observers = [each.strip() for each in (given["observers"] or "observer").split(",")]
     viewer = Node(
         package="impact_observer",
         executable="viewer",
@@ -84,9 +92,47 @@ def _nodes(context: LaunchContext) -> list[Node]:
         name="rviz",
         namespace=given["namespace"],
         arguments=["-d", given["rviz_config"]],
-        remappings=[("/viewer/markers", "viewer/markers")],  # below the namespace
+        remappings=[  # below the namespace
+            ("/viewer/markers", "viewer/markers"),
+            ("/observer/robot_description", f"{observers[0]}/robot_description"),
+        ],
         output="screen",
         additional_env=following(),
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
-    return [viewer, rviz]
+    return [viewer, *_robots(context, observers), rviz]
+
+
+def _robots(context: LaunchContext, observers: list[str]) -> list[Node]:
+    """One robot_state_publisher for each observer, in the place of its markers."""
+    given = context.launch_configurations
+    if not given["model"]:
+        return []
+    model, kind = read_model(given["model"]), "robot_state_publisher"
+    frame, amplitude = given["frame"] or "world", float(given["amplitude"] or 0)
+    robots = []
+    for row, observer in enumerate(observers, start=1):
+        own = observer.rpartition("/")[2]
+        text = model_urdf(model, prefix=f"{own}_", frame=frame, row=row, amplitude=amplitude)
+        parameters = {"robot_description": ParameterValue(text, value_type=str)}
+        if given["use_sim_time"]:
+            clock = LaunchConfiguration("use_sim_time")
+            parameters["use_sim_time"] = ParameterValue(clock, value_type=bool)
+        states = OBSERVER_JOINT_STATES.name_under(observer)
+        robots.append(
+            Node(
+                package=kind,
+                executable=kind,
+                name=f"{own}_robot",
+                namespace=given["namespace"],
+                parameters=[parameters],
+                remappings=[
+                    ("joint_states", states),
+                    ("robot_description", f"{observer}/robot_description"),
+                ],
+                output="screen",
+                additional_env=following(),
+                condition=IfCondition(LaunchConfiguration("robots")),
+            )
+        )
+    return robots

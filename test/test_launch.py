@@ -2,7 +2,7 @@
 """The launch files and the nodes' parameter files: alone, against the demo command, and run."""
 
 import contextlib
-import importlib
+import importlib.util
 import os
 import re
 import shutil
@@ -15,13 +15,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree as ET
 
+import launch_stand_ins
+import numpy as np
 import pytest
-from ruamel.yaml import YAML
+from launch_stand_ins import load_yaml
 
 from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
-from impact_observer.io.interfaces import VIEWER_MARKERS
+from impact_observer.io.interfaces import INTERFACES, VIEWER_MARKERS
+from impact_observer.options import Option
 from impact_observer.ros.parameters import TABLES
 from impact_observer.ros.wiring import DemoSetup, local_discovery, monitors, observers, plant
 
@@ -38,13 +42,8 @@ ARGUMENTS = {
     "observer": {p.name for p in TABLES["observer"]}
     | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
     "view": {p.name for p in TABLES["viewer"]}
-    | {"use_sim_time", "params_file", "namespace", "impacts", "rviz", "rviz_config"},
+    | {"use_sim_time", "params_file", "namespace", "impacts", "robots", "rviz", "rviz_config"},
 }
-
-
-def load_yaml(text: str) -> Any:  # noqa: ANN401 (YAML holds anything)
-    """What a YAML text holds, as plain values."""
-    return YAML(typ="safe", pure=True).load(text)
 
 
 @dataclass
@@ -54,7 +53,7 @@ class Started:
     executable: str
     name: str = ""
     namespace: str = "/"
-    parameters: dict[str, object] = field(default_factory=dict)
+    parameters: dict[str, Any] = field(default_factory=dict)
     remappings: dict[str, str] = field(default_factory=dict)
 
 
@@ -81,9 +80,23 @@ def started(executable: str, arguments: Sequence[str]) -> Started:
     return node
 
 
+def described(node: launch_stand_ins.Node, context: launch_stand_ins.LaunchContext) -> Started:
+    """The same of a node of a stand-in."""
+    made = Started(node.executable, node.name, f"/{node.namespace.strip('/')}")
+    for each in node.parameters:
+        if isinstance(each, str):
+            (parameters,) = load_yaml(Path(each).read_text(encoding="utf-8")).values()
+            made.parameters |= parameters["ros__parameters"]
+        else:
+            made.parameters |= {name: value.evaluate(context) for name, value in each.items()}
+    made.remappings = dict(node.remappings)
+    assert node.package == ("impact_observer" if node.executable in TABLES else node.executable)
+    return made
+
+
 @dataclass
 class Launcher:
-    """The real launch; it returns what it would start, and starts no process."""
+    """Launch, real or a stand-in; it returns what it would start, and starts no process."""
 
     launch: ModuleType
     nodes: list[Started]
@@ -105,13 +118,18 @@ class Launcher:
         entities = [self.load(file) if isinstance(file, str) else self.load_file(file)]
         while entities:
             entities = (entities.pop(0).visit(context) or []) + entities
+        if isinstance(context, launch_stand_ins.LaunchContext):
+            return [described(node, context) for node in context.nodes]
         return list(self.nodes)
 
 
 @pytest.fixture
 def launcher(monkeypatch: pytest.MonkeyPatch) -> Launcher:
-    """The real launch; where it is missing the test is skipped."""
-    launch_ros = pytest.importorskip("launch_ros.actions")  # `launch` is a folder here, too
+    """The real launch; where it is missing, the stand-ins."""
+    if importlib.util.find_spec("launch_ros") is None:
+        launch_stand_ins.put_in_place(monkeypatch)
+        return Launcher(importlib.import_module("launch"), [])
+    launch_ros = importlib.import_module("launch_ros.actions")
     launch = importlib.import_module("launch")
     perform = importlib.import_module("launch.utilities").perform_substitutions
     nodes: list[Started] = []
@@ -359,7 +377,7 @@ def test_view_launch_starts_the_viewer_and_rviz_on_its_markers(launcher: Launche
     """The layout is the one that is installed; without RViz the viewer is alone."""
     names = "observer_kinematic,observer_geometric"
     given = {"model": "two_mass", "observers": names, "rate": "10", "namespace": "rig"}
-    viewer, rviz = launcher.run("view", **given)
+    viewer, *robots, rviz = launcher.run("view", **given)
     assert viewer == Started(
         "viewer",
         "viewer",
@@ -368,16 +386,82 @@ def test_view_launch_starts_the_viewer_and_rviz_on_its_markers(launcher: Launche
         {"impacts": "impacts"},
     )
     assert (rviz.executable, rviz.namespace) == ("rviz2", "/rig")
-    assert rviz.remappings == {"/viewer/markers": "viewer/markers"}
-    (alone,) = launcher.run("view", **given, rviz="false")
+    assert rviz.remappings["/viewer/markers"] == "viewer/markers"
+    first = rviz.remappings["/observer/robot_description"]
+    assert first == robots[0].remappings["robot_description"]
+    (alone,) = launcher.run("view", **given, rviz="false", robots="false")
     assert alone == viewer
+
+
+@pytest.mark.parametrize(("model", "kind"), [("two_mass", "prismatic"), ("rocker", "revolute")])
+def test_view_launch_moves_a_robot_by_the_joint_states_of_each_observer(
+    launcher: Launcher, model: str, kind: str, tmp_path: Path
+) -> None:
+    """The URDF has the joints that the messages name; a length slides and an angle turns."""
+    from impact_observer.io import JointState
+    from impact_observer.io.messages import bag_messages
+    from impact_observer.model import read_model
+
+    given = {"observers": "observer,/rig/observer_kinematic", "use_sim_time": "true"}
+    if model == "rocker":
+        path = tmp_path / "rocker.yaml"
+        text = (ROOT / "config" / "two_mass.yaml").read_text("utf-8")
+        path.write_text(f"{text}unit: rad\n", encoding="utf-8")
+        model = str(path)
+    robots = [
+        node for node in launcher.run("view", model=model, **given) if "robot_s" in node.executable
+    ]
+    assert [node.name for node in robots] == ["observer_robot", "observer_kinematic_robot"]
+    names = read_model(model).system.coordinates
+    message = bag_messages().joint_state(JointState(1, names, np.zeros(2), np.zeros(2)))
+    for node, owner in zip(robots, ("observer", "/rig/observer_kinematic"), strict=True):
+        assert node.remappings == {
+            "joint_states": f"{owner}/joint_states",
+            "robot_description": f"{owner}/robot_description",
+        }
+        assert node.parameters["use_sim_time"] is True
+        robot = ET.fromstring(str(node.parameters["robot_description"]))
+        moving = [joint for joint in robot.iter("joint") if joint.get("type") != "fixed"]
+        assert [joint.get("name") for joint in moving] == list(message.name)
+        assert {joint.get("type") for joint in moving} == {kind}
+        links = [link.get("name") for link in robot.iter("link")]
+        assert links[0] == "world"
+        assert all(str(link).startswith(node.name.removesuffix("robot")) for link in links[1:])
+    (viewer, _) = launcher.run("view", params_file=str(PARAMETER_FILES[0]))
+    assert viewer.executable == "viewer"
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_what_is_launched_is_what_the_package_has(launcher: Launcher, name: str) -> None:
+    """Executables, parameters with their values, and the topics that are given other names."""
+    given = {
+        "model": "two_mass",
+        "sources": "switch",
+        "impacts": "/rig/impacts",
+        "monitor": "true",
+    }
+    known = {argument.name for argument in launcher.load(name).get_launch_arguments()}
+    launched = launcher.run(name, **{key: each for key, each in given.items() if key in known})
+    topics = {each.name for each in INTERFACES}
+    ours = [node for node in launched if node.executable in TABLES]
+    assert ours
+    assert len({(node.namespace, node.name) for node in launched}) == len(launched)
+    for node in ours:
+        sim_time = Option("use_sim_time", False, "of ROS")
+        table = {each.name: each for each in (*TABLES[node.executable], sim_time)}
+        for parameter, value in node.parameters.items():
+            table[parameter].check(value)
+        assert node.remappings.keys() <= topics
+        assert re.fullmatch(r"[a-z_]+", node.name)
 
 
 def test_layout_of_rviz_shows_what_the_viewer_publishes() -> None:
     """Topic and quality of service are those of the one table, the frame is the default."""
     layout = load_yaml((ROOT / "layouts" / "view.rviz").read_text(encoding="utf-8"))
     manager = layout["Visualization Manager"]
-    (display,) = manager["Displays"]
+    display, robot = manager["Displays"]
+    assert robot["Class"] == "rviz_default_plugins/RobotModel"
+    assert robot["Description Topic"]["Value"] == "/observer/robot_description"
     assert display["Topic"]["Value"] == VIEWER_MARKERS.topic
     assert display["Topic"]["Reliability Policy"] == "Reliable"
     assert not VIEWER_MARKERS.quality.transient_local

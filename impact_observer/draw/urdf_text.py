@@ -17,6 +17,7 @@ from impact_observer.draw.scene.arrangement import Wall
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.draw.scene.shapes import ROD_HEIGHT, ROWS, STOP_HEIGHT, Box, grounds, pads
 from impact_observer.errors import UsageError
+from impact_observer.model import Model
 from impact_observer.plain_text import printable_lines
 
 _BODY, _STOP = (0.40, 0.61, 0.78), (0.45, 0.45, 0.45)
@@ -28,6 +29,28 @@ _FIXED = "_fixed"
 """Suffix of the name of a stop's joint."""
 _LIMIT = {"lower": "-1e+09", "upper": "1e+09", "effort": "0", "velocity": "0"}
 """Limits of every joint. A URDF requires numbers; coordinates are limited by their stops."""
+
+
+def model_urdf(
+    model: Model, *, prefix: str = "", frame: str = "world", row: int = 0, amplitude: float = 0.0
+) -> str:
+    """The URDF of a model: of a robot its own, else that of its scene, as ``urdf_text`` makes it.
+
+    Args:
+        model: the model.
+        prefix: before the names of all links but the first; not of a robot.
+        frame: name of the first link; not of a robot.
+        row: number of the viewer's row; not of a robot.
+        amplitude: how far each coordinate may move, m; 0 to take it from the model.
+
+    Raises:
+        UsageError: a robot's URDF is to come from its topic, or a link has the first one's name.
+    """
+    if model.robot is not None:
+        return model.robot.known_urdf.text
+    start = () if model.position is None else [model.position]
+    scene = Scene.of_system(model.system, start, amplitude)
+    return urdf_text(scene, prefix=prefix, frame=frame, row=row)
 
 
 def urdf_text(
