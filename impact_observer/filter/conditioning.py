@@ -34,6 +34,7 @@ from impact_observer.kernel._kernel import (
     leading,
 )
 from impact_observer.states import Matrix, Vector
+from impact_observer.turns import give_turn
 
 _NO_TIME = 1e-15
 """Time in which nothing moves, s."""
@@ -100,6 +101,7 @@ class Conditioning:
         leftover: float = 0.0,
     ) -> GaussianState:
         """The state after an event, whose ``likelihood`` may be known; see ``after_jump``."""
+        give_turn()
         prior = self.joint_prior(change, state, clock)
         return self.after_jump(change, self.joint_posterior(change, prior, likelihood), leftover)
 
@@ -119,6 +121,7 @@ class Conditioning:
 
     def likelihood(self, change: ContactChange, state: GaussianState, clock: float) -> Likelihood:
         """The likelihood of an event at a stamp with the standard deviation ``clock``, s."""
+        give_turn()
         contacts = self.measured_contacts(change)
         if not contacts:
             # The instant of each switch is as likely as any in the model's time scale.

@@ -22,12 +22,15 @@ from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.saltation import Measured
 from impact_observer.kernel import Guards, PhaseMotion
-from impact_observer.kernel._kernel import FINE, FINER, MOST_SAMPLES, dips_along, falls_at
+from impact_observer.kernel._kernel import FINE, FINER, MOST_SAMPLES, TINY, dips_along, falls_at
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
+from impact_observer.turns import give_turn
 
 _FIRST_SAMPLES = 8.0 ** np.arange(-FINER, 0)
 """Samples in the first interval, over its length: a flight after an impact may be short."""
+_AT_ONCE = 1000.0
+"""Flights that the kernel searches without a turn, in the model's time scale."""
 _EPS = float(np.finfo(np.float64).eps)
 """Distance of 1 from the next larger number."""
 _GUARD_ROUNDING = 64 * _EPS
@@ -151,10 +154,16 @@ def dips_of(
 
     None where the kernel does not find them.
     """
-    gaps = filter_.gaps((), float(max(duration, default=0.0)))
+    longest = float(max(duration, default=0.0))
+    gaps = filter_.gaps((), longest)
     if gaps is None:
         return None
-    found = gaps.dips(t, duration, states, np.array(levels))
+    found, noise = [], np.array(levels)
+    step = max(int(_AT_ONCE * filter_.phases.scales.timescale / max(longest, TINY)), 1)
+    for k in range(0, len(states), step):
+        give_turn()
+        some = slice(k, k + step)
+        found += gaps.dips(t[some], duration[some], states[some], noise[some])
     return [[Dip(dip[0], Kind.IMPACT, *dip) for dip in some] for some in found]
 
 
@@ -200,6 +209,7 @@ class Forecast:
                 return found[0]
         if not (self._flight.contacts and duration > 0):
             return []
+        give_turn()
         s = self._flight.instants(duration)
         values = np.nan_to_num(self._flight.values(self.prediction.motion, s))  # may overflow
         along = dips_along(s, values, self._value, self._rounding, self._spread)

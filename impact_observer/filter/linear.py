@@ -12,6 +12,7 @@ from impact_observer.filter.process_noise import ProcessNoise
 from impact_observer.filter.square_root import narrow, triangular
 from impact_observer.kernel._kernel import Sensitivity, leading
 from impact_observer.states import Matrix, Vector
+from impact_observer.turns import give_turn
 
 
 class LinearPrediction:
@@ -114,6 +115,7 @@ class LinearPrediction:
         q, t, x, closed = self._members.moving, self._t, self._start.x, self._start.closed
         if not q:
             return None
+        give_turn()
 
         def at(theta: Vector) -> tuple[Vector, Matrix]:
             return self._members.motion(theta).moved(t, x, s, closed)

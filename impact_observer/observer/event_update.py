@@ -17,6 +17,7 @@ from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry
 from impact_observer.stamps import Elapsed, seconds_between, text
 from impact_observer.states import Vector
+from impact_observer.turns import give_turn
 
 
 class EventUpdate:
@@ -50,6 +51,7 @@ class EventUpdate:
             DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
                 finite.
         """
+        give_turn()
         if event.sample:
             return self._measured(previous, event, *event.sample)
         last = event.stamp, event.sequence

@@ -4,7 +4,7 @@
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -306,7 +306,8 @@ class Observer:
 
         An error that ``receive`` would raise becomes the reason of a rejection. An estimate
         contains the late events once their verdicts are yielded; until then no other call may
-        change the observer.
+        change the observer. A caller that closes the generator may give the events again that had
+        no verdict.
 
         Yields:
             Each event with its verdicts; None after each step of work in between.
@@ -321,11 +322,17 @@ class Observer:
             others.sort(key=_order)
         for some in (sorted(late, key=_order), others):
             waiting: _Late = {}
-            for event in some:
-                verdicts = self._receive_or_reject(event, waiting)
-                yield (event, verdicts) if verdicts else None
-            for run, of_run in waiting.items():
-                yield from self._receive_waiting(run, of_run)
+            try:
+                for event in some:
+                    verdicts = self._receive_or_reject(event, waiting)
+                    yield (event, verdicts) if verdicts else None
+                for run, of_run in waiting.items():
+                    yield from self._receive_waiting(run, of_run)
+            except GeneratorExit:  # whoever stops here may give the late events again
+                for run, of_run in waiting.items():
+                    for key in of_run:
+                        run.numbers.discard(key.sequence)
+                raise
 
     def _follow(self) -> None:
         """Use the samples received, except while events are inserted."""
@@ -374,6 +381,18 @@ class Observer:
         self._follow()
         if not self._is_inserting and self._run.go_on_from(now - self._history):
             self.live.forget_before(now - self._history)
+
+    @contextmanager
+    def without_new_samples(self) -> Iterator[None]:
+        """Within the block, estimates do not use samples that have just come.
+
+        So estimates may be asked for while an event is being applied (``turns``).
+        """
+        before, self._is_inserting = self._is_inserting, True
+        try:
+            yield
+        finally:
+            self._is_inserting = before
 
     def _is_late(self, event: ImpactEvent) -> bool:
         """Whether an event is of the run in use, and events after it have been applied."""

@@ -2,6 +2,7 @@
 """The base class of the nodes: parameters, topics, timers, log and diagnostics."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType, JumpThreshold
@@ -11,7 +12,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_parameters
 from rclpy.timer import Timer
 
-from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, Interface
+from impact_observer.io.interfaces import DIAGNOSTIC_ARRAYS, SIMULATED_CLOCK, Interface
 from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_joint_state
 from impact_observer.options import Option
 from impact_observer.plain_text import printable
@@ -20,7 +21,10 @@ from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.parameter_services import ParameterServices
 from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import waiting_messages
 
+_MOST_CLOCKS = 100
+"""Messages of the clock that are taken at once."""
 _OF_ROS = {"/rosout", "/parameter_events", "/clock"}
 """Topics that every node has."""
 
@@ -98,6 +102,14 @@ class BaseNode(Node):
     def repeat(self, period: float, callback: Callable[[], None]) -> Timer:
         """Call ``callback`` every ``period`` seconds of a steady clock."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def take_clock(self) -> None:
+        """Set the node's clock by what has come on ``/clock``, while nothing is spun."""
+        for each in self.subscriptions:
+            if each.topic_name == SIMULATED_CLOCK.name:
+                for message, _ in waiting_messages(each, _MOST_CLOCKS):
+                    with suppress(ValueError, OverflowError):  # a time that is none
+                        each.callback(message)
 
     def when_clock_jumps_back(self, callback: Callable[[], None]) -> None:
         """Call ``callback`` after a backward jump of the clock, as of a bag that is looped."""

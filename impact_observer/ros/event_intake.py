@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gives the events that a node receives to its observer, a few milliseconds of work at a time."""
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import AnyMessage, MessageError, MessageLimits, read_event
 from impact_observer.observer import Observer
 from impact_observer.ros.ahead_of_clock import AheadOfClock
+from impact_observer.ros.flood import FloodRule
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
@@ -23,6 +25,10 @@ _FIRST_BATCH = 8
 """Size of the first batch of events."""
 _QUICK = NS_PER_S // 2
 """The next batch is larger if this one took less time, ns."""
+_BEHIND = 0.5
+"""How long an event waits, or after one was shed, until the observer counts as behind, s."""
+_END: Any = object()
+"""Stands for the end of a batch."""
 Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
 """An event and the verdicts on its switches."""
 
@@ -49,12 +55,14 @@ class EventIntake:
       the size.
     - An event that has waited for longer than ``PATIENCE`` is rejected, so that an observer that
       cannot keep up does not fall behind further and further.
+    - Events that are too many for the observer to apply are shed (``FloodRule``).
     - An event that is too far ahead of the clock is rejected, and applied once the clock is near:
       perhaps the clock is late.
 
     Attributes:
         counts: ``future``: events ahead of the clock; ``invalid``: messages without a valid
-            event; ``overflow``: events without room; ``waited``: events that waited too long.
+            event; ``overflow``: events without room; ``waited``: events that waited too long;
+            ``shed``: events of a flood.
     """
 
     def __init__(
@@ -81,6 +89,8 @@ class EventIntake:
         self._waiting: deque[WaitingEvent] = deque()
         self._batch: list[WaitingEvent] = []
         self._batch_size, self._begun = _FIRST_BATCH, 0
+        self._batch_work, self._batch_begun_with = 0, 1
+        self._flood, self._shed_at, self._is_flooded = FloodRule(), -math.inf, False
         self._ahead = AheadOfClock[ImpactEvent](MOST_WAITING)
         self._refused: deque[Judged] = deque()
         self._work: Iterator[Judged | None] | None = None
@@ -104,6 +114,12 @@ class EventIntake:
         waited = (time.monotonic_ns() - oldest.since) / NS_PER_S
         return len(batch) + len(self._waiting), waited
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether an event has waited for long, or has just been shed."""
+        recent = (time.monotonic_ns() - self._shed_at) / NS_PER_S < _BEHIND
+        return recent or self.backlog()[1] > _BEHIND
+
     def take_message(self, message: AnyMessage) -> str:
         """Keep the event of an ``ImpactEvent`` message for the next slice of work.
 
@@ -115,13 +131,17 @@ class EventIntake:
         except MessageError as error:
             self.counts["invalid"] += 1
             return str(error)
-        if reason := self._reason_to_wait(event):
+        self._flood.note_event(event.stamp)
+        if self._flood.sheds(event.stamp):
+            self._note_shed()
+        elif reason := self._reason_to_wait(event):
             self.counts["future"] += 1
             self._refuse(event, reason)
             if self._ahead.keep(max(event.stamp, event.epoch), event) is not None:
                 self.counts["overflow"] += 1
         elif len(self._waiting) < MOST_WAITING:
             self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=False))
+            self._look_for_floods()
         else:
             self.counts["overflow"] += 1
         return ""
@@ -149,13 +169,17 @@ class EventIntake:
             if self._work is None:
                 if not self._waiting:
                     return
-                self._work = self._begin_batch()
+                self._work = self._timed(self._begin_batch())
             for item in self._work:
                 if item is not None:
                     yield self._finished(*item)
+                if self._is_flooded:
+                    self._abandon_batch()
+                    return
                 if time.monotonic_ns() >= end:
                     return
             self._work = None
+            self._flood.note_cost(self._batch_work // self._batch_begun_with)
             quick = time.monotonic_ns() - self._begun < _QUICK
             size = 2 * self._batch_size if quick else self._batch_size // 2
             self._batch_size = min(max(size, 1), MOST_WAITING)
@@ -165,7 +189,41 @@ class EventIntake:
         self._begun = time.monotonic_ns()
         count = min(self._batch_size, len(self._waiting))
         self._batch = [self._waiting.popleft() for _ in range(count)]
+        self._batch_work, self._batch_begun_with = 0, count
         return self._observer.receiving([each.event for each in self._batch])
+
+    def _timed(self, work: Iterator[Judged | None]) -> Iterator[Judged | None]:
+        """The steps of a batch; looks for floods after each."""
+        while True:
+            begin = time.monotonic_ns()
+            item = next(work, _END)
+            self._batch_work += time.monotonic_ns() - begin
+            if item is _END:
+                return
+            self._look_for_floods()
+            yield item
+
+    def _look_for_floods(self) -> None:
+        """Shed what waits of periods that have just become flooded."""
+        batch = len(self._batch) if self._work is not None else 0
+        cost = self._batch_work // self._batch_begun_with
+        if self._flood.looks_for_floods(batch + len(self._waiting), cost):
+            kept = [each for each in self._waiting if not self._flood.sheds(each.event.stamp)]
+            self._note_shed(len(self._waiting) - len(kept))
+            self._waiting = deque(kept)
+            self._is_flooded = any(self._flood.sheds(each.event.stamp) for each in self._batch)
+
+    def _note_shed(self, count: int = 1) -> None:
+        """Count events that are shed."""
+        self.counts["shed"] += count
+        self._shed_at = time.monotonic_ns()
+
+    def _abandon_batch(self) -> None:
+        """Let the events of a batch wait again that are not applied, and shed flooded ones."""
+        self._work, self._is_flooded = None, False
+        kept = [each for each in self._batch if not self._flood.sheds(each.event.stamp)]
+        self._note_shed(len(self._batch) - len(kept))
+        self._waiting.extendleft(reversed(kept))
 
     def _finished(self, event: ImpactEvent, verdicts: tuple[Verdict, ...]) -> Judged:
         """Remove an applied event from the batch.
@@ -201,6 +259,9 @@ class EventIntake:
         while len(self._waiting) < MOST_WAITING:
             if (event := self._ahead.take_next(latest)) is None:
                 return
+            if self._flood.sheds(event.stamp):
+                self._note_shed()
+                continue
             self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=True))
 
     def _reason_to_wait(self, event: ImpactEvent) -> str:

@@ -35,7 +35,8 @@ class ObserverDiagnostics:
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
+            ``invalid``, ``overflow``, ``waited``, ``shed``, ``large innovations`` and
+            ``clock_jumps``.
         failure: why there is no estimate; empty while there are estimates.
         mismatch: a publisher with an incompatible quality of service; empty for none.
         odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
@@ -122,6 +123,7 @@ class ObserverDiagnostics:
             "without room": self.counts["overflow"],
             "waiting": self._waiting,
             "waited too long": self.counts["waited"],
+            "shed as a flood": self.counts["shed"],
             "missing sequence numbers": observer.missing,
             "estimates corrected": self.counts["corrected"],
             "estimates passed over": self.counts["passed_over"],
@@ -217,6 +219,7 @@ class ObserverDiagnostics:
             "events were not applied": refused + self.counts["invalid"],
             "events found no room": self.counts["overflow"],
             "events waited for too long": self.counts["waited"],
+            "events were shed as a flood": self.counts["shed"],
             "events had a large innovation (is clock_error too small?)": large,
             "periods of the drive were off and are not used": self._odd_periods,
         }

@@ -5,14 +5,17 @@ An event passes through ``_on_impacts``, ``EventIntake``, ``_apply`` and ``_publ
 """
 
 import re
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
 from numpy.typing import ArrayLike
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import ImpactObserverError, UsageError
@@ -28,18 +31,21 @@ from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.estimate_times import EstimateTimes
-from impact_observer.ros.event_intake import EventIntake, Judged
+from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.log_lines import without_numbers
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.sensor_intake import SensorIntake
-from impact_observer.ros.subscribing import subscribe
+from impact_observer.ros.subscribing import subscribe, waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
+from impact_observer.turns import turns_given_to
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
+_TURN = 0.05
+"""How long an event may take to be applied until predictions are published meanwhile, s."""
 _LONGEST = 100
 """Characters of a reason that are logged; the published verdict has all of them."""
 
@@ -85,7 +91,8 @@ class ObserverNode(BaseNode):
         future = from_seconds(values.number("future"))
         self.intake = EventIntake(self.observer, self.stamp_now, future, limits, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
-        self._subscribe_to_impacts()
+        self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
+        self._is_turn = self._went_back = False
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._times.rate, self._on_timer)
@@ -100,9 +107,9 @@ class ObserverNode(BaseNode):
             f"events on impacts{live}{topics}",
         )
 
-    def _subscribe_to_impacts(self) -> None:
+    def _subscribe_to_impacts(self) -> Subscription:
         durability = self.values.text("events_durability")
-        subscribe(
+        return subscribe(
             self,
             message_class(interfaces.IMPACTS.type),
             interfaces.IMPACTS.name,
@@ -172,31 +179,39 @@ class ObserverNode(BaseNode):
 
     def _on_impacts(self, messages: Sequence[AnyMessage]) -> None:
         """Take the messages that wait, and apply their events."""
+        self._take_impacts(messages)
+        self._apply_events()
+
+    def _take_impacts(self, messages: Iterable[AnyMessage]) -> None:
         for message in messages:
             if problem := self.intake.take_message(message):
                 self._diagnostics.note_refusal(problem)
                 self.lines.error(f"impacts: {problem}")
-        self._apply_events()
 
     def _apply_events(self) -> None:
         """Apply events for some milliseconds, and go on after others had their turn."""
         self._apply(self.intake.apply_waiting())
+        if self._went_back:
+            self._went_back = False
+            self._on_clock_back()
         if self.intake.is_busy:
             self._go_on.trigger()
 
     def _apply(self, received: Iterable[Judged]) -> None:
         """Publish the estimate that events correct, then their verdicts."""
         pending, is_corrected = [], False
-        for event, verdicts in received:
-            if (restarts := self.observer.restarts) > self._restarts:
-                self._restarts, is_corrected = restarts, False
-                self._forget_estimates()
-                self.lines.warning(
-                    f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
-                )
-            late = event.stamp <= self._last_stamp
-            is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
-            pending.append((event, verdicts, late))
+        self._next_turn = time.monotonic() + _TURN
+        with turns_given_to(self._meanwhile):
+            for event, verdicts in received:
+                if (restarts := self.observer.restarts) > self._restarts:
+                    self._restarts, is_corrected = restarts, False
+                    self._forget_estimates()
+                    self.lines.warning(
+                        f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
+                    )
+                late = event.stamp <= self._last_stamp
+                is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
+                pending.append((event, verdicts, late))
         if is_corrected:
             self._correct_from(0)
         for event, verdicts, late in pending:
@@ -206,6 +221,20 @@ class ObserverNode(BaseNode):
             self._publish_verdicts(self._with_lag_reason(verdicts) if late else verdicts, latency)
         if self.observer.samples.sensors:  # samples that came while events were inserted
             self._sensors.use_waiting()
+
+    def _meanwhile(self) -> None:
+        """Take messages and publish predictions while an event takes long to be applied."""
+        begin = time.monotonic()
+        if begin < self._next_turn:
+            return
+        self._is_turn = True
+        self.take_clock()
+        self._take_impacts(each for each, _ in waiting_messages(self._impacts, MOST_WAITING))
+        with self.observer.without_new_samples():
+            self._publish_due()
+        self._is_turn = False
+        end = time.monotonic()
+        self._next_turn = end + max(_TURN, end - begin)  # at least half of the time is for events
 
     def _correct_from(self, stamp: int) -> None:
         """Publish the last estimate again if knowledge has changed from ``stamp`` (ns) on."""
@@ -281,6 +310,8 @@ class ObserverNode(BaseNode):
             self.lines.error(self._diagnostics.failure)
             return
         self._diagnostics.failure = ""
+        if self.intake.is_behind:
+            estimate = replace(estimate, synchronized=False)
         self._last = estimate
         state = self.publish(self._states, self.make.estimate, estimate, self._names)
         if state is not None:
@@ -304,6 +335,9 @@ class ObserverNode(BaseNode):
 
     def _on_clock_back(self) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
+        if self._is_turn:  # once the event is applied
+            self._went_back = True
+            return
         self.intake.clear()
         self._inputs.clear()
         self._sensors.clear()

@@ -18,10 +18,13 @@ from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
 from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
+from impact_observer.ros.flood import MOST_DENSE
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.stamps import NS_PER_S
 
+LATER = 10_000 * NS_PER_S
+"""Later than all stamps, ns."""
 Item = tuple[ImpactEvent, tuple[Verdict, ...]]
 
 
@@ -54,12 +57,12 @@ class SlowObserver:
 def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
     """The intake of a slow observer, by the clock of the observer."""
     monkeypatch.setattr(event_intake, "time", observer)
-    return EventIntake(observer, lambda: NS_PER_S, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
+    return EventIntake(observer, lambda: LATER, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
 
 
-def message(number: int) -> AnyMessage:
-    """An event with a number."""
-    event = ImpactEvent(NS_PER_S + number, (Switch("stop"),), number, 0, NS_PER_S)
+def message(number: int, apart: int = NS_PER_S) -> AnyMessage:
+    """An event with a number; the stamps of successive numbers are ``apart``, ns."""
+    event = ImpactEvent(NS_PER_S + number * apart, (Switch("stop"),), number, 0, NS_PER_S)
     return ros_messages().event(event)
 
 
@@ -99,6 +102,25 @@ def test_a_quick_observer_is_given_ever_more_events_together(
     assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
     assert sum(quick.batches) == MOST_WAITING
     assert len(quick.batches) < 10
+
+
+def test_of_a_flood_only_few_events_are_applied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of its quarter of a second are shed and counted, those of other times are applied."""
+    slow = SlowObserver(seconds=0.1)
+    intake = intake_of(slow, monkeypatch)
+    for number in range(1, 6):
+        intake.take_message(message(number))
+    assert len(taken(intake)) == 5
+    for number in range(1001, 2001):
+        intake.take_message(message(number, apart=100_000))
+    intake.take_message(message(7))
+    found = taken(intake)
+    assert intake.is_behind
+    assert intake.counts["shed"] == 1000 - len(found) + 1
+    assert len(found) <= MOST_DENSE + 1
+    assert any(event.sequence == 7 for event, _ in found)
+    slow.now += NS_PER_S
+    assert not intake.is_behind
 
 
 def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:
