@@ -23,10 +23,15 @@ _PAGE = """\
 # Options and parameters
 
 Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
-`sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters once, at the
-start. Of an observer `agreed`, `rate` and `lag` may be changed while it runs:
-`ros2 param set /observer rate 50.0`. Others are read-only: start the node again.
+`sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters at the start; the next
+table has those that may be set later. Others are read-only, and `ros2 param set` says why.
 A whole number is accepted for a double: `-p rate:=100`.
+
+## Parameters of an observer that may be set while it runs
+
+`ros2 param set /observer rate 50.0`. The log and `/diagnostics` say from when a value acts.
+
+{live}
 
 ## Options of observers
 
@@ -70,6 +75,12 @@ def arguments(table: Sequence[Option]) -> str:
     return "\n".join(lines)
 
 
+def live_parameters(table: Sequence[Option]) -> str:
+    """A table of the parameters that may be set while a node runs."""
+    lines = [row("parameter", "acts"), "|---" * 2 + "|"]
+    return "\n".join([*lines, *(row(f"`{each.name}`", each.live) for each in table if each.live)])
+
+
 def parameters(table: Sequence[Option]) -> str:
     """A table of a node's parameters."""
     head = row("parameter", "type", "default", "unit", "allowed", "meaning")
@@ -83,7 +94,11 @@ def parameters(table: Sequence[Option]) -> str:
 def page() -> str:
     """docs/parameters.md."""
     parts = [
-        _PAGE.format(observer=arguments(OBSERVER_OPTIONS), faults=arguments(SENSOR_FAULTS)),
+        _PAGE.format(
+            live=live_parameters(TABLES["observer"]),
+            observer=arguments(OBSERVER_OPTIONS),
+            faults=arguments(SENSOR_FAULTS),
+        ),
         *(f"## Node `{node}`\n\n{parameters(table)}\n" for node, table in TABLES.items()),
     ]
     return "\n".join(parts)

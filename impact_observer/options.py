@@ -19,6 +19,11 @@ _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 USED_AT_THE_START = "it is used at the start only; start the node again"
 """Why most parameters cannot be set while a node runs."""
 
+AT_ONCE = "at once"
+AT_NEXT_START = "at the next reset or start of the plant; at once before the first event"
+FROM_ESTIMATE = "from the last estimate on, at which the filter begins anew"
+"""When values act that are set while a node runs."""
+_OTHER_FILTER = "it needs another filter; start another observer beside this one"
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
 
@@ -38,8 +43,8 @@ class Option:
         required: whether the empty default is refused.
         flag: flag of the command line if it differs from ``name``.
         metavar: name of the value in ``--help``.
-        live: whether ``ros2 param set`` may change the value while a node runs.
-        fixed: why not, and what to do instead; empty for ``USED_AT_THE_START``.
+        live: when a value acts that is set while a node runs; empty if none can be set.
+        fixed: why none can be set; empty for ``USED_AT_THE_START``.
     """
 
     name: str
@@ -52,7 +57,7 @@ class Option:
     required: bool = False
     flag: str = ""
     metavar: str = ""
-    live: bool = False
+    live: str = ""
     fixed: str = ""
 
     @property
@@ -143,11 +148,12 @@ def option(
     high: float | None = None,
     flag: str = "",
     metavar: str = "",
-    live: bool = False,
+    live: str = "",
+    fixed: str = "",
 ) -> _Default:
     """Make a field of a dataclass of options; the arguments are those of ``Option``."""
-    row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar, live=live)
-    return field(default=default, metadata={"option": row})
+    row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar)
+    return field(default=default, metadata={"option": replace(row, live=live, fixed=fixed)})
 
 
 def rows_of(options: type) -> tuple[Option, ...]:
@@ -165,13 +171,14 @@ class Options:
         UsageError: a value is of the wrong type, or not in its range.
     """
 
-    law: str = option("geometric", "law by which events correct the estimate")
+    law: str = option("geometric", "law by which events correct the estimate", fixed=_OTHER_FILTER)
     initial_state: str = option(
         "zero",
         "initial state: q1,..,qn,u1,..,un; or random:SEED, drawn with standard deviations of 1 m"
         " and 1 m/s; or drawn:SEED, drawn with initial_deviation; or zero",
         flag="initial",
         metavar="STATE",
+        live=AT_NEXT_START,
     )
     initial_deviation: str = option(
         "1",
@@ -179,6 +186,7 @@ class Options:
         " deviations for a small rig",
         flag="deviation",
         metavar="D",
+        live=AT_NEXT_START,
     )
     clock_error: float = option(
         -1.0,
@@ -187,6 +195,7 @@ class Options:
         "s",
         low=-1.0,
         high=0.1,
+        live=FROM_ESTIMATE,
     )
     clock_offset_error: float = option(
         0.0,
@@ -194,18 +203,28 @@ class Options:
         "s",
         low=0.0,
         high=0.1,
+        live=FROM_ESTIMATE,
     )
     missed: float = option(
-        0.1, "minimum-variance: probability of a missed detection", low=0.0, high=0.9
+        0.1,
+        "minimum-variance: probability of a missed detection",
+        low=0.0,
+        high=0.9,
+        live=FROM_ESTIMATE,
     )
     spurious: float = option(
-        0.1, "minimum-variance: probability that an event is a false positive", low=0.0, high=0.9
+        0.1,
+        "minimum-variance: probability that an event is a false positive",
+        low=0.0,
+        high=0.9,
+        live=FROM_ESTIMATE,
     )
     mislabelled: float = option(
         0.01,
         "minimum-variance: probability that an impact is reported for another contact",
         low=0.0,
         high=0.9,
+        live=FROM_ESTIMATE,
     )
     dead_time: float = option(
         0.0,
@@ -214,6 +233,7 @@ class Options:
         "s",
         low=0.0,
         high=10.0,
+        live=FROM_ESTIMATE,
     )
     model_error: float = option(
         -1.0,
@@ -223,12 +243,14 @@ class Options:
         low=-1.0,
         high=1e6,
         metavar="A",
+        live=FROM_ESTIMATE,
     )
     estimate_parameters: tuple[str, ...] = option(
         (),
         "minimum-variance: parameters of the model to estimate with the state, by the names of"
         " identify --free, optionally with standard deviations, such as restitution=0.1",
         metavar="NAME[=D],...",
+        fixed=_OTHER_FILTER,
     )
     parameter_drift: float = option(
         0.0,
@@ -236,9 +258,14 @@ class Options:
         low=0.0,
         high=1e3,
         metavar="R",
+        fixed=_OTHER_FILTER,
     )
     ensemble: int = option(
-        10, "number of replicas, whose distances show convergence", low=1, high=1_000_000
+        10,
+        "number of replicas, whose distances show convergence",
+        low=1,
+        high=1_000_000,
+        fixed=_OTHER_FILTER,
     )
     agreed: float = option(
         1e-4,
@@ -246,7 +273,7 @@ class Options:
         low=1e-30,
         high=1.0,
         metavar="R",
-        live=True,
+        live=AT_ONCE,
     )
     epoch: int = option(
         0, "stamp of t = 0 of the forcing; 0: taken from events", "ns", low=0, high=_LAST_STAMP

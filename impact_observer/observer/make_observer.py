@@ -51,18 +51,9 @@ def make_observer(
     undeclared = 0.0 if is_exact or model.has_exact_numbers else TUNING.undeclared_error
     system, live = connected(model.system)
     law = law or law_named(options.law)
-    uncertainty = Uncertainty(
-        deviation_of(options.initial_deviation, system),
-        None if options.clock_error < 0 else options.clock_error,
-        options.clock_offset_error,
-        None if options.model_error < 0 else options.model_error,
-        options.missed,
-        options.spurious,
-        options.mislabelled,
-        unknowns or _unknown_parameters(system, options, model),
-        options.dead_time,
-        undeclared,
-    )
+    unknowns = unknowns or _unknown_parameters(system, options, model)
+    begin = Uncertainty(unknowns=unknowns, undeclared=undeclared)
+    uncertainty = declared_by(options, system, begin)
     return Observer(
         system,
         law(system, uncertainty),
@@ -74,6 +65,25 @@ def make_observer(
         agreed=options.agreed,
         live=live,
         measurements=measurements,
+    )
+
+
+def declared_by(options: Options, system: System, before: Uncertainty) -> Uncertainty:
+    """The uncertainty that ``options`` declare; parameters and model errors are as ``before``.
+
+    Raises:
+        UsageError: the deviations do not suit the ``system``.
+    """
+    return replace(
+        before,
+        deviation=deviation_of(options.initial_deviation, system),
+        clock_error=None if options.clock_error < 0 else options.clock_error,
+        clock_offset_error=options.clock_offset_error,
+        model_error=None if options.model_error < 0 else options.model_error,
+        missed=options.missed,
+        spurious=options.spurious,
+        mislabelled=options.mislabelled,
+        dead_time=options.dead_time,
     )
 
 

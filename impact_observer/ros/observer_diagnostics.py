@@ -42,6 +42,7 @@ class ObserverDiagnostics:
         odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
         inputs: the samples of live forces and grounds that the node receives; None for none.
+        changes: parameters that were set while the node runs: value, and from when it acts.
         input_timeout: how old the newest sample may be, s.
     """
 
@@ -51,6 +52,7 @@ class ObserverDiagnostics:
         self.counts: Counter[str] = Counter()
         self.failure = self.mismatch = self.behind = self.odd_epoch = ""
         self.inputs: LiveIntake | None = None
+        self.changes: dict[str, str] = {}
         self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
@@ -134,6 +136,7 @@ class ObserverDiagnostics:
             **self._input_values(now),
             **({} if last is None else _estimate_values(last, observer.system.unit)),
             **self._obstacle(last),
+            **{f"{name} was set to": text for name, text in self.changes.items()},
         }
         name, hardware = f"{self._node}: impacts", observer.system.name
         return diagnostic_status(name, level, message, values, hardware=hardware)

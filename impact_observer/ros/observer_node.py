@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
@@ -25,8 +25,9 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.observer import LARGEST_INNOVATION, initial_state, make_observer
-from impact_observer.options import Options, Value
+from impact_observer.observer import LARGEST_INNOVATION, Law, initial_state, make_observer
+from impact_observer.observer.make_observer import declared_by
+from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
@@ -39,13 +40,17 @@ from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnos
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.subscribing import subscribe, waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
-from impact_observer.states import Estimate
+from impact_observer.states import Estimate, Vector
 from impact_observer.turns import turns_given_to
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
 _TURN = 0.05
 """How long an event may take to be applied until predictions are published meanwhile, s."""
+_OF_THE_LAW = {
+    each.name for each in OBSERVER_OPTIONS if each.live in {AT_NEXT_START, FROM_ESTIMATE}
+}
+"""Parameters by which a law and its initial state are made."""
 _LONGEST = 100
 """Characters of a reason that are logged; the published verdict has all of them."""
 
@@ -93,12 +98,13 @@ class ObserverNode(BaseNode):
         self._go_on = self.create_guard_condition(self._apply_events)
         self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
         self._is_turn = self._went_back = False
+        self._declared: tuple[Law, tuple[Vector, Vector]] | None = None
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._times.rate, self._on_timer)
         self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._on_clock_back)
-        parameters.on_change(self, parameters.OBSERVER, partial(_check_lag, options), self._change)
+        parameters.on_change(self, parameters.OBSERVER, self._check_change, self._change)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
         live = f" and samples of {', '.join(self._inputs.ages(0))}" if system.live else ""
         topics = f" and publishers of {', '.join(t)}" if (t := self._sensors.topics) else ""
@@ -166,16 +172,47 @@ class ObserverNode(BaseNode):
         self._is_held = False
         self._misfit_news = MisfitNews()
 
+    def _check_change(self, values: Mapping[str, Value]) -> None:
+        """Prepare the use of ``values`` that are to be set while the node runs.
+
+        Raises:
+            UsageError: they do not suit the model or the other parameters.
+        """
+        names = {each.name for each in OBSERVER_OPTIONS} & values.keys()
+        given: dict[str, Any] = {name: values[name] for name in names}
+        options, system = replace(self.values.options(), **given), self.observer.system
+        _check_lag(options, values)
+        self._declared = None
+        if names & _OF_THE_LAW:
+            law = self.observer.law
+            self._declared = (
+                type(law)(system, declared_by(options, system, law.uncertainty)),
+                initial_state(options.initial_state, system, options.initial_deviation),
+            )
+
     def _change(self, values: Mapping[str, Value]) -> None:
         """Use parameters that were set while the node runs; stamps never go back."""
-        given = {name: float(str(value)) for name, value in values.items()}
-        self._lag = from_seconds(given.get("lag", self._lag / NS_PER_S))
-        self.observer.agreed = given.get("agreed", self.observer.agreed)
-        if (rate := given.get("rate", self._times.rate)) != self._times.rate:
+        self.values.change(values)
+        self._lag = from_seconds(self.values.number("lag"))
+        self.observer.agreed = self.values.number("agreed")
+        if (rate := self.values.number("rate")) != self._times.rate:
             epoch = self.observer.epoch or self.observer.start or 0
             self._times.change_rate(rate, epoch, self._last_stamp)
             self.destroy_timer(self._timer)
             self._timer = self.create_timer(1.0 / rate, self._on_timer)
+        since: int | None = None
+        if self._declared is not None:
+            self._apply(self.intake.finish())
+            law, self._initial = self._declared
+            since = self.observer.redeclare(law, *self._initial, self._last_stamp)
+        for name, value in values.items():
+            when = "now"
+            if name in _OF_THE_LAW:
+                when = (
+                    "the next start" if since is None else f"{since} ns" if since else "the start"
+                )
+            self._diagnostics.changes[name] = f"{value} from {when} on"
+            self.lines.info(f"parameter {name}: {self._diagnostics.changes[name]}")
 
     def _on_impacts(self, messages: Sequence[AnyMessage]) -> None:
         """Take the messages that wait, and apply their events."""

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
-from impact_observer.options import AUTO, OBSERVER_OPTIONS, VERDICTS, Option, Options, Value
+from impact_observer.options import (
+    AT_ONCE,
+    AUTO,
+    OBSERVER_OPTIONS,
+    VERDICTS,
+    Option,
+    Options,
+    Value,
+)
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
 
 if TYPE_CHECKING:
@@ -88,7 +96,7 @@ PLANT = (
 OBSERVER = (
     _MODEL,
     *OBSERVER_OPTIONS,
-    Option("rate", 100.0, "rate of the estimates", "Hz", low=0.001, high=1e5, live=True),
+    Option("rate", 100.0, "rate of the estimates", "Hz", low=0.001, high=1e5, live=AT_ONCE),
     Option(
         "lag",
         0.0,
@@ -96,7 +104,7 @@ OBSERVER = (
         "s",
         low=0.0,
         high=1e9,
-        live=True,
+        live=AT_ONCE,
     ),
     _FUTURE,
     Option("max_switches", 100, "most contacts that switch in one event", low=1, high=1_000_000),
@@ -182,6 +190,10 @@ class Values:
         """The options of the observer among the parameters."""
         named: dict[str, Any] = {each.name: self._values[each.name] for each in OBSERVER_OPTIONS}
         return Options(**named)
+
+    def change(self, values: Mapping[str, Value]) -> None:
+        """Take note of values that were set while the node runs."""
+        self._values = {**self._values, **values}
 
     def flag(self, name: str) -> bool:
         """A bool parameter."""
