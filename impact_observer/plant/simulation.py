@@ -12,7 +12,7 @@ from impact_observer.model import System
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.plant.master import Master, make_plant
 from impact_observer.plant.switching import Switching
-from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot import Robot, simulated
 from impact_observer.stamps import whole_stamps
 from impact_observer.states import Stamps, Vector
 
@@ -75,9 +75,8 @@ def simulate(
         raise UsageError("stamps: they fall; expected an ascending array, such as one of grid")
     if not isinstance(plant, Master):
         model = model_of(plant, "simulate")
-        system = model.system if model.robot is None else Robot(model.robot)
         epoch = int(stamps[0]) if stamps.size else 1
-        plant = make_plant(system, *model.initial_state(), epoch=epoch)
+        plant = make_plant(simulated(model), *model.initial_state(), epoch=epoch)
     states = np.empty((stamps.size, 2 * plant.system.n))
     switchings: list[Switching] = []
     events: list[ImpactEvent] = []

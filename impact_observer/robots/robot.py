@@ -16,6 +16,7 @@ from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.model import Model, System
+from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import checked_part, per_second
 from impact_observer.robots.pinocchio_model import imported_pinocchio, pinocchio_model
@@ -64,13 +65,24 @@ class Robot:
         torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
     """
 
-    def __init__(self, description: RobotDescription) -> None:
+    def __init__(self, description: RobotDescription | ModelSource) -> None:
         """Prepare the equations of motion.
 
+        ``description`` may be a model, or the path of a model file.
+
         Raises:
-            UsageError: pinocchio is not installed, or the URDF has not come from its topic.
-            ModelError: the URDF makes no robot that can move, or the start is inside a plane.
+            UsageError: pinocchio is not installed, the URDF has not come from its topic, or the
+                model is no robot.
+            ModelError: the model file is wrong, or the URDF makes no robot that can move.
         """
+        if not isinstance(description, RobotDescription):
+            model = model_of(description, "Robot")
+            if model.robot is None:
+                raise UsageError(
+                    f"Robot: the linear model {model.system.name} found; expected a model file"
+                    " with the key urdf"
+                )
+            description = model.robot
         self._pin = pin = imported_pinocchio()
         self.description = description
         joints = description.urdf_joints

@@ -313,6 +313,13 @@ def test_a_start_inside_a_plane_is_an_error() -> None:
         robot.checked_start([-0.5], [0.0])
 
 
+def test_a_robot_is_made_of_a_model_file_or_of_a_sample() -> None:
+    """The sample by its name; a linear model is an error that says what is expected."""
+    assert Robot("hammer_arm").coordinates == ("shoulder", "elbow")
+    with pytest.raises(UsageError, match="Robot: the linear model two_mass found; expected"):
+        Robot("two_mass")
+
+
 def test_a_missing_pinocchio_is_one_line_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     """The line names the extra and rosdep's key."""
     description = described(model_of(PENDULUM, "hinge"))
