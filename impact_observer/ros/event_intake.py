@@ -27,6 +27,8 @@ _QUICK = NS_PER_S // 2
 """The next batch is larger if this one took less time, ns."""
 _BEHIND = 0.5
 """How long an event waits, or after one was shed, until the observer counts as behind, s."""
+_CALM, _HELD = NS_PER_S // 4, 2 * NS_PER_S
+"""Time after the last event was shed until others are applied; how long one is held so, ns."""
 _END: Any = object()
 """Stands for the end of a batch."""
 Judged: TypeAlias = tuple[ImpactEvent, tuple[Verdict, ...]]
@@ -98,12 +100,20 @@ class EventIntake:
     @property
     def is_busy(self) -> bool:
         """Whether ``apply_waiting`` has work that does not depend on the clock."""
-        return bool(self._work is not None or self._waiting or self._refused)
+        waits = self._waiting and not self._holds
+        return bool(self._work is not None or waits or self._refused)
 
     @property
     def is_empty(self) -> bool:
         """Whether no event is kept, not even one ahead of the clock."""
-        return not (self.is_busy or self._ahead)
+        return not (self.is_busy or self._waiting or self._ahead)
+
+    @property
+    def _holds(self) -> bool:
+        """Whether what waits is held for a moment, as it may be of a flood that goes on."""
+        now = time.monotonic_ns()
+        since = self._waiting[0].since if self._waiting else now
+        return now - self._shed_at < _CALM and now - since < _HELD
 
     def backlog(self) -> tuple[int, float]:
         """Number of events that are not applied yet, and waiting time of the oldest, s."""
@@ -167,7 +177,7 @@ class EventIntake:
             yield self._refused.popleft()
         while time.monotonic_ns() < end:
             if self._work is None:
-                if not self._waiting:
+                if not self._waiting or self._holds:
                     return
                 self._work = self._timed(self._begin_batch())
             for item in self._work:
