@@ -233,6 +233,17 @@ def test_standard_errors_of_a_wrong_model_are_widened() -> None:
 
 
 @pytest.mark.slow
+def test_outliers_ask_for_a_larger_clock_error_only(capsys: pytest.CaptureFixture[str]) -> None:
+    """A search may reject many impacts, though the declared error exceeds all shifts."""
+    family = parametric_family(sample("two_mass").system, ["restitution"])
+    found = identify(family, sensed("two_mass", jitter=1e-5), clock=1e-5, trust_events=True)
+    for clock, named in ((1e-3, False), (1e-8, True)):
+        searched = replace(found, doubted=len(found.shifts), accepted=found.rms, clock=clock)
+        fit_report.print_check(searched, check_fit(searched))
+        assert ("makes outliers" in capsys.readouterr().out) == named
+
+
+@pytest.mark.slow
 def test_a_drift_below_the_declared_clock_error_carries_over() -> None:
     """Residuals may be many times those of the fitted part, and still be errors of the clock."""
     family = parametric_family(sample("two_mass").system, ["stiffness-scale"])
@@ -478,7 +489,7 @@ def test_a_fit_that_fails_asks_for_what_is_often_wrong(
     """Epoch and frequency where something is harmonic; outliers beside how many are recorded."""
     family = parametric_family(sample(model).system, ["restitution"])
     found = identify(family, sensed(model)[:12], clock=1e-4, trust_events=True)
-    failed = replace(found, converged=False, doubted=66)
+    failed = replace(found, converged=False, doubted=66, clock=1e-12, accepted=found.rms)
     fit_report.print_parameters(failed, check_fit(failed))
     said = " ".join(capsys.readouterr().out.split())
     question = "Is the epoch right (free forcing-phase to see)? Is every frequency in rad/s?"
