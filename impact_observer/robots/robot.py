@@ -356,8 +356,10 @@ class Robot:
             R = pin.updateFramePlacement(model, data, frame).rotation
             normal = self._normals[i] @ R  # in the frame, which turns with the joints
             speed = pin.getFrameVelocity(model, data, frame, pin.ReferenceFrame.LOCAL).linear
-            turned = np.cross(J.reshape(6, -1)[3:], speed, axis=0)
-            found[:, k] = (normal @ (local.reshape(6, -1)[:3] + turned))[self._out]
+            (a, b, c), (d, e, f) = speed.tolist(), normal.tolist()
+            aside = np.array([b * f - c * e, c * d - a * f, a * e - b * d])  # speed x normal
+            rows = normal @ local.reshape(6, -1)[:3] + aside @ J.reshape(6, -1)[3:]
+            found[:, k] = rows[self._out]
         return found
 
     def closed_at(self, q: Vector) -> Contacts:
@@ -432,20 +434,28 @@ class Robot:
         return np.concatenate([q, u - held @ _least(W.T @ held, lost)])
 
     def jump_derivatives(self, x: Vector, pushed: Sequence[int]) -> Matrix:
-        """``D_x R`` of ``jumped``, shape (2n, 2n): by ``u`` exact, by ``q`` from differences."""
-        n = self.n
+        """``D_x R`` of ``jumped``, shape (2n, 2n)."""
+        pin, model, data, n = self._pin, self._model, self._data, self.n
         q, u = x[:n], x[n:]
-        W = self.directions(q, pushed)
-        held = self.inverse_mass(q) @ W
-        gamma = (W.T @ u).tolist()
-        rise = [1.0 + self.rebounds[i].slope(g) for i, g in zip(pushed, gamma, strict=True)]
+        W, free = self.directions(q, pushed), self.inverse_mass(q)
+        held = free @ W
+        G, gamma = W.T @ held, W.T @ u
+        slopes = [self.rebounds[i].slope(g) for i, g in zip(pushed, gamma.tolist(), strict=True)]
+        rise = 1.0 + np.array(slopes)
+        impulses = _least(G, -self._lost(gamma, pushed))
+        change = held @ impulses
+        # by q: of M change = W impulses, and of W' change = -lost
+        turned = np.array([self.speed_gradients(q, unit, pushed) @ impulses for unit in np.eye(n)])
+        zero, moved = np.zeros(n), change[self._in]
+        with_weight, _, _ = pin.computeRNEADerivatives(model, data, q[self._in], zero, moved)
+        with_weight = np.array(with_weight)  # the next call uses the same memory
+        weight = pin.computeGeneralizedGravityDerivatives(model, data, q[self._in])
+        forces = turned - (with_weight - weight).reshape(n, n)[self._square]
+        speeds = -self.speed_gradients(q, change, pushed).T
+        speeds -= rise[:, None] * self.speed_gradients(q, u, pushed).T
         X = np.eye(2 * n)
-        X[n:, n:] -= held @ _least(W.T @ held, np.array(rise)[:, None] * W.T)
-        for k in range(n):
-            step = np.zeros(2 * n)
-            step[k] = _STEP
-            change = self.jumped(x + step, pushed) - self.jumped(x - step, pushed)
-            X[n:, k] = change[n:] / (2 * _STEP)
+        X[n:, :n] = free @ forces + held @ _least(G, speeds - held.T @ forces)
+        X[n:, n:] -= held @ _least(G, rise[:, None] * W.T)
         return X
 
     def jump_by_restitution(self, x: Vector, pushed: Sequence[int]) -> Matrix:
