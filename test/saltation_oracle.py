@@ -17,7 +17,7 @@ def saltation_error(model: System, rng: np.random.Generator) -> float:
     The system has two coordinates; its contact is hit by the second one. The state is random.
     """
     filter_, law, n, h = ImpactFilter(model), ImpactLaw(model), 2, 1e-6
-    member, phase = filter_.members.given, filter_.phases.phase()
+    member, phase = filter_.members.given, filter_.members.given.moving.phases.phase()
     x = np.array([rng.normal(), 0.3, rng.normal(), rng.uniform(0.5, 3.0)])
     w = model.W[:, 0]
 

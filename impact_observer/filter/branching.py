@@ -23,12 +23,12 @@ class Extent(NamedTuple):
     """How large the motion is, by a replica that follows the events whatever the filter does.
 
     Attributes:
-        u: its velocities now, shape (n,).
+        x: its state (q, u) now, shape (2n,).
         largest: magnitude of each component of (q, u) so far, the initial standard deviation
             included, shape (2n,).
     """
 
-    u: Vector
+    x: Vector
     largest: Vector
 
 
@@ -85,7 +85,7 @@ class Branching:
             errors: of the model; None where no error is learned.
             keeps_exact: whether the likeliest hypotheses with an exact model lead, too.
         """
-        self.priors = LogPriors.of_sensor(uncertainty, filter_.phases.scales.timescale)
+        self.priors = LogPriors.of_sensor(uncertainty, filter_.scales.timescale)
         self._filter = filter_
         self._errors = errors
         self._keeps_exact = keeps_exact
@@ -100,7 +100,7 @@ class Branching:
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], extent: Extent
     ) -> list[Branch]:
         """The interpretations of an event, weighed; more of them under hypotheses that lead."""
-        root_energy = math.sqrt(extent.u.dot(self._filter.phases.inertia(extent.u)))
+        root_energy = self._filter.members.given.moving.root_energy(extent.x)
         found, true, clocks, leads = [], list[Draft](), list[Draft](), []
         for h, is_leading in zip(hypotheses, self._leading(change, hypotheses), strict=True):
             here = change.from_closed(h.state.closed)

@@ -20,7 +20,7 @@ from impact_observer.filter.joint import Expected, Joint
 from impact_observer.filter.likelihood import Likelihood, likelihood_of
 from impact_observer.filter.members import Member, Members
 from impact_observer.filter.resting import rested
-from impact_observer.filter.saltation import STATE_ROUNDING, Measured
+from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.square_root import lengths, product, triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import (
@@ -88,9 +88,9 @@ class Conditioning:
         moving = members.given.moving
         self.system = members.family.system
         self.members = members
-        self.short = _NEGLECTED_FLIGHT * moving.phases.scales.timescale
+        self.short = _NEGLECTED_FLIGHT * moving.scales.timescale
         self.longest = MOST_STEPS / max(moving.rate, SLOWEST)
-        self._scales = moving.phases.scales
+        self._scales = moving.scales
 
     def posterior(
         self,
@@ -205,7 +205,7 @@ class Conditioning:
         contacts = change.contacts[:1]
         hit = bool(change.hit)
         rates = member.moving.rates_at(change.t, x, change.before)
-        rows = member.guard(change.before, contacts, hit)
+        rows = member.guard(change.before, contacts, change.t, x, hit=hit)
         value, H, D, E = rows.expanded(rates, x, member.moving.forces(change.t))
         sensitivity = self.measured_sensitivity(member, change, contacts, x, change.t)
         seen = np.hstack([H[:, 1:], sensitivity])
@@ -235,7 +235,8 @@ class Conditioning:
     def guard_remainder(self, change: ContactChange, contacts: Contacts, joint: Joint) -> Matrix:
         """What is not linear in guards at ``joint``: a root of its second moment, (k, any)."""
         member = self.members.of_estimate(joint)
-        rows = member.guard(change.before, contacts, bool(change.hit))
+        hit = bool(change.hit)
+        rows = member.guard(change.before, contacts, joint.t, joint.x, hit=hit)
         rates = member.moving.rates_at(joint.t, joint.x, change.before)
         expansion = rows.expanded(rates, joint.x, member.moving.forces(joint.t))
         return np.column_stack(product(joint.own, expansion.D, expansion.E))
@@ -256,7 +257,7 @@ class Conditioning:
         """
         rates, forces = member.moving.rates_at(t, x, before), member.moving.forces(t)
         pressing = rates.along(x, forces)[0]
-        return self.short * self.system.contact_speed(pressing[self.system.n :])
+        return self.short * member.near(x).contact_speed(pressing[self.system.n :])
 
     def measured_sensitivity(
         self, member: Member, change: ContactChange, contacts: Contacts, x: Vector, t: float
@@ -270,7 +271,7 @@ class Conditioning:
         """The contacts of which an event measures the guard; see ``ContactChange.informative``."""
         if change.hit:
             return change.hit
-        held = self.members.given.moving.phase(change.before).held
+        held = self.members.given.moving.held(change.before)
         return change.informative(held, self.system)
 
     def _expected(
@@ -281,8 +282,9 @@ class Conditioning:
         ``member`` is the one of ``view``.
         """
         turned = self._is_turned(member, change, about)
-        rows = member.guard(change.before, contacts, bool(change.hit))
-        rows = Measured.speeds(self.system, contacts) if turned else rows
+        hit = bool(change.hit)
+        rows = member.guard(change.before, contacts, view.t, about.x, hit=hit)
+        rows = member.speeds(contacts, about.x) if turned else rows
         forces = member.moving.forces(view.t)
         rates = member.moving.rates_at(view.t, about.x, change.before)
         expansion = rows.expanded(rates, about.x, forces)
@@ -298,7 +300,7 @@ class Conditioning:
             np.zeros_like(sensitivity) if turned else sensitivity,
             -(value + mean),
             nonlinear,
-            rows.rounding(self._scales.sizes(x) if change.hit else x, forces[0]),
+            rows.rounding(self._scales.sizes(x) if hit else x, forces[0]),
         )
 
     def _is_turned(self, member: Member, change: ContactChange, joint: Joint) -> bool:
@@ -311,7 +313,7 @@ class Conditioning:
             return False
         if not self.system.contact_time[change.hit[0]]:
             return False
-        gap = member.gaps(change.hit)
+        gap = member.gaps(change.hit, joint.x)
         (deviation,) = lengths(gap.c @ joint.root[1 : 1 + joint.size])
         return float(gap.value(joint.x)[0]) < -TUNING.inside * deviation
 
@@ -338,7 +340,7 @@ class Conditioning:
         A motion that fades grows going back: after some time constants it is rounding.
         """
         moving = self.members.given.moving
-        fading = max(moving.rates(change.before).decay, moving.rates(change.closed).decay)
+        fading = max(moving.decay(change.before), moving.decay(change.closed))
         return min(BACK / fading, self.longest) if fading else self.longest
 
     def _propagated(self, member: Member, closed: Contacts, joint: Joint, s: float) -> Joint:
@@ -351,14 +353,6 @@ class Conditioning:
         sensitivity = s * self.members.rate_sensitivity(member, closed, joint.x, joint.t)
         other = sensitivity @ (joint.theta - member.values)
         return joint.propagated(s, x + other, map_, sensitivity)
-
-    def pressed(self, member: Member, change: ContactChange, x: Vector) -> Contacts:
-        """The contacts that take an impulse at an event, before which the state is ``x``."""
-        if not change.hit or len(change.active) == 1:
-            return change.hit
-        n = self.system.n
-        gamma = member.gaps(change.hit).c[:, :n].dot(x[n:])
-        return change.pressed(member.newton, gamma)
 
     def _jumped(self, change: ContactChange, joint: Joint, *, soft: bool) -> GaussianState:
         """The state after the jump, at the instant of ``joint``: saltation.
@@ -384,7 +378,7 @@ class Conditioning:
     def _expanded_jump(self, change: ContactChange, joint: Joint, *, soft: bool) -> _Jump:
         """The jump of ``joint``, about its state; a ``soft`` one leaves positions as they are."""
         member, size = self.members.of_estimate(joint), joint.size
-        pressed, moving = self.pressed(member, change, joint.x), member.moving
+        pressed, moving = member.pressed(change, joint.x), member.moving
         mirror = member.mirror_about(joint.x, pressed)
         mirror = mirror.soft if soft else mirror
         before = moving.rates_at(joint.t, joint.x, change.before)

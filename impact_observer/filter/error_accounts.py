@@ -33,7 +33,7 @@ class ErrorAccounts:
         """Errors in the motion of a filter's system; ``clocks``: deviations of a stamp, s."""
         self._system = filter_.system
         self._moving = filter_.members.given.moving
-        self._timescale = filter_.phases.scales.timescale
+        self._timescale = filter_.scales.timescale
         self._brief = TUNING.brief_flight * self._timescale
         self._clocks = sorted(clocks)
         kicks = unit_kicks(filter_.system)
@@ -65,7 +65,7 @@ class ErrorAccounts:
             if kind is h.error.kind or unit <= TINY:
                 continue
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
-            state = h.state.with_error(level * self._root(h, kind))
+            state = h.state.with_error(level * self._root(h, kind, here.t))
             for clock in clocks:
                 yield h._replace(state=state, clock=clock, error=LearnedError(kind, level))
 
@@ -95,20 +95,25 @@ class ErrorAccounts:
         speeds = np.abs(self._system.W[:, hit].T.dot(x[self._system.n :]))
         return np.asarray(self._kicks[:, hit] * speeds)
 
-    def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
-        """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
-        closed = h.state.closed
+    def _root(self, h: Hypothesis, kind: ErrorKind, t: float) -> Matrix:
+        """What a model error of level 1 has added to ``h`` by ``t``, since the last event.
+
+        Shape (2n, any).
+        """
+        closed, ago = h.state.closed, h.jump.ago
+        began = t - ago, h.state.x
         if kind is ErrorKind.ACCELERATION:
-            return self._moving.diffusion(closed, h.jump.ago)
+            return self._moving.diffusion(*began, closed, ago)
         assert h.jump.x is not None, "an impact of which the restitution may err"
-        return self._moving.carried(self.kicks(h.jump.x, h.jump.hit), h.jump.ago, closed)
+        kicks = self.kicks(h.jump.x, h.jump.hit)
+        return self._moving.carried(*began, kicks, ago, closed)
 
     def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The standard deviation that this gives the gap of the impact, m."""
         if kind is ErrorKind.RESTITUTION and h.jump.x is None:
             return 0.0
         w = self._system.W[:, here.hit[0]]
-        seen = w.dot(self._root(h, kind)[: w.size])
+        seen = w.dot(self._root(h, kind, here.t)[: w.size])
         return math.sqrt(seen.dot(seen))
 
     def _largest(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:

@@ -159,7 +159,7 @@ def dips_of(
     if gaps is None:
         return None
     found, noise = [], np.array(levels)
-    step = max(int(_AT_ONCE * filter_.phases.scales.timescale / max(longest, TINY)), 1)
+    step = max(int(_AT_ONCE * filter_.scales.timescale / max(longest, TINY)), 1)
     for k in range(0, len(states), step):
         give_turn()
         some = slice(k, k + step)

@@ -63,7 +63,7 @@ class ImpactFilter:
     Attributes:
         system: the system with the parameters of the model.
         members: the family of systems with other parameters.
-        phases: linear phases of ``system``.
+        scales: of the motions of ``system``.
         noise: process noise; None for none.
         conditioning: conditions states on events that are not for the kernel.
     """
@@ -79,7 +79,7 @@ class ImpactFilter:
         unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty((0, 0)))
         self._unknowns = unknowns
         self.members = Members(unknowns.family, unknowns.considered)
-        self.phases = self.members.given.moving.phases
+        self.scales = self.members.given.moving.scales
         self.conditioning = Conditioning(self.members)
         drift = unknowns.drift * np.where(unknowns.considered, 0.0, unknowns.deviations)
         declared = ProcessNoise(model_error, drift)
@@ -118,15 +118,20 @@ class ImpactFilter:
             return self.members.free.rates(t, state.x, state.theta)
         return self.member(state).moving.rate_of(t, state.x, state.closed)
 
+    def near(self, x: Vector) -> System:
+        """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
+        return self.members.given.near(x)
+
     def speed(self, contact: int, state: GaussianState) -> float:
         """The contact speed of a state, m/s; positive where the contact opens."""
-        return float(self.system.W[:, contact].dot(state.x[self.system.n :]))
+        return float(self.near(state.x).W[:, contact].dot(state.x[self.system.n :]))
 
     def gap(self, contact: int, state: GaussianState) -> float:
         """The gap of a contact by an estimate and its parameters, m."""
-        found = float(self.system.W[:, contact] @ state.x[: self.system.n])
+        near = self.near(state.x)
+        found = float(near.W[:, contact] @ state.x[: near.n])
         by_theta = self.members.gap_sensitivity((contact,))[0]
-        return found + float(self.system.q_r[contact] + by_theta @ self.members.change(state))
+        return found + float(near.q_r[contact] + by_theta @ self.members.change(state))
 
     def since_root(self, contact: int, state: GaussianState) -> float:
         """How long ago a negative gap was zero, to first order, s; 0 for an opening contact."""
@@ -135,8 +140,8 @@ class ImpactFilter:
 
     def speed_deviation(self, contact: int, state: GaussianState) -> float:
         """The standard deviation of ``speed``, m/s."""
-        n = self.system.n
-        return float(np.linalg.norm(self.system.W[:, contact].dot(state.root[n : 2 * n])))
+        near, n = self.near(state.x), self.system.n
+        return float(np.linalg.norm(near.W[:, contact].dot(state.root[n : 2 * n])))
 
     def considered_deviation(self, contact: int, state: GaussianState) -> float:
         """The standard deviation of a gap by the errors of considered parameters alone, m."""
@@ -144,13 +149,15 @@ class ImpactFilter:
         if not rows:
             return 0.0
         own = state.root[rows]
-        seen = self.system.W[:, contact] @ state.root[: self.system.n]
+        near = self.near(state.x)
+        seen = near.W[:, contact] @ state.root[: near.n]
         seen = seen + self.members.gap_sensitivity((contact,))[0] @ state.root[state.of_theta]
         return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(own @ own.T), own @ seen)))
 
     def fall(self, t: float, contact: int, state: GaussianState) -> float:
         """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
-        return -float(self.system.W[:, contact].dot(self.rate_of(t, state)[self.system.n :]))
+        rate = self.rate_of(t, state)[self.system.n :]
+        return -float(self.near(state.x).W[:, contact].dot(rate))
 
     def likelihoods(self, queries: Sequence[EventQuery]) -> list[Likelihood]:
         """The likelihoods of events, each if it is what it is reported to be."""
@@ -230,7 +237,7 @@ class ImpactFilter:
         if flown is not None:
             return flown
         found, moving = list[GaussianState](), self.members.given.moving
-        if self.members.moving or moving.guided:
+        if self.members.moving or moving.depends_on_state:
             return [
                 self.predict(t, state, level).prior(s)
                 for state, level in zip(states, levels, strict=True)
@@ -245,7 +252,7 @@ class ImpactFilter:
                 after = after + map_.dot(x - about)
             prior = state.propagated(after, map_)
             if noise := self.noise_of(level):
-                over = partial(moving.diffusion, closed)
+                over = partial(moving.diffusion, t, x, closed)
                 root = noise.added_to(prior.root, state.x.size, over, s)
                 prior = prior._replace(root=narrow(root))
             found.append(prior)

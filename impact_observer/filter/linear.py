@@ -39,7 +39,7 @@ class LinearPrediction:
         given = members.given.moving
         self.moving = members.motion(state.theta) if state.parameters else given
         self._noise = noise
-        self._diffusion = partial(given.diffusion, state.closed)
+        self._diffusion = partial(given.diffusion, t, state.x, state.closed)
         self._root = state.root
         if members.moving:
             size, p = state.x.size, state.parameters

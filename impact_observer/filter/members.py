@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from impact_observer.dynamics import (
     KEPT,
@@ -20,8 +21,9 @@ from impact_observer.dynamics import (
 )
 from impact_observer.dynamics.flow.equations import balanced
 from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.saltation import Measured, Mirror
+from impact_observer.filter.saltation import Measured, Mirror, RestProjection
 from impact_observer.kernel._kernel import Family, Gaps, Impact, MotionChange, Parameters
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
@@ -69,9 +71,54 @@ class Member:
         self.values = values
         self.moving = moving
         self.masses = masses
-        self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
-        self.guard = lru_cache(KEPT)(self._guard_of)
+        self._gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
+        self._guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
+
+    def near(self, x: Vector) -> System:
+        """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
+        del x
+        return self.system
+
+    def gaps(self, contacts: Contacts, x: Vector) -> Measured:
+        """The gaps of ``contacts`` near a state ``x``, shape (2n,)."""
+        del x
+        return self._gaps(contacts)
+
+    def speeds(self, contacts: Contacts, x: Vector) -> Measured:
+        """The contact speeds of ``contacts`` near a state ``x``, shape (2n,)."""
+        del x
+        return Measured.speeds(self.system, contacts)
+
+    def guard(
+        self, before: Contacts, contacts: Contacts, t: float, x: Vector, *, hit: bool
+    ) -> Measured:
+        """Gaps of contacts that hit, or loads of those that open, in the phase ``before``.
+
+        Near a state ``x``, shape (2n,), at ``t``, s since the epoch.
+        """
+        del t, x
+        return self._guard(before, contacts, hit)
+
+    def pressed(self, change: ContactChange, x: Vector) -> Contacts:
+        """The contacts that take an impulse at an event, before which the state is ``x``."""
+        if not change.hit or len(change.active) == 1:
+            return change.hit
+        n = self.system.n
+        gamma = self.gaps(change.hit, x).c[:, :n].dot(x[n:])
+        return change.pressed(self.newton, gamma)
+
+    def stopped(self, x: Vector, closed: Contacts, gap_sensitivity: Matrix) -> RestProjection:
+        """A state ``x``, nearly at rest on ``closed`` contacts, projected onto rest on them.
+
+        The projection is that by which the plant itself comes to rest.
+        """
+        n, W, projection = self.system.n, self.system.W[:, list(closed)].T, self.projection
+        x, Z = self.moving.phases.stopped(x, closed, projection), projection.jump(closed)
+        still = self.moving.phase(closed).inverse @ self.system.M
+        sensitivity = np.zeros((2 * n, gap_sensitivity.shape[1]))
+        sensitivity[:n] = -Z @ gap_sensitivity
+        return RestProjection(x, linalg.block_diag(np.eye(n) - Z @ W, still), sensitivity)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -109,7 +156,7 @@ class Member:
 
     def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> Measured:
         """Gaps of contacts that hit, or loads of those that open, in the phase ``before``."""
-        return self.gaps(contacts) if hit else Measured.loads(self.moving.phase(before), contacts)
+        return self._gaps(contacts) if hit else Measured.loads(self.moving.phase(before), contacts)
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
         J = self.masses.jump(pressed, self._numbers.eps)

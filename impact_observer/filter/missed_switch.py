@@ -70,8 +70,9 @@ def _comes_to_rest(
     """
     if filter_.system.rebounds[contact].drives:
         return False
-    seen = filter_.system.W[:, contact].dot(state.root[: filter_.system.n])
+    near = filter_.near(state.x)
+    seen = near.W[:, contact].dot(state.root[: near.n])
     deviation = math.sqrt(seen.dot(seen))
-    brief = TUNING.resting_flight * filter_.phases.scales.timescale
+    brief = TUNING.resting_flight * filter_.scales.timescale
     is_low = speed * flight / 4 <= deviation and flight <= brief
     return is_low or flight <= filter_.conditioning.short

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion of a system between impacts: states, rates, and their derivatives."""
 
+import math
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -38,6 +39,7 @@ class MovingSystem:
     Attributes:
         system: the system; the places of its stops do not matter.
         guided: whether guides rub: then a motion has many phases, and which one depends on it.
+        depends_on_state: whether derivatives of a motion depend on its start, as where guides rub.
         is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
     """
 
@@ -48,7 +50,7 @@ class MovingSystem:
         kernel's: that is cheaper for a system of which few are asked.
         """
         self.system = system
-        self.guided = bool(system.guides)
+        self.guided = self.depends_on_state = bool(system.guides)
         self.is_plain = not self.guided and system.forcing.sampled is None
         self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
@@ -57,7 +59,7 @@ class MovingSystem:
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
         self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
-        self.diffusion = lru_cache(KEPT)(self._diffusion_over)
+        self._diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._transition = lru_cache(KEPT)(lambda closed, s: self.phase(closed).transition(s))
 
     @cached_property
@@ -165,8 +167,53 @@ class MovingSystem:
     def _rates_rubbed(self, phase: Phase) -> StateRates:
         return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
 
-    def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:
-        """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""
+    def decay(self, closed: Contacts) -> float:
+        """Rate of the fastest fading motion, 1/s."""
+        return self.rates(closed).decay
+
+    def held(self, closed: Contacts) -> Contacts:
+        """Those of the ``closed`` contacts that a load holds; the others depend on them."""
+        return self.phase(closed).held
+
+    def inverse(self, x: Vector, closed: Contacts = ()) -> Matrix:
+        """``M^-1`` while contacts are ``closed``, at any state ``x``, shape (n, n)."""
+        del x
+        return self.phase(closed).inverse
+
+    def root_energy(self, x: Vector) -> float:
+        """The root of twice the kinetic energy of a state ``x``, shape (2n,), sqrt(J)."""
+        u = x[self.system.n :]
+        return math.sqrt(u.dot(self.phases.inertia(u)))
+
+    def contact_length(self, contact: int, x: Vector) -> float:
+        """The largest speed of a contact per ``root_energy``, at any ``x``, 1/sqrt(kg)."""
+        del x
+        return float(self.phases.length[contact])
+
+    def stops(self, x: Vector, contacts: Contacts) -> Matrix:
+        """Velocities by unit speeds that ``contacts`` lose, at any state ``x``, shape (n, k)."""
+        del x
+        return self.newton.stops(contacts)
+
+    def shifts(self, x: Vector, contacts: Contacts) -> Matrix:
+        """Coordinates by unit gaps that ``contacts`` gain, at any state ``x``, shape (n, k)."""
+        del x
+        return self.phases.projection.jump(contacts)
+
+    def diffusion(self, t: float, x: Vector, closed: Contacts, s: float) -> Matrix:
+        """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n).
+
+        It is the same from all states ``x`` at all ``t``.
+        """
+        del t, x
+        return self._diffusion(closed, s)
+
+    def carried(self, t: float, x: Vector, columns: Matrix, s: float, closed: Contacts) -> Matrix:
+        """Differences of states, one a column, ``s`` seconds later, shape (2n, any).
+
+        They are the same about all states ``x`` at all ``t``.
+        """
+        del t, x
         phase = self.phase(closed)
         if self.system.n < _MANY or self.system.forcing.sampled is not None:
             return np.asarray(self._transition(closed, s).dot(columns))
@@ -183,7 +230,6 @@ class MovingSystem:
         return StateRates(FreePhase(self.system, self._inverse))
 
     def _diffusion_over(self, closed: Contacts, s: float) -> Matrix:
-        """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n)."""
         if not closed and self.system.n < _MANY:
             return self.free.diffusion(s)
         return diffusion(self.phase(closed), s, self._rate(closed))

@@ -4,12 +4,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.events import Contacts
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.members import Members
-from impact_observer.filter.saltation import Measured
+from impact_observer.filter.saltation import RestProjection
 from impact_observer.filter.square_root import correction
 from impact_observer.states import Matrix, Vector
 
@@ -26,20 +25,6 @@ class RestMeasurement(NamedTuple):
     H: Matrix
     value: Vector
     floor: list[float]
-
-
-class RestProjection(NamedTuple):
-    """A state at rest on its closed contacts, as a function of one that is nearly so.
-
-    Attributes:
-        x: the state at rest, shape (2n,).
-        map_: its derivative by the state, shape (2n, 2n).
-        sensitivity: by the parameters, shape (2n, p).
-    """
-
-    x: Vector
-    map_: Matrix
-    sensitivity: Matrix
 
 
 def rested(
@@ -77,10 +62,10 @@ def rest_measurement(
     # measurement where its restitution is estimated.
     certain = ~members.estimates_restitution(new)
     slow = tuple(i for i, each in zip(new, certain.tolist(), strict=True) if each)
-    gaps, speeds = member.gaps(new), Measured.speeds(member.system, slow)
+    gaps, speeds = member.gaps(new, state.x), member.speeds(slow, state.x)
     c = np.vstack([gaps.c, speeds.c])
     value = np.concatenate([gaps.value(state.x), speeds.value(state.x)])
-    sizes = members.given.moving.phases.scales.sizes(state.x)
+    sizes = members.given.moving.scales.sizes(state.x)
     floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), leftover[certain])]
     H = np.hstack([c, np.zeros((len(c), len(state.root) - size))])
     H[: len(new), size : size + p] = members.gap_sensitivity(new)
@@ -88,14 +73,6 @@ def rest_measurement(
 
 
 def rest_projection(members: Members, state: GaussianState) -> RestProjection:
-    """``state``, nearly at rest on its closed contacts, projected onto ``g = 0, gamma = 0``.
-
-    The projection is that by which the plant itself comes to rest.
-    """
-    closed, n, member = state.closed, state.x.size // 2, members.at(state.theta)
-    W, projection = member.system.W[:, list(closed)].T, member.projection
-    x, Z = member.moving.phases.stopped(state.x, closed, projection), projection.jump(closed)
-    still = member.moving.phase(closed).inverse @ member.system.M
-    sensitivity = np.zeros((2 * n, state.parameters))
-    sensitivity[:n] = -Z @ members.gap_sensitivity(closed)
-    return RestProjection(x, linalg.block_diag(np.eye(n) - Z @ W, still), sensitivity)
+    """``state``, nearly at rest on its closed contacts, projected; see ``Member.stopped``."""
+    sensitivity = members.gap_sensitivity(state.closed)
+    return members.at(state.theta).stopped(state.x, state.closed, sensitivity)

@@ -147,6 +147,20 @@ class Measured(NamedTuple):
         return Expansion(self.value(x, forces[0]), H, -self.c.dot(rates.A), bend)
 
 
+class RestProjection(NamedTuple):
+    """A state at rest on its closed contacts, as a function of one that is nearly so.
+
+    Attributes:
+        x: the state at rest, shape (2n,).
+        map_: its derivative by the state, shape (2n, 2n).
+        sensitivity: by the parameters, shape (2n, p).
+    """
+
+    x: Vector
+    map_: Matrix
+    sensitivity: Matrix
+
+
 def _impulse_delay(numbers: Coefficients, pressed: list[int]) -> float:
     """How long after its onset an impact makes the velocities jump, s; the mean of its contacts.
 

@@ -97,7 +97,7 @@ class SampleFilter:
     def __init__(self, filter_: ImpactFilter) -> None:
         """Samples of the system of ``filter_``."""
         self.filter = filter_
-        self._sizes = filter_.phases.scales.sizes
+        self._sizes = filter_.scales.sizes
         self._parameters = filter_.members.parameters
 
     def row(self, reading: Reading, state: GaussianState) -> Row:
@@ -176,8 +176,6 @@ class SampleUpdate:
         """Samples for the hypotheses of ``bank``."""
         self.bank = bank
         self.one = SampleFilter(bank.filter)
-        self._system = bank.filter.system
-        self._directions = np.ascontiguousarray(self._system.W.T)
 
     def after(
         self,
@@ -358,12 +356,12 @@ class SampleUpdate:
         An impact is stamped early or late by a few deviations of the clock. Meanwhile the estimate
         is inside the stop, or has jumped too early.
         """
-        state, system, n = h.state, self._system, self._system.n
-        gaps = self._directions.dot(state.x[:n]) + system.q_r
+        state, system = h.state, self.bank.filter.near(h.state.x)
+        gaps, n = system.gap(state.x[: system.n]), system.n
         if not system.m or gaps.min() >= 0:
             return 0.0
         squares, row = 0.0, None
-        speeds = self._directions.dot(state.x[n:])
+        speeds = system.contact_speed(state.x[n:])
         for i in np.flatnonzero(gaps < 0).tolist():
             if i not in state.closed and -gaps[i] <= TUNING.late * h.clock * abs(speeds[i]):
                 row = row or self.one.row(reading, state)
@@ -374,5 +372,5 @@ class SampleUpdate:
         """By how much an impact changes a measured function of a state."""
         mirror = self.bank.filter.members.given.mirror_about(x, (contact,))
         change = float(row.h.dot(mirror.landed(x) - x))
-        eps = max(float(self._system.eps[contact]), _LEAST_RESTITUTION)
+        eps = max(float(self.bank.filter.system.eps[contact]), _LEAST_RESTITUTION)
         return change / eps if speed > 0 else change  # it has jumped: the state before was faster

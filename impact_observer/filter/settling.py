@@ -99,8 +99,9 @@ def _neglected(
     the integral of the gap, through the stiffness: ``fall T^3 / 12`` in a flight T, and less by
     the cube of the restitution in the next one.
     """
-    system, n = filter_.system, filter_.system.n
-    w, inverse = system.W[:, contact], filter_.members.given.moving.phase(()).inverse
+    system = filter_.near(state.x)
+    n, w = system.n, system.W[:, contact]
+    inverse = filter_.members.given.moving.inverse(state.x)
     kick = inverse @ w
     raised = fall * flight**3 / 12 / max(1.0 - float(system.eps[contact]) ** 3, TUNING.least_loss)
     added = np.zeros((2 * n, 1))

@@ -100,15 +100,15 @@ def _slowness(filter_: ImpactFilter, draft: Draft, root_energy: float) -> float:
     h, here = draft.before, draft.here
     if len(here.hit) != 1 or here.before:
         return 0.0
-    i, phases = here.hit[0], filter_.phases
+    i, moving = here.hit[0], filter_.members.given.moving
     mean = filter_.speed(i, h.state)
-    least = TUNING.slow_impact * float(phases.length[i]) * root_energy
+    least = TUNING.slow_impact * moving.contact_length(i, h.state.x) * root_energy
     if abs(mean) >= least:
         return 0.0
     applied = (n for n in reversed(h.ledger.notes) if n.ruling is not Ruling.REJECTED)
     if (last := next((n.stamp for n in applied if n.switched == i), None)) is not None:
         flight = (here.stamp - last) / 1e9  # a bouncing contact hits slower, but sooner
-        least *= min(flight / (2 * phases.scales.timescale), 1.0)
+        least *= min(flight / (2 * filter_.scales.timescale), 1.0)
     speed = math.hypot(mean, filter_.speed_deviation(i, h.state), TINY)
     return min(math.log(speed / least), 0.0) if least > 0 else 0.0
 
@@ -132,7 +132,7 @@ def _haste(filter_: ImpactFilter, draft: Draft, root_energy: float) -> float:
     if not _may_bounce(filter_, here):
         return 0.0
     i, n, root = here.hit[0], filter_.system.n, h.state.root
-    w, speed = filter_.system.W[:, i], filter_.speed(i, h.state)
+    w, speed = filter_.near(h.state.x).W[:, i], filter_.speed(i, h.state)
     gap, gamma = w @ root[:n], w @ root[n : 2 * n]
     variance = float(gap @ gap) + (speed * h.clock) ** 2 + TINY
     gain = float(gap @ gamma) / variance
@@ -141,7 +141,8 @@ def _haste(filter_: ImpactFilter, draft: Draft, root_energy: float) -> float:
     spread = math.hypot(
         float(np.linalg.norm(gamma - gain * gap)), gain * speed * h.clock, unresolved, TINY
     )
-    fastest = float(filter_.phases.length[i]) * root_energy
+    length = filter_.members.given.moving.contact_length(i, h.state.x)
+    fastest = length * root_energy
     density = -((speed / spread) ** 2) / 2 - math.log(spread) - LOG_ROOT_2PI
     return min(max(density + math.log(max(fastest, spread)), TUNING.log_least_rest), 0.0)
 
@@ -161,5 +162,5 @@ def _unresolved(filter_: ImpactFilter, h: Hypothesis, here: ContactChange) -> fl
     The clock does not resolve such a flight, or a plant rests instead.
     """
     flight = TUNING.unresolved_flight * h.clock
-    shortest = TUNING.neglected_flight * filter_.phases.scales.timescale
+    shortest = TUNING.neglected_flight * filter_.scales.timescale
     return max(flight, shortest) * max(filter_.fall(here.t, here.hit[0], h.state), 0.0)

@@ -60,7 +60,7 @@ class Fallback(NamedTuple):
     @property
     def extent(self) -> Extent:
         """How large the motion is by this replica."""
-        return Extent(self.x[self.x.size // 2 :], self.largest)
+        return Extent(self.x, self.largest)
 
     @property
     def unit(self) -> Matrix:

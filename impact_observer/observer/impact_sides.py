@@ -6,14 +6,17 @@ of the two velocities is an error with the probability that the plant is on the 
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
+from impact_observer.dynamics import KEPT
 from impact_observer.events import Contacts
 from impact_observer.filter.model_error import unit_kicks
 from impact_observer.kernel._kernel import TINY
+from impact_observer.model import System
 from impact_observer.observer.belief import Onset
 from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
@@ -31,11 +34,13 @@ class Near(NamedTuple):
         clock: standard deviation of its stamp, s.
         onset: the state before the impact; None if no impact was accepted.
         after: the state after the event, (q, u), shape (2n,).
+        t: when the estimate holds, s since the epoch.
     """
 
     clock: float
     onset: Onset | None
     after: Vector
+    t: float
 
 
 class ImpactSides:
@@ -43,8 +48,8 @@ class ImpactSides:
 
     def __init__(self, law: Law) -> None:
         """Of the estimates of a ``law`` with a covariance."""
-        self._system, self._moving, self._newton = law.system, law.moving, law.moving.newton
-        self._missed, self._kicks = law.uncertainty.missed, unit_kicks(law.system)
+        self._law, self._missed = law, law.uncertainty.missed
+        self._kicks = lru_cache(KEPT)(unit_kicks)
 
     def errors(
         self, near: Near, x: Vector, root: Matrix, s: float, closed: Contacts
@@ -53,18 +58,19 @@ class ImpactSides:
 
         ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
         """
-        n, system, found = self._system.n, self._system, list[Vector]()
+        system, found = self._law.near(x), list[Vector]()
+        n, kicks = system.n, self._kicks(system)
         clock = near.clock if near.clock > EXACT else 0.0
         gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()
         for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
             if speed >= 0 or i in closed:
                 continue
-            deviation = self._deviation(i, root)
+            deviation = _gap_deviation(system, i, root)
             if gap < REACH * (deviation - speed * clock):
                 share = self._hit_before(-gap / speed, -deviation / speed, clock)
                 lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
                 ago = max(gap / speed, 0.0)
-                found.append(self._error(share, -lost * self._kicks[:, i], ago, closed))
+                found.append(self._error((near.t, x), share, -lost * kicks[:, i], ago, closed))
         onset = near.onset
         if onset is None or not clock or s - onset.lasts > REACH * clock:
             return found
@@ -73,22 +79,21 @@ class ImpactSides:
         if i in closed:
             ago = -clock  # a motion that is stopped does not tell when
         elif not onset.lasts and speeds[i] > 0:
-            away = gaps[i] / max(self._deviation(i, root), TINY)
+            away = gaps[i] / max(_gap_deviation(system, i, root), TINY)
             ago = min(gaps[i] / speeds[i], 0.0)
         jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])
-        kick, share = self._newton.stops(onset.hit).dot(jump), float(special.ndtr(-away))
+        kick, share = self._law.moving.stops(x, onset.hit).dot(jump), float(special.ndtr(-away))
         free = tuple(j for j in closed if j not in hit)
-        return [*found, self._error(share, kick, ago, free)]
+        return [*found, self._error((near.t, x), share, kick, ago, free)]
 
-    def _deviation(self, i: int, root: Matrix) -> float:
-        """The standard deviation of the gap of a contact, m."""
-        seen = self._system.W[:, i].dot(root[: self._system.n])
-        return math.sqrt(seen.dot(seen))
-
-    def _error(self, share: float, kick: Vector, ago: float, closed: Contacts) -> Vector:
-        """``side_error`` of a kick ``ago`` seconds ago, or as much later."""
+    def _error(
+        self, at: tuple[float, Vector], share: float, kick: Vector, ago: float, closed: Contacts
+    ) -> Vector:
+        """``side_error`` of a kick ``ago`` seconds ago, or as much later, ``at`` an estimate."""
         error = side_error(share, kick)
-        return self._moving.carried(error[:, None], ago, closed)[:, 0] if ago else error
+        if not ago:
+            return error
+        return self._law.moving.carried(*at, error[:, None], ago, closed)[:, 0]
 
     def _hit_before(self, later: float, deviation: float, clock: float) -> float:
         """The probability that an impact has been and was not reported yet.
@@ -103,6 +108,12 @@ class ImpactSides:
         waits = (been - seen) / 2 + float(special.owens_t(stamped, clock / deviation))
         waits = (1 - self._missed) * max(waits, 0.0) + self._missed * been
         return float(waits / max(waits + 1 - been, TINY))
+
+
+def _gap_deviation(system: System, i: int, root: Matrix) -> float:
+    """The standard deviation of the gap of a contact, m."""
+    seen = system.W[:, i].dot(root[: system.n])
+    return math.sqrt(seen.dot(seen))
 
 
 def side_error(share: float, kick: Vector) -> Vector:

@@ -335,12 +335,16 @@ class RunHistory:
         self, entry: Entry, s: float, x: Vector, root: Matrix | None
     ) -> tuple[Vector, Matrix | None]:
         """``x`` and ``root``; within an impact that lasts, those before the velocities jump."""
-        onset, epoch = entry.belief.onset, self.update.epoch
+        onset = entry.belief.onset
         if onset is None or s >= onset.lasts:
             return x, root
-        t = Elapsed(entry.since - (epoch or entry.since))
+        t = self._start_of(entry)
         x, map_ = self.update.law.moving.moved(t, onset.x, s, ())
         return x, root if onset.root is None else map_ @ onset.root
+
+    def _start_of(self, entry: Entry) -> Elapsed:
+        """When an entry begins, s since the epoch."""
+        return Elapsed(entry.since - (self.update.epoch or entry.since))
 
     def _with_missed_rests(
         self, entry: Entry, s: float, x: Vector, root: Matrix | None, closed: Contacts | None
@@ -355,15 +359,16 @@ class RunHistory:
         if root is None or not self._soft or (onset is not None and s < onset.lasts):
             return root
         columns, closed = [root], entry.closed if closed is None else closed
+        near = self.update.law.near(x)
         for i in self._soft:
-            w = self._system.W[:, i]
-            gap, speed = float(w @ x[:n]) + float(self._system.q_r[i]), float(w @ x[n:])
+            w = near.W[:, i]
+            gap, speed = float(w @ x[:n]) + float(near.q_r[i]), float(w @ x[n:])
             leaves = self._system.contact_time[i] / max(self._system.eps[i], 1e-3)
             is_leaving = speed >= 0 and s < leaves  # twice what it takes without forces
             if i in closed or is_leaving or gap >= -TUNING.inside * np.linalg.norm(w @ root[:n]):
                 continue
-            shift = -gap * moving.phases.projection.jump((i,))[:, 0]
-            kick = -speed * moving.newton.stops((i,))[:, 0]
+            shift = -gap * moving.shifts(x, (i,))[:, 0]
+            kick = -speed * moving.stops(x, (i,))[:, 0]
             columns.append(np.concatenate([shift, kick])[:, None])
         return np.hstack(columns) if len(columns) > 1 else root
 
@@ -373,7 +378,7 @@ class RunHistory:
         """``root``; near an uncertain impact with the errors of ``x`` on the other side."""
         belief, closed = entry.belief, entry.closed if closed is None else closed
         clock = belief.hypotheses[0].clock if belief.hypotheses else 0.0
-        near = Near(clock, belief.onset, belief.x)
+        near = Near(clock, belief.onset, belief.x, self._start_of(entry) + s)
         errors = self._sides.errors(near, x, root, s, closed)
         return np.column_stack([root, *errors]) if errors else root
 

@@ -65,7 +65,7 @@ class Retracing:
         self._filter, self._prior, self._t = filter_, prior, t
         self._moving = filter_.members.given.moving
         self._kicks = unit_kicks(filter_.system)
-        self._step = filter_.phases.scales.timescale / _SAMPLES
+        self._step = filter_.scales.timescale / _SAMPLES
 
     def account(self, known: EventAccount, first: int, x: Vector) -> EventAccount | None:
         """The account whose moments from the ``first`` on are the moments of ``known``.
@@ -91,7 +91,7 @@ class Retracing:
             hit = self._last_hit(t, smooth(arc).first)
             if hit is None:
                 return self._joined(known, moments, first, taken)
-            if not hit.deviation < _VAGUE * self._filter.phases.scales.timescale:
+            if not hit.deviation < _VAGUE * self._filter.scales.timescale:
                 return None
             x = self._before(hit)
             moment = self._reported(hit, reported, clock, moments[0])

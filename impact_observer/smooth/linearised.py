@@ -95,7 +95,7 @@ class Linearised:
         self.filter, self._members, self._t = filter_, filter_.members, t
         self._state, self._p = first, first.parameters
         self._size, self._count = first.x.size, first.constants.size
-        self._sizes = filter_.phases.scales.sizes
+        self._sizes = filter_.scales.sizes
         self._diffusion = filter_.members.given.moving.diffusion
         self._errors = ErrorAccounts(filter_, (0.0,))
         self._systems = lru_cache(2)(self._system_at)
@@ -188,7 +188,7 @@ class Linearised:
             bent = LinearPrediction(t, state, self._members, None).remainder(s)
             root = np.pad(bent, ((0, self._count), (0, 0)))
         if noise is not None and s > 0:
-            root = noise.added_to(root, self._size, partial(self._diffusion, closed), s)
+            root = noise.added_to(root, self._size, partial(self._diffusion, t, x, closed), s)
         return Step.unmeasured(A, b, root)
 
     def resting(self, path: Path, k: int) -> Step:

@@ -108,7 +108,7 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     best = Hypothesis(state, clocks[0], -50.0, survival={penetrated: -50.0})
     other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
     change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
-    found = bank.update(change, [best, other], lambda: (), Extent(np.ones(1), np.ones(2)))
+    found = bank.update(change, [best, other], lambda: (), Extent(np.ones(2), np.ones(2)))
     of_best = [h for h in found if np.linalg.norm(h.state.root[1]) < 1e-6]
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 

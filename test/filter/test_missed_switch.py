@@ -125,7 +125,7 @@ def test_hypotheses_in_which_an_event_is_impossible_are_dropped() -> None:
     bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0, mislabelled=0.0), (1e-6,))
     change = ContactChange.of(1.0, (), [(1, Kind.IMPACT)])
     hypotheses = [Hypothesis(held, 1e-6, -0.1), Hypothesis(free, 1e-6, -2.3)]
-    extent = Extent(np.ones(1), np.ones(2))
+    extent = Extent(np.ones(2), np.ones(2))
     found = bank.update(change, hypotheses, lambda: (), extent)
     rulings = {h.state.closed: h.ledger.notes[-1].ruling for h in found}
     assert rulings[()] is Ruling.APPLIED

@@ -46,7 +46,7 @@ def test_noise_by_the_kernel_is_the_integral_of_its_definition(data: st.DataObje
     """Damped, gyroscopic, rigid or not; forces add nothing."""
     moving = MovingSystem(data.draw(systems(max_n=3, contacts=(1, 1))))
     s = data.draw(numbers(0.0, 4.0))
-    found = moving.diffusion((), s)
+    found = moving.diffusion(0.0, np.zeros(2 * moving.system.n), (), s)
     assert not np.any(np.triu(found, 1))
     expected = integrated_noise(moving.phase(()), s, 1.0)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-10 * (1 + expected.max()))

@@ -223,7 +223,7 @@ def test_impacts_that_accumulate_count_once() -> None:
     bank = FilterBank(ImpactFilter(law.system), law.uncertainty, law.clocks)
     state = GaussianState(np.zeros(4), np.zeros(0), np.eye(4), np.zeros((4, 0)))
     corrected = [Hypothesis(state, law.clocks[0], innovation=Innovation(1.0, 1.0))]
-    timescale, fit = bank.filter.phases.scales.timescale, Fit()
+    timescale, fit = bank.filter.scales.timescale, Fit()
     for k in range(30):
         flown = timescale * (1.0 if k % 10 == 0 else 0.09)
         change = ContactChange(Elapsed(k), (), (0,), (), flown=flown)
@@ -236,7 +236,7 @@ def test_error_of_the_replica_by_a_contact_that_lasts_is_that_of_a_plant() -> No
     """Positions of two plants, integrated by scipy: a rigid stop, and one that gives way."""
     model = sample("two_mass").system
     filter_ = ImpactFilter(model)
-    lasts = 0.01 * filter_.phases.scales.timescale
+    lasts = 0.01 * filter_.scales.timescale
     replica, rng = FallbackReplica(filter_), np.random.default_rng(0)
     w, seconds = model.W[:, 0], 0.1
     q = np.array([0.2, -0.1])

@@ -38,7 +38,7 @@ class FallbackReplica:
         self._system = filter_.system
         self._geometric = Geometric(filter_.system, moving=self._moving)
         self._kicks = unit_kicks(filter_.system)
-        self._contact_time = TUNING.replica_contact_time * filter_.phases.scales.timescale
+        self._contact_time = TUNING.replica_contact_time * filter_.scales.timescale
         self._lag = lru_cache(KEPT)(self._lag_of)
 
     def begin(self, x: Vector, root: Matrix, closed: Contacts) -> Fallback:
@@ -82,7 +82,8 @@ class FallbackReplica:
                 x = held.state(s)
                 map_ = transition_of(held, s) if guided else phase.transition(s)
             errors = map_.dot(before.errors)
-            unit = np.concatenate([errors[:, :-1], self._moving.diffusion(closed, s)], axis=1)
+            noise = self._moving.diffusion(t, before.x, closed, s)
+            unit = np.concatenate([errors[:, :-1], noise], axis=1)
             errors[:, :-1] = triangular(unit)
             return Fallback(x, before.largest, errors)
 

@@ -34,12 +34,12 @@ def fitted(
         corrected: the hypotheses after the event.
         bank: the bank of the hypotheses.
     """
-    if 0 < change.flown < TUNING.brief_flight * bank.filter.phases.scales.timescale:
+    if 0 < change.flown < TUNING.brief_flight * bank.filter.scales.timescale:
         return before
     likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
     normalised = None if innovation is None else innovation.normalised
     if innovation is not None and change.hit:
-        system = bank.filter.system
+        system = bank.filter.near(prior.x)
         speed = abs(float(system.W[:, change.hit[0]].dot(prior.x[system.n :])))
         normalised = 0.0 if abs(innovation.residual) <= _INSTANT_ROUNDING * speed else normalised
     considered = 0.0

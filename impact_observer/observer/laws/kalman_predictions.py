@@ -82,7 +82,7 @@ class MixturePrediction(Prediction):
 
     def _anywhere(self, largest: Vector) -> Matrix:
         """A root of the covariance of a plant that is anywhere within a motion, (2n, 2n)."""
-        return np.diag(self._filter.phases.scales.sizes(largest))
+        return np.diag(self._filter.scales.sizes(largest))
 
 
 def predicted_by(
@@ -114,7 +114,7 @@ class TrustedPrediction(MixturePrediction):
         prior: Callable[[float], Belief],
     ) -> None:
         super().__init__(filter_, t, hypotheses, prior)
-        self._step = TUNING.brief_flight * filter_.phases.scales.timescale
+        self._step = TUNING.brief_flight * filter_.scales.timescale
         self._looked, self._inside = 0, np.zeros(filter_.system.m, dtype=bool)
         self._inside_since = math.inf
         self._largest = np.zeros(2 * filter_.system.n)
@@ -144,7 +144,7 @@ class TrustedPrediction(MixturePrediction):
 
     def _contacts_inside(self, s: float, x: Vector) -> NDArray[np.bool_]:
         """Which open contacts have a gap far below zero at ``x`` after ``s`` seconds, (m,)."""
-        system, n = self._filter.system, self._filter.system.n
+        system, n = self._filter.near(x), self._filter.system.n
         gaps = system.gap(x[:n])
         inside = np.asarray(gaps < 0, dtype=np.bool_)
         inside[list(self._hypotheses[0].state.closed)] = False
@@ -194,7 +194,7 @@ class MissedSwitchPrediction(MixturePrediction):
     ) -> None:
         super().__init__(between.filter, t, hypotheses, prior)
         self._between = between
-        self._first = _FIRST_WINDOW * between.filter.phases.scales.timescale
+        self._first = _FIRST_WINDOW * between.filter.scales.timescale
         self._searched, self._window = 0.0, self._first
 
     def state(self, s: float) -> Vector:
@@ -293,7 +293,7 @@ class MissedSwitchPrediction(MixturePrediction):
 
         It does not in the sensor's dead time, nor as a bounce in a row with the switch before.
         """
-        is_bounce = flight < TUNING.brief_flight * self._filter.phases.scales.timescale
+        is_bounce = flight < TUNING.brief_flight * self._filter.scales.timescale
         dead = self._between.dead(self._hypotheses[0], dip.contact, kind, t)
         return kind is not Kind.OPEN and not is_bounce and dead <= TUNING.dead
 

@@ -11,7 +11,7 @@ from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 
 class Law(ABC):
@@ -58,6 +58,11 @@ class Law(ABC):
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
         self.moving = MovingSystem(system) if moving is None else moving
+
+    def near(self, x: Vector) -> System:
+        """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""
+        del x
+        return self.system
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
