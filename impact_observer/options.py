@@ -174,16 +174,17 @@ class Options:
     law: str = option("geometric", "law by which events correct the estimate", fixed=_OTHER_FILTER)
     initial_state: str = option(
         "zero",
-        "initial state: q1,..,qn,u1,..,un; or random:SEED, drawn with standard deviations of 1 m"
-        " and 1 m/s; or drawn:SEED, drawn with initial_deviation; or zero",
+        "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s, also where a model has"
+        " unit: deg; or random:SEED, drawn with standard deviations of 1 m and 1 m/s; or"
+        " drawn:SEED, drawn with initial_deviation; or zero",
         flag="initial",
         metavar="STATE",
         live=AT_NEXT_START,
     )
     initial_deviation: str = option(
         "1",
-        "standard deviations of the initial state: one number, or 2n numbers; check-model suggests"
-        " deviations for a small rig",
+        "standard deviations of the initial state, in the units of initial_state: one number, or"
+        " 2n numbers; check-model suggests deviations for a small rig",
         flag="deviation",
         metavar="D",
         live=AT_NEXT_START,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.check.undamped_modes import UndampedModes
+from impact_observer.draw.reports import counted
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
@@ -40,12 +41,13 @@ class HitTimes:
     Attributes:
         hits: impacts and closings.
         fast: hits that follow another hit of the same contact in less than ``FAST``.
+        early: events of hits that are stamped before their epoch.
         odd_epoch: a doubt about the epoch of the first hit; empty without a doubt.
     """
 
     def __init__(self, events: Iterable[ImpactEvent] = ()) -> None:
         """Begin with some ``events``."""
-        self.hits = self.fast = 0
+        self.hits = self.fast = self.early = 0
         self.odd_epoch = ""
         self._last, self._of_contact = 0, dict[str, int]()
         self._lengths = Counter[int]()
@@ -62,6 +64,7 @@ class HitTimes:
             return
         if not self.hits:
             self.odd_epoch = odd_epoch(event.epoch, event.stamp)
+        self.early += event.stamp < event.epoch
         if 0 < self._last < event.stamp:
             self._lengths[(event.stamp - self._last).bit_length()] += 1
         for contact in hit:
@@ -106,6 +109,11 @@ def doubts(
         yield line
     if times.odd_epoch:
         yield times.odd_epoch
+    elif times.early:
+        yield (
+            f"{counted(times.early, 'event')} stamped before the epoch: such events are not"
+            " applied; is the epoch that of another clock, or after the first impacts?"
+        )
     if has_covariance and (line := settling(times)):
         yield line
 

@@ -197,16 +197,23 @@ class Detector:
         lines = []
         if dead.suppressed and source.kind == PEAK:
             nearest = seconds_between(0, dead.nearest)
+            remedy = "a shorter dead time (--dead-time) finds them"
+            if dead.loud_ends:
+                remedy = "the signal rings as long as hits are apart, so raise the threshold first"
             lines.append(
                 f"{dead.suppressed} peaks higher than the ringing lay in the {length},"
-                f" {nearest:.3g} s or more after an impact, and are left out; a shorter dead time"
-                " (--dead-time) finds them"
+                f" {nearest:.3g} s or more after an impact, and are left out; {remedy}"
             )
         if dead.loud_ends:
+            remedy = (
+                "a higher threshold"
+                if dead.suppressed
+                else "a longer dead time or a higher threshold"
+            )
             lines.append(
                 f"{dead.loud_ends} of {impacts} times the signal still rose above the threshold"
-                f" when the {length} ended: what follows may be a tail, not an impact; a longer"
-                " dead time or a higher threshold leaves tails out"
+                f" when the {length} ended: what follows may be a tail, not an impact; {remedy}"
+                " leaves tails out"
             )
         if dead.turned and source.instant != "onset":
             lines.append(

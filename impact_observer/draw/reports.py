@@ -19,6 +19,8 @@ from rich.text import Text
 
 from impact_observer.plain_text import printable
 
+_ROUNDING = 1e-12
+"""A deviation, relative to its value, that is rounding."""
 _UNLIMITED = 10**6
 """Columns where standard output is no terminal."""
 _FOLDED = 10
@@ -95,15 +97,17 @@ def figure(value: float, unit: str = "", deviation: float = 0.0) -> str:
     """A number with its unit: three digits, or digits to the second one of its deviation.
 
     With a standard deviation the text is, for example, ``0.7006 +- 0.0039 m``. A deviation of 0,
-    such as that of a parameter at its bound, is not written.
+    such as that of a parameter at its bound, is not written, nor one that is rounding.
     """
-    if not (isfinite(value) and 0 < deviation < inf):
+    if not (isfinite(value) and _ROUNDING * abs(value) < deviation < inf):
         return f"{value:.3g} {unit}".rstrip()
     spread = f"{deviation:.2g}"
     last = floor(log10(float(spread))) - 1  # the place of its second digit
     first = floor(log10(abs(value))) if value else last
     digits = min(max(first - last + 1, 1), 15)
     shown = f"{value:#.{digits}g}".replace(".e", "e").rstrip(".")
+    if not value:
+        shown = f"{0:.{max(-last, 0)}f}"
     return f"{shown} +- {spread} {unit}".rstrip()
 
 

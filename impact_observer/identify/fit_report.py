@@ -266,7 +266,8 @@ def _print(
 def _about_others(fitted: Identification) -> str:
     """The parameters with which the model fits; empty for none."""
     fits = [
-        f"{each.name} ({figure(each.value, each.unit)}; then {figure(each.rms, 's')} rms)"
+        f"{each.name} ({f'{each.value:.7g} {each.unit}'.rstrip()}; then"
+        f" {figure(each.rms, 's')} rms)"
         for each in fitted.others
         if each.fits
     ]
@@ -493,7 +494,9 @@ def _about_errors(fitted: Identification, check: FitCheck) -> Iterator[ReportLin
         return
     held = fitted.held_back
     if held is None:
-        yield ReportLine("note", "No impacts were held back for a check.")
+        yield ReportLine(
+            "note", "No impacts were held back for a check: too few, or --held-back 0."
+        )
         return
     yield ReportLine(
         "ok" if fitted.carries_over else "note",

@@ -36,8 +36,11 @@ class DeviationSources(NamedTuple):
         for name, part in parts:
             sums[name] = sums.get(name, np.zeros_like(part)) + part
         total = np.sum([*sums.values()], axis=0)
-        scale = np.where(total > 0, total, 1.0)
-        shares = {name: part / scale for name, part in sums.items()}
+        # What a source takes away from another is no share: a correlation may be negative.
+        added = {name: np.maximum(part, 0.0) for name, part in sums.items()}
+        whole = np.sum([*added.values()], axis=0)
+        scale = np.where(whole > 0, whole, 1.0)
+        shares = {name: part / scale for name, part in added.items()}
         return cls(flights, np.sqrt(total / flights), shares)
 
 

@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_observer.check.hit_times import HitTimes, longest_interval, settling, too_slow
+from impact_observer.check.hit_times import (
+    HitTimes,
+    doubts,
+    longest_interval,
+    settling,
+    too_slow,
+)
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import read_model
@@ -104,3 +110,17 @@ def test_check_does_not_ask_to_debounce_a_simulation(capsys: pytest.CaptureFixtu
     said = " ".join(capsys.readouterr().out.split())
     assert "124 of 174 impacts follow another in less than 5 ms; bounces of a simulation" in said
     assert "debounce" not in said
+
+
+def test_events_before_their_epoch_are_counted_in_a_doubt() -> None:
+    """Two of three events are stamped up to 0.8 s before the epoch of the forcing."""
+    events = [
+        ImpactEvent(
+            100_000_000_000 + 400_000_000 * k, (Switch("stop"),), k + 1, 0, 100_800_000_000
+        )
+        for k in range(3)
+    ]
+    said = [
+        *doubts(Path("bag"), HitTimes(events), read_model("two_mass").system, has_covariance=False)
+    ]
+    assert any("2 events stamped before the epoch" in line for line in said)

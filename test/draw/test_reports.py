@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from systems import examples
 
@@ -126,6 +126,7 @@ def test_values_are_shown_to_the_second_digit_of_their_deviation(
     value: float, deviation: float
 ) -> None:
     """Neither a significant digit is cut off nor another digit shown."""
+    assume(deviation > 1e-12 * abs(value))
     shown, sign, spread, unit = figure(value, "m", deviation).split()
     assert (sign, unit) == ("+-", "m")
     assert float(spread) == pytest.approx(deviation, rel=0.06)
@@ -142,3 +143,10 @@ def test_values_without_a_deviation_are_shown_alone() -> None:
     assert figure(0.0) == "0"
     assert figure(2.88675135e-10, "s") == "2.89e-10 s"
     assert figure(0.70061256, deviation=0.0039) == "0.7006 +- 0.0039"
+
+
+def test_rounding_is_no_deviation_and_zero_has_the_digits_of_its_deviation() -> None:
+    """A learned 0.1 ms +- 1e-19 has three digits; a phase of 0 is known to two of its own."""
+    assert figure(1e-4, "s", 1e-19) == "0.0001 s"
+    assert figure(0.0, "rad", 0.16) == "0.00 +- 0.16 rad"
+    assert figure(0.0, "N", 12.0) == "0 +- 12 N"

@@ -8,6 +8,7 @@ import pytest
 
 from impact_observer.model import Model, ParameterUncertainty, read_model
 from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.observer.deviation_sources import DeviationSources
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -96,3 +97,12 @@ def test_laws_without_a_covariance_and_few_events_have_no_sources() -> None:
         is None
     )
     assert observed(read_model("two_mass"), 0, EXACT).deviation_sources() is None
+
+
+def test_a_source_that_takes_from_another_has_no_share() -> None:
+    """Parts of 2, 1 and -1 are shares of two thirds, a third and none."""
+    parts = [("gap", np.array([2.0])), ("stamps", np.array([1.0])), ("force", np.array([-1.0]))]
+    found = DeviationSources.of_parts(2, parts)
+    shares = {name: share.item() for name, share in found.shares.items()}
+    assert shares == pytest.approx({"gap": 2 / 3, "stamps": 1 / 3, "force": 0.0})
+    assert found.deviations == pytest.approx([1.0])
