@@ -105,13 +105,14 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {result.events} events")
         for line in (*result.doubts, *result.problems):
             progress.line(f"warning: {line}")
-        if args.plot is not None:
+        if args.plot is not None and result.zero is not None:
             from impact_observer.draw.detections import detection_picture
             from impact_observer.draw.pictures import save
 
             names = [f"{source.contact}: {source.topic}" for source in result.sources]
             thresholds = [source.threshold for source in result.sources]
-            save(detection_picture(names, thresholds, result.traces), args.plot)
+            picture = detection_picture(names, thresholds, result.traces, result.zero)
+            save(picture, args.plot)
             progress.line(f"{args.plot}: the signals")
     return 0
 
@@ -148,14 +149,13 @@ def _in_signal(
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal
-    from impact_observer.io.bag_part import BagPart, TimeZero
+    from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signal_file import SignalFile
     from impact_observer.stamps import text
 
     signal = SignalFile(args.bag, table_form(args), args.time_zero)
     if args.start is not None or args.duration is not None:
-        zero = TimeZero(signal.start, "the file's time 0")
-        signal.part = BagPart.between(zero, args.start, args.duration)
+        signal.part = BagPart.between(signal.zero, args.start, args.duration)
     epoch = signal.start if args.epoch is None else args.epoch
 
     def show(rows: int) -> None:

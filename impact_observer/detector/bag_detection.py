@@ -11,7 +11,7 @@ from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
 from impact_observer.errors import BagError, UnfitBagError
 from impact_observer.io import interfaces
-from impact_observer.io.bag_part import BagPart, read_part, sensor_zero
+from impact_observer.io.bag_part import BagPart, TimeZero, read_part, sensor_zero
 from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
@@ -36,6 +36,7 @@ class BagDetection:
         seconds: from the first row to the last one, s.
         suppressed: how many peaks, changes or messages of each source lay in dead times.
         traces: signals of the sources, if they were to be kept.
+        zero: the time zero of the traces, as of a part; None without them.
         part: the part that was read; None for all.
     """
 
@@ -48,6 +49,7 @@ class BagDetection:
     seconds: float = 0.0
     suppressed: list[int] = field(default_factory=list)
     traces: list[SignalTrace] = field(default_factory=list)
+    zero: TimeZero | None = None
     part: BagPart | None = None
 
     def finish(self, path: Path, detector: Detector, model: Model | None) -> None:
@@ -119,12 +121,13 @@ def detect_bag(
         known = model or model_of(reader)
         check_contacts(known, declared)
     topics = [*dict.fromkeys(source.topic for source in declared)]
+    zero = partial(sensor_zero, topics=topics, epoch=epoch)
     part = read_part(
         reader,
         start,
         duration,
         topics,
-        zero=partial(sensor_zero, topics=topics, epoch=epoch),
+        zero=zero,
         received=[source.topic for source in declared if source.stamp == "receive"],
     )
     detector = Detector(
@@ -134,6 +137,7 @@ def detect_bag(
         joins_late=part is not None and part.is_late,
     )
     result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
+    result.zero = zero(reader) if traced else None
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
         _run(reader, writer, detector, copied=copied, progress=progress)

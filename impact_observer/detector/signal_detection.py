@@ -71,6 +71,7 @@ def detect_signal(
     is_late = part is not None and part.low > signal.first
     detector = Detector(present_sources, epoch=epoch, traced=traced, joins_late=is_late)
     result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
+    result.zero = signal.zero
     with all_or_nothing(output, flush) as writer:
         if model is not None:
             write_model(writer, model, max(signal.first, part.low if part else 0))

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import impact_observer.draw.pictures  # noqa: F401 (the backend that needs no display)
+from impact_observer.io.bag_part import TimeZero
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 _WIDTH, _HEIGHT = 9.0, 2.6
@@ -28,7 +29,10 @@ class Trace(Protocol):
 
 
 def detection_picture(
-    names: Sequence[str], thresholds: Sequence[float | None], traces: Sequence[Trace]
+    names: Sequence[str],
+    thresholds: Sequence[float | None],
+    traces: Sequence[Trace],
+    zero: TimeZero,
 ) -> Figure:
     """A row for each sensor: the whole signal, and its part around a dead time.
 
@@ -38,18 +42,18 @@ def detection_picture(
         names: of the sensors.
         thresholds: in the unit of the signal; None for a sensor without one.
         traces: the signals.
+        zero: of the axis of time; ``--start`` counts from the same instant.
     """
     figure = Figure(figsize=(_WIDTH, _HEIGHT * max(len(traces), 1)), layout="constrained")
     grid = figure.subplots(len(traces), 2, squeeze=False, width_ratios=(2, 1))
     for row, name, threshold, trace in zip(grid, names, thresholds, traces, strict=True):
-        zero = trace.stamps[0] if trace.stamps else 0
         for axes in row:
-            _draw(axes, trace, threshold, zero)
-        row[0].set_ylabel(name)
-        row[1].set_xlim(*_part(trace, zero))
+            _draw(axes, trace, threshold, zero.stamp)
+        row[0].set_ylabel(f"{name}\n[unit of the field]")
+        row[1].set_xlim(*_part(trace, zero.stamp))
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
-    figure.supxlabel("time since the first sample [s]")
+    figure.supxlabel(zero.axis)
     return figure
 
 
@@ -72,9 +76,9 @@ def _draw(axes: Axes, trace: Trace, threshold: float | None, zero: int) -> None:
 
 def _part(trace: Trace, zero: int) -> tuple[float, float]:
     """The ends of the part that is drawn larger, s; the whole without a dead time."""
-    last = seconds_between(zero, trace.stamps[-1]) if trace.stamps else 1.0
     if not trace.dead:
-        return 0.0, last
+        ends = (trace.stamps[0], trace.stamps[-1]) if trace.stamps else (zero, zero + NS_PER_S)
+        return seconds_between(zero, ends[0]), seconds_between(zero, ends[1])
     first = min(trace.suppressed, default=trace.dead[0][0])
     begin, end = max((each for each in trace.dead if each[0] <= first), default=trace.dead[0])
     margin = _AROUND * max(end - begin, 1_000_000)

@@ -7,7 +7,7 @@ from itertools import chain, takewhile
 from pathlib import Path
 
 from impact_observer.errors import UsageError
-from impact_observer.io.bag_part import BagPart
+from impact_observer.io.bag_part import BagPart, TimeZero
 from impact_observer.io.bag_topics import SOUND_FILES
 from impact_observer.io.sound_file import SoundFile
 from impact_observer.io.table_file import TableFile, start_of
@@ -61,6 +61,11 @@ class SignalFile:
                 f"{path}: its first stamp would be {text(self.first)} s; expected more than 0, at"
                 f" most {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0"
             )
+
+    @property
+    def zero(self) -> TimeZero:
+        """The file's time zero."""
+        return TimeZero(self.start, "the file's time 0")
 
     def rows(self, columns: Sequence[str]) -> Iterator[tuple[int, tuple[float | None, ...]]]:
         """Stamps (ns) and numbers of these columns; None where a cell is empty. Only once.

@@ -109,10 +109,12 @@ def test_the_onset_of_a_ringing_signal_does_not_scatter(
 def test_the_picture_of_a_detection_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The picture is named; another suffix is refused before anything is read."""
+    """The picture is named and has file time; another suffix is refused at once."""
     picture = tmp_path / "signal.svg"
     detect(tmp_path, "--plot", str(picture))
-    assert "suppressed" in picture.read_text(encoding="utf-8")
+    drawn = picture.read_text(encoding="utf-8")
+    assert "suppressed" in drawn
+    assert "time since the file's time 0 [s]" in drawn
     assert f"{picture}: the signals" in capsys.readouterr().out
     assert main(["detect", "none.csv", "--plot", "signal.txt", "-o", str(tmp_path / "new")]) == 2
     assert "expected a name that ends in .png" in capsys.readouterr().err
