@@ -186,7 +186,6 @@ class Fit(NamedTuple):
         fewest, latest = TUNING.fewest, self.explained[-TUNING.fewest :]
         is_excused = len(latest) == fewest and sum(latest) < TUNING.doubted_explained * fewest
         is_correlated = self.statistic > TUNING.doubted_statistic
-        is_correlated = is_correlated or self.repetition > TUNING.doubted_repetition
         is_improbable = self.evidence > TUNING.doubted_evidence
         is_in_doubt = is_excused or is_correlated or is_improbable
         return self.is_misfit or is_in_doubt or self.errors >= TUNING.doubted_events

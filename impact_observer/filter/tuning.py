@@ -245,9 +245,7 @@ class Tuning:
     the impacts. White ones pass it with a probability of at most 6e-6 (docs/theory/misfit.md).
     """
     doubted_repetition: float = 3.0
-    """The same, above which parameters are estimated too, and nothing is synchronized: of
-    simulated white ones 0.1 % are.
-    """
+    """The same, above which nothing is synchronized: of simulated white ones 0.1 % are."""
     established_error: float = 0.8
     """Probability of an error of the model from which on an event counts as one with an error."""
     doubted_events: int = 6
