@@ -20,9 +20,10 @@ from impact_observer.cli.arguments import (
 from impact_observer.options import AUTO, VERDICTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from impact_observer.filter.unknown_parameters import UnknownParameters
+    from impact_observer.io.reader import BagReader
     from impact_observer.model import Model, System
     from impact_observer.observer import Observer
     from impact_observer.options import Options
@@ -59,7 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
-    from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import counted
     from impact_observer.events import Remark, Ruling
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observer import law_named, make_observer
-    from impact_observer.stamps import seconds_between
+    from impact_observer.observer.encoder_start import started
 
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
@@ -81,13 +81,14 @@ def run(args: argparse.Namespace) -> int:
         read_impacts_part(reader, *part, sensors, tell=progress.line)
         measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
         used = measured.samples if law_named(chosen.law).uses_measurements else ()
-        assumed = assumed_epoch(read.system, events_from(reader, chosen.epoch), used, chosen.epoch)
+        events = events_from(reader, chosen.epoch)
+        assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
         chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
+        if read.robot is not None and law_named(chosen.law).has_covariance:
+            chosen = started(chosen, read.robot, sensors, used)
         observer = make_observer(read, chosen, measurements=sensors)
-        has_covariance = observer.law.has_covariance
-        odd = doubts(args.bag, first_times(reader), read.system, has_covariance=has_covariance)
-        start = far_start(read.system, chosen)
-        for line in (*measured.problems, *unused_lines(observer), *odd, *start):
+        odd = odd_lines(reader, read, observer, chosen)
+        for line in (*measured.problems, *unused_lines(observer), *odd):
             progress.line(f"warning: {line}")
         noted = [f"note: {assumed.note}"] * bool(assumed.note)
         for line in (*noted, *considered_lines(read, observer.law.uncertainty.unknowns)):
@@ -119,23 +120,25 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         for line in closing_lines(read, observer):
             progress.line(line)
-        if observer.last_event and observer.epoch:
-            seconds = seconds_between(observer.epoch, observer.last_event)
-            if warning := read.system.held_force(seconds):
-                progress.line(f"warning: {warning}")
         if unexplained := observer.remarks[Remark.MISFIT]:
             latest = observer.estimate(observer.last_event).misfit
-            events = counted(unexplained, "event")
-            progress.line(f"warning: at {events} {latest or MISFIT}")
+            many = counted(unexplained, "event")
+            progress.line(f"warning: at {many} {latest or MISFIT}")
     return 0
 
 
 def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
     """What is said of the estimate, of what was learned, and of data used twice."""
+    from impact_observer.stamps import seconds_between
+
     yield from source_lines(observer)
     yield from parameter_lines(observer)
     yield from sample_lines(observer)
     yield from fitted_lines(model, (observer.last_event,))
+    if model.robot is None and observer.last_event and observer.epoch:
+        seconds = seconds_between(observer.epoch, observer.last_event)
+        if warning := model.system.held_force(seconds):
+            yield f"warning: {warning}"
 
 
 def source_lines(observer: "Observer") -> "Iterator[str]":
@@ -170,6 +173,7 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
     from impact_observer.model.free_parameters import with_unit
 
     if unknowns is not None and any(unknowns.considered):
+        unit = model.system.unit if model.robot is None else model.robot.units[0]
         each = zip(
             unknowns.family.names,
             unknowns.considered,
@@ -178,13 +182,30 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
             strict=True,
         )
         texts = [
-            f"{with_unit(name, model.system.unit)} {figure(value, deviation=deviation)}"
+            f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
             for name, considered, value, deviation in each
             if considered
         ]
         yield f"considered: {', '.join(texts)}"
-    if model.uncertainty is not None and (names := not_considered(model.uncertainty)):
+    names: Sequence[str] = ()
+    if model.uncertainty is not None:
+        names = not_considered(model.uncertainty, is_robot=model.robot is not None)
+    if names:
         yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
+
+
+def odd_lines(
+    reader: "BagReader", model: "Model", observer: "Observer", options: "Options"
+) -> "Iterator[str]":
+    """Lines if the times of impacts or the start are odd for a linear model."""
+    from impact_observer.check.hit_times import doubts, first_times
+
+    if model.robot is not None:
+        return
+    system = model.system
+    has_covariance = observer.law.has_covariance
+    yield from doubts(reader.path, first_times(reader), system, has_covariance=has_covariance)
+    yield from far_start(system, options)
 
 
 def fitted_lines(model: "Model", stamps: "Iterable[int]") -> "Iterator[str]":

@@ -11,6 +11,7 @@ from scipy import special
 
 from impact_observer.events import Kind
 from impact_observer.filter.error_accounts import ErrorAccounts
+from impact_observer.filter.flight_of import flight_of
 from impact_observer.filter.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis, Jump
@@ -20,6 +21,7 @@ from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.settling import rest_after
 from impact_observer.filter.tuning import TUNING
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
 _LEAST_SURVIVAL = -1e3
@@ -108,7 +110,8 @@ class BetweenEvents:
         self._dead_time = dead_time
         self._most = most
         self._keeps_exact = keeps_exact
-        self._flight = Flight if filter_.system.live else lru_cache(_KEPT_FLIGHTS)(Flight)
+        changes = filter_.system.live or isinstance(filter_.system, Robot)
+        self._flight = flight_of if changes else lru_cache(_KEPT_FLIGHTS)(flight_of)
 
     def predict(
         self, hypotheses: Sequence[Hypothesis], t: float, s: float

@@ -175,7 +175,7 @@ class Branching:
         depth = max(true.likelihood.innovations.values(), default=-1.0)
         if depth <= TUNING.surprise or self._trusts_estimate or true.here is None:
             return
-        h, part = true.before, self._filter.part_of(true.here.contacts)
+        h, part = true.before, self._filter.part_of(true.here.contacts, true.before.state.x)
         prior = self._prior(h, true.here, is_row=true.is_row)
         for factor in (TUNING.widening, TUNING.large_widening):
             wider = h._replace(state=self._filter.widened(h.state, factor * depth, largest, part))

@@ -129,6 +129,20 @@ class Flight:
         size = abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
         return (_GUARD_ROUNDING + _EPS * (self._t + s) / self._scales.timescale) * size
 
+    def is_clear(self, motion: Motion, duration: float) -> bool:
+        """Whether a bound shows that no function falls below zero: none is computed."""
+        del motion, duration
+        return False
+
+    def value(self, j: int, s: float, x: Vector) -> float:
+        """Function ``j`` after ``s`` seconds, at the state ``x``."""
+        return float(self.c[j].dot(x)) + self.rest(j, s)
+
+    def gradient(self, j: int, s: float, state: Callable[[float], Vector]) -> Vector:
+        """Derivatives of function ``j`` by the ``state`` after ``s`` seconds, shape (2n,)."""
+        del s, state
+        return np.asarray(self.c[j])
+
     def rest(self, j: int, s: float) -> float:
         """``offset`` of function ``j`` alone, ``s`` seconds after the start."""
         return float(self._distance[j] if j < self.gaps else self.offset(np.array([s]))[0, j])
@@ -209,6 +223,8 @@ class Forecast:
                 return found[0]
         if not (self._flight.contacts and duration > 0):
             return []
+        if self._flight.is_clear(self.prediction.motion, duration):
+            return []
         give_turn()
         s = self._flight.instants(duration)
         values = np.nan_to_num(self._flight.values(self.prediction.motion, s))  # may overflow
@@ -221,8 +237,7 @@ class Forecast:
         return self._flight.rounding(j, s, self._state.x)
 
     def _value(self, j: int, s: float) -> float:
-        x = self.prediction.state(s)
-        return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
+        return self._flight.value(j, s, self.prediction.state(s))
 
     def deviation(self, j: int, s: float) -> float:
         """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
@@ -234,8 +249,11 @@ class Forecast:
             row = self._row(j, s)
             spread = row.dot(self.prediction.full_root(s)[: row.size])
         else:
-            spread = self._flight.c[j].dot(self.prediction.root(s))
+            spread = self._gradient(j, s).dot(self.prediction.root(s))
         return math.hypot(*spread.tolist())
+
+    def _gradient(self, j: int, s: float) -> Vector:
+        return self._flight.gradient(j, s, self.prediction.state)
 
     def _row(self, j: int, s: float) -> Vector:
         """Gradient of function ``j`` by state and parameters after ``s`` seconds, (2n + p,)."""
@@ -245,7 +263,7 @@ class Forecast:
         else:
             x, closed = self.prediction.state(s), self._state.closed
             sensitivity = self._members.load_sensitivity(member, closed, which, x, self._t + s)
-        return np.append(self._flight.c[j], sensitivity)
+        return np.append(self._gradient(j, s), sensitivity)
 
     def confident_from(self, dip: Dip, depth: float) -> float:
         """From when on a dip is deeper than ``depth`` standard deviations, s."""

@@ -15,9 +15,11 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.likelihood import Likelihood
 from impact_observer.filter.linear import LinearPrediction
-from impact_observer.filter.members import Member, Members
+from impact_observer.filter.members import Member
 from impact_observer.filter.process_noise import ProcessNoise
 from impact_observer.filter.resting import rested
+from impact_observer.filter.robot_family import family_of
+from impact_observer.filter.robot_members import members_of
 from impact_observer.filter.square_root import (
     correction,
     lengths,
@@ -30,7 +32,7 @@ from impact_observer.kernel._kernel import (
     Gaps,
 )
 from impact_observer.model import System
-from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 _LEAST_EXTENT = 1e-9
@@ -70,15 +72,20 @@ class ImpactFilter:
 
     def __init__(
         self,
-        system: System,
+        system: System | Robot,
         model_error: float = 0.0,
         unknowns: UnknownParameters | None = None,
     ) -> None:
-        """Prepare law and phases; ``model_error`` is white noise of accelerations, m/s^1.5."""
-        self.system = system
-        unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty((0, 0)))
+        """Prepare law and phases; ``model_error`` is white noise of accelerations, m/s^1.5.
+
+        A robot has the white torques of its model instead.
+        """
+        self.system: System = system  # type: ignore[assignment]
+        if isinstance(system, Robot):
+            model_error = float(system.torque_deviation.any())
+        unknowns = unknowns or UnknownParameters(family_of(system), np.empty((0, 0)))
         self._unknowns = unknowns
-        self.members = Members(unknowns.family, unknowns.considered)
+        self.members = members_of(unknowns.family, unknowns.considered)
         self.scales = self.members.given.moving.scales
         self.conditioning = Conditioning(self.members)
         drift = unknowns.drift * np.where(unknowns.considered, 0.0, unknowns.deviations)
@@ -287,9 +294,9 @@ class ImpactFilter:
             return None
         return self.members.free_gaps
 
-    def part_of(self, contacts: Contacts) -> NDArray[np.bool_]:
-        """The coordinates that ``contacts`` touch, and all that these are coupled with, (n,)."""
-        touched = np.any(self.system.W[:, list(contacts)] != 0, axis=1)
+    def part_of(self, contacts: Contacts, x: Vector) -> NDArray[np.bool_]:
+        """The coordinates that ``contacts`` touch at a state, and all coupled with them, (n,)."""
+        touched = np.any(self.near(x).W[:, list(contacts)] != 0, axis=1)
         return np.isin(self._parts, self._parts[touched])
 
     @cached_property

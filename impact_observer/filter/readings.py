@@ -15,6 +15,8 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model import System
 from impact_observer.model.measurement import Coefficients, Measurement
+from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_readings import RobotReading
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
 _HALF_STEP = 1000
@@ -77,7 +79,10 @@ class DeclaredSensor:
         measurement: as it was declared.
         index: among all sensors.
         is_dynamic: whether it measures accelerations, which depend on forces.
+        period: of what it measures, in its unit: an angle that turns; 0 for none.
     """
+
+    period = 0.0
 
     def __init__(self, measurement: Measurement, system: System, index: int = 0) -> None:
         """Resolve names of coordinates and contacts.
@@ -270,12 +275,48 @@ class SampleOutcome(NamedTuple):
     reason: str = ""
 
 
-def sensors_of(measurements: Sequence[Measurement], system: System) -> tuple[DeclaredSensor, ...]:
-    """The sensors of a system.
+class RobotSensor(DeclaredSensor):
+    """A declared measurement of a robot; angles of continuous joints count modulo 2 pi."""
+
+    def __init__(self, measurement: Measurement, robot: Robot, index: int = 0) -> None:
+        """Resolve names of joints and contacts.
+
+        Raises:
+            UsageError: the robot does not have them, by file and key.
+        """
+        self._reading = reading = RobotReading(measurement, robot, index)
+        self.measurement, self.index = measurement, index
+        self.is_dynamic = reading.is_dynamic
+        turning = {
+            each.name for each in robot.description.urdf_joints if each.type == "continuous"
+        }
+        self.period = math.tau if {*dict(measurement.position)} & turning else 0.0
+
+    def row(self, moving: MovingSystem, at: Place) -> Row:
+        """The measured function of states near a place."""
+        tau = moving.forces(at.t)[0]
+        h = self._reading.gradient(at.x, tau, at.closed)
+        return Row(h, self._reading.value(at.x, tau, at.closed) - float(h.dot(at.x)))
+
+    def row_of(self, members: Members, theta: Vector, at: Place) -> Row:
+        """``row`` of the member of a family whose parameters are ``theta``, shape (p,)."""
+        return self.row(members.at(theta).moving, at)._replace(of_theta=np.zeros(theta.size))
+
+    def shifts(self, instants: Stamps) -> Vector:
+        """What moving grounds add: nothing, shape (samples,)."""
+        return np.zeros(instants.size)
+
+
+def sensors_of(
+    measurements: Sequence[Measurement], system: System | Robot
+) -> tuple[DeclaredSensor, ...]:
+    """The sensors of a system or a robot.
 
     Raises:
         UsageError: the system does not have a coordinate or contact, by file and key.
     """
+    if isinstance(system, Robot):
+        return tuple(RobotSensor(each, system, i) for i, each in enumerate(measurements))
     return tuple(DeclaredSensor(each, system, i) for i, each in enumerate(measurements))
 
 

@@ -105,8 +105,13 @@ class SampleFilter:
         sensor, members = reading.sensor, self.filter.members
         at = Place(reading.t, reading.instant, state.x, state.closed)
         if state.parameters:
-            return sensor.row_of(members, state.theta, at)
-        return sensor.row(members.given.moving, at)
+            row = sensor.row_of(members, state.theta, at)
+        else:
+            row = sensor.row(members.given.moving, at)
+        if period := sensor.period:
+            turns = round((reading.value - row.value(state.x)) / period)
+            row = row._replace(rest=row.rest + turns * period)
+        return row
 
     def noise(self, row: Row, state: GaussianState, variance: float) -> float:
         """The variance of a sample, with its rounding."""

@@ -13,6 +13,7 @@ from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.options import Options, highest
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_DEVIATION = 1e9
@@ -134,7 +135,7 @@ class Uncertainty:
         return np.diag(np.broadcast_to(deviation, 2 * n).astype(float))
 
 
-def deviation_of(text: str, system: System) -> Vector:
+def deviation_of(text: str, system: System | Robot) -> Vector:
     """Read one number, or ``q1,..,qn,u1,..,un``: standard deviations of an initial state.
 
     Raises:

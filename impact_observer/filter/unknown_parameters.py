@@ -13,6 +13,7 @@ from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.robot_description import RESTITUTION
 from impact_observer.options import highest
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -165,10 +166,19 @@ def _motion_first(family: ParametricFamily) -> ParametricFamily:
     return ParametricFamily(family.system, tuple(parameters))
 
 
-def not_considered(uncertainty: ParameterUncertainty) -> tuple[str, ...]:
-    """Names of the parameters with a deviation that an observer takes for exact."""
+def not_considered(
+    uncertainty: ParameterUncertainty, *, is_robot: bool = False
+) -> tuple[str, ...]:
+    """Names of the parameters with a deviation that an observer takes for exact.
+
+    Of a robot only restitutions are considered.
+    """
     known = uncertainty.deviation_by_name
-    return tuple(name for name, deviation in known.items() if deviation and not is_observed(name))
+
+    def counts(name: str) -> bool:
+        return name.startswith(f"{RESTITUTION}.") if is_robot else is_observed(name)
+
+    return tuple(name for name, deviation in known.items() if deviation and not counts(name))
 
 
 def _number(text: str, number: str) -> float:

@@ -14,6 +14,7 @@ from impact_observer.io.reader import BagReader, first_stamp, states_of
 from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.samples import SensorSample
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between, text
 
@@ -98,7 +99,10 @@ class AssumedEpoch(NamedTuple):
 
 
 def assumed_epoch(
-    system: System, events: Sequence[ImpactEvent], samples: Sequence[SensorSample], epoch: int
+    system: System | RobotDescription,
+    events: Sequence[ImpactEvent],
+    samples: Sequence[SensorSample],
+    epoch: int,
 ) -> AssumedEpoch:
     """The first of the ``samples`` that come before all ``events``, if no epoch is known.
 

@@ -101,6 +101,30 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
             yield part_left_out(count, reader.topics[topic].count, what, why)
 
 
+def give_efforts(reader: BagReader, live: LiveSignals, topic: str) -> Iterator[str]:
+    """Add the efforts of a robot's joints on a ``topic`` of a bag; lines as ``give_recorded``.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    name = f"/{topic.lstrip('/')}"
+    if name not in reader.topics:
+        yield f"no efforts on {name}, where the model has them: they count as zero"
+        return
+    lost = Counter[str]()
+    for _, message in reader.messages(name):
+        try:
+            samples = read_samples(message, moves=False)
+        except MessageError as error:
+            lost[str(error)] += 1
+            continue
+        own = (each for each in samples if each.name in live.inputs)
+        lost.update({*filter(None, (live.add_force(*each[:3]) for each in own))})
+    for why, count in lost.items():
+        what = f"messages on {name} wholly or partly"
+        yield part_left_out(count, reader.topics[name].count, what, why)
+
+
 def first_pulse(reader: BagReader) -> int:
     """The stamp of the first pulse of a drive in a bag, ns; 0 without a pulse.
 

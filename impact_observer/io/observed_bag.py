@@ -22,7 +22,7 @@ from impact_observer.events import (
 )
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import OBSERVER, in_log_order, messages_of
-from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_recorded
+from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_efforts, give_recorded
 from impact_observer.io.measured_samples import MeasuredTopics
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
@@ -90,7 +90,13 @@ def observe_bag(
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
-    for line in give_recorded(reader, observer.live):
+    robot = observer.robot
+    forces = None if robot is None else robot.description.forces
+    if observer.live is not None and forces is not None:
+        given = give_efforts(reader, observer.live, forces[0])
+    else:
+        given = give_recorded(reader, observer.live)
+    for line in given:
         warn(line)
     copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]

@@ -3,10 +3,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
 from impact_observer.errors import UsageError
+from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty, deviation_of
 from impact_observer.filter.unknown_parameters import UnknownParameters
@@ -17,6 +19,7 @@ from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
+from impact_observer.robots.robot import Robot, connected_robot, observed
 from impact_observer.states import Matrix, Vector
 
 
@@ -49,8 +52,10 @@ def make_observer(
     is_exact = isinstance(model, System)
     model = model_of(model, "make_observer")
     undeclared = 0.0 if is_exact or model.has_exact_numbers else TUNING.undeclared_error
-    system, live = connected(model.system)
     law = law or law_named(options.law)
+    if model.robot is not None:
+        return _robot_observer(model, law, options, others, measurements)
+    system, live = connected(model.system)
     unknowns = unknowns or _unknown_parameters(system, options, model)
     begin = Uncertainty(unknowns=unknowns, undeclared=undeclared)
     uncertainty = declared_by(options, system, begin)
@@ -68,7 +73,66 @@ def make_observer(
     )
 
 
-def declared_by(options: Options, system: System, before: Uncertainty) -> Uncertainty:
+def _model_error(options: Options, system: System | Robot) -> float | None:
+    """White accelerations, m/s^1.5; None if they are learned: a robot has white torques."""
+    if isinstance(system, Robot):
+        return 0.0
+    return None if options.model_error < 0 else options.model_error
+
+
+def _robot_observer(
+    model: Model,
+    law: type[Law],
+    options: Options,
+    others: Matrix | None,
+    measurements: Sequence[Measurement],
+) -> Observer:
+    """An observer of the robot of a ``model``, whose efforts and encoders are measured."""
+    assert model.robot is not None, "a robot"
+    name = model.robot.name
+    if not (law.has_covariance and law.uses_measurements):
+        raise UsageError(
+            f"law {law.name}: takes no robot, as {name} is; expected minimum-variance"
+        )
+    if options.model_error > 0:
+        raise UsageError(
+            f"model_error: {options.model_error:g} found; expected torque_deviation in the model"
+            f" of the robot {name} instead"
+        )
+    if options.estimate_parameters:
+        raise UsageError(
+            f"estimate_parameters: {options.estimate_parameters[0]} found; expected none, as"
+            f" parameters of the robot {name} are considered by their deviations in the model"
+        )
+    if not any(each.position or each.gap for each in measurements):
+        raise UsageError(
+            f"measurements: none of positions of the robot {name}, whose motion does not follow"
+            " from impact times alone; expected its encoders, --measurements FILE"
+        )
+    robot, live = connected_robot(observed(model))
+    deviations = model.uncertainty.deviation_by_name if model.uncertainty is not None else {}
+    family = RobotFamily.named(robot, [name for name, each in deviations.items() if each])
+    unknowns = None
+    if family.size:
+        variances = np.square([deviations[name] for name in family.names])
+        unknowns = UnknownParameters(family, np.diag(variances), 0.0, (True,) * family.size)
+    begin = Uncertainty(model_error=0.0, unknowns=unknowns)
+    uncertainty = declared_by(options, robot, begin)
+    return Observer(
+        robot,
+        law(cast(System, robot), uncertainty),
+        *initial_state(options.initial_state, robot, options.initial_deviation),
+        epoch=options.epoch,
+        history=options.history,
+        ensemble=options.ensemble,
+        others=others,
+        agreed=options.agreed,
+        live=live,
+        measurements=measurements,
+    )
+
+
+def declared_by(options: Options, system: System | Robot, before: Uncertainty) -> Uncertainty:
     """The uncertainty that ``options`` declare; parameters and model errors are as ``before``.
 
     Raises:
@@ -79,7 +143,7 @@ def declared_by(options: Options, system: System, before: Uncertainty) -> Uncert
         deviation=deviation_of(options.initial_deviation, system),
         clock_error=None if options.clock_error < 0 else options.clock_error,
         clock_offset_error=options.clock_offset_error,
-        model_error=None if options.model_error < 0 else options.model_error,
+        model_error=_model_error(options, system),
         missed=options.missed,
         spurious=options.spurious,
         mislabelled=options.mislabelled,
@@ -107,7 +171,9 @@ def _unknown_parameters(
     return None
 
 
-def initial_state(text: str, system: System, deviation: str = "1") -> tuple[Vector, Vector]:
+def initial_state(
+    text: str, system: System | Robot, deviation: str = "1"
+) -> tuple[Vector, Vector]:
     """Read ``q1,..,qn,u1,..,un``, ``random:SEED``, ``drawn:SEED`` or ``zero``.
 
     ``random:SEED`` is ``numpy.random.default_rng(SEED).normal(size=2n)``, q then u, in SI units

@@ -6,12 +6,11 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import chain, pairwise
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from impact_observer.dynamics import Scales
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
 from impact_observer.events import (
     REVISED,
@@ -24,6 +23,7 @@ from impact_observer.events import (
 )
 from impact_observer.filter.readings import sensors_of
 from impact_observer.filter.uncertainty import covariance_root, spread
+from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
@@ -38,6 +38,7 @@ from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
 from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import from_seconds, text, whole_stamp, whole_stamps
 from impact_observer.states import (
     Estimate,
@@ -91,13 +92,14 @@ class Observer:
         given_epoch: the epoch that was given, ns; 0 for none.
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
+        robot: the robot; None of a linear system.
         samples: samples of the sensors beside the impacts, and verdicts on samples.
         restarts: how often a new episode or epoch has restarted the replica.
     """
 
     def __init__(
         self,
-        system: ModelSource,
+        system: ModelSource | Robot,
         law: Law,
         position: Vector,
         velocity: Vector,
@@ -113,7 +115,7 @@ class Observer:
         """Make an observer that has received nothing yet.
 
         Args:
-            system: the system; a model or the path of a model file names its system.
+            system: the system or robot; a model or the path of a model file names its system.
             law: a law for the same system.
             position: initial coordinates, shape (n,), m or rad.
             velocity: initial velocities, shape (n,).
@@ -129,7 +131,8 @@ class Observer:
             UsageError: no system or law, a wrong state, or a number that is not positive.
             ModelError: the model file is wrong.
         """
-        system = model_of(system, "Observer").system
+        if not isinstance(system, Robot):
+            system = model_of(system, "Observer").system
         if not isinstance(law, Law):
             raise UsageError(f"Observer: {law!r} found; expected law_named(NAME)(system)")
         for name, value in (("history", history), ("agreed", agreed), ("ensemble", ensemble)):
@@ -137,12 +140,13 @@ class Observer:
                 raise UsageError(f"{name}: {value:g} found; expected a positive number")
         q, u = system.checked_state(position, velocity)
         if live is None:
-            refused(system, "an observer without signals")
+            refused(cast(System, system), "an observer without signals")
         self.live = live
+        self.robot = system if isinstance(system, Robot) else None
         self.samples = SampleStream(sensors_of(measurements, system))
         self._revised: list[Verdict] = []
         self._is_inserting = False
-        self.system = system
+        self.system: System = system  # type: ignore[assignment]
         self.law = law
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
@@ -150,7 +154,7 @@ class Observer:
         self._others = others
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
-        self._scales = Scales.of_equations(system)
+        self._scales = law.moving.scales
         self._lasts = from_seconds(float(np.max(system.contact_time, initial=0.0)))
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}

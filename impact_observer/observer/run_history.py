@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Container, Iterable, Iterator,
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.filter.readings import SampleOutcome
@@ -64,7 +63,7 @@ class RunHistory:
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
         self._system = update.law.system
-        self._scales = Scales.of_equations(self._system)
+        self._scales = update.law.moving.scales
         self._soft = np.flatnonzero(self._system.contact_time).tolist()
         self._names = self._system.contact_names
         self._sides = ImpactSides(update.law)
@@ -412,6 +411,8 @@ class RunHistory:
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
         """States (q, u) at ``stamps`` (ns) from states in the frame, shape (samples, 2n)."""
+        if self._system.frame is None:
+            return x
         return self._system.from_frame(stamps - self.update.epoch, x)
 
 

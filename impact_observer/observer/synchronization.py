@@ -15,15 +15,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import PositionProjection, Scales
+from impact_observer.dynamics import PositionProjection
 from impact_observer.events import Ruling
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.hypotheses import agreeing, mixture
+from impact_observer.filter.robot_members import at_zero
+from impact_observer.filter.robot_motion import scales_of
 from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.options import Options
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 REQUIRED_EVENTS = 3
@@ -101,13 +104,13 @@ class SynchronizationTest:
         threshold: largest V distance that counts as agreement, relative to the motion's energy.
     """
 
-    def __init__(self, system: System, threshold: float = Options.agreed) -> None:
-        """Take the metric of ``V`` from ``system``."""
-        self._n, self._system = system.n, system
-        self._brief = TUNING.brief_flight * Scales.of_equations(system).timescale
-        self._metric = linalg.block_diag(system.K, system.M)
-        self._projection = PositionProjection(system)
-        seen = system.parts()[np.argmax(system.W != 0, axis=0)]
+    def __init__(self, system: System | Robot, threshold: float = Options.agreed) -> None:
+        """Take the metric of ``V`` from ``system``; of a robot, where its coordinates are zero."""
+        self._n = system.n
+        scales, self._system = scales_of(system), at_zero(system)
+        self._metric = linalg.block_diag(self._system.K, self._system.M)
+        seen = system.parts()[np.argmax(self._system.W != 0, axis=0)]
+        self._brief = TUNING.brief_flight * scales.timescale
         _, part = np.unique(seen, return_inverse=True)
         self._names = system.contact_names
         self._part: list[int] = part.tolist()  # of each contact
@@ -241,6 +244,10 @@ class SynchronizationTest:
             squares = np.einsum("ij,ij->j", lengths, lengths)
             return 2 * float(squares.max()), energy  # half of twice the radius, squared
         return distance / 2, energy
+
+    @cached_property
+    def _projection(self) -> PositionProjection:
+        return PositionProjection(self._system)
 
     @cached_property
     def _lengths(self) -> Matrix:

@@ -5,8 +5,10 @@
 ``g_i(q) = n_i . p_i(q) - o_i >= 0``, ``W_i = J_i' n_i``. States are ``x = (q, u)``, shape (2n,).
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +18,9 @@ from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.model import Model, System
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.grounds import LiveNames
+from impact_observer.model.live_signals import LiveSignals
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import checked_part, per_second
@@ -63,6 +68,7 @@ class Robot:
         eps: nominal restitution coefficients, shape (m,).
         contact_time: durations of impacts, shape (m,), s.
         torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
+        forcing: torques and forces of the drives, N m or N: those of the plant, or as measured.
     """
 
     def __init__(self, description: RobotDescription | ModelSource) -> None:
@@ -102,6 +108,7 @@ class Robot:
         self.eps = frozen([law.nominal for law in self.rebounds])
         self.contact_time = frozen([each.contact_time for each in description.contacts])
         self.torque_deviation = description.torque_deviation
+        self.forcing = description.forcing
         self._world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         self._model = pinocchio_model(description)
         self._data = self._model.createData()
@@ -132,6 +139,78 @@ class Robot:
         """Number of contacts."""
         return len(self.contact_names)
 
+    @property
+    def guides(self) -> tuple[()]:
+        """Guides that rub: none."""
+        return ()
+
+    @property
+    def frame(self) -> None:
+        """Moving grounds: none."""
+        return
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coordinates, or of the first joint where they differ."""
+        return self.units[0]
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the components of (q, u)."""
+        return (*self.coordinates, *(f"{name}'" for name in self.coordinates))
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Units of the components of (q, u)."""
+        return (*self.units, *self.speed_units)
+
+    @property
+    def live(self) -> LiveNames | None:
+        """The efforts that arrive live, by joint; None if efforts count as zero."""
+        if self.description.forces is None:
+            return None
+        return LiveNames(self.coordinates, np.eye(self.n), ())
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether an observer needs an epoch: where measured torques act."""
+        return self.live is not None
+
+    def is_plain(self, contacts: Collection[int]) -> bool:
+        """Whether all ``contacts`` rebound by a constant coefficient."""
+        return self._special.isdisjoint(contacts)
+
+    def parts(self) -> NDArray[np.intp]:
+        """The part to which each coordinate belongs, (n,): all joints move together."""
+        return np.zeros(self.n, dtype=np.intp)
+
+    def with_forcing(self, forcing: Forcing) -> "Robot":
+        """The robot under other torques; both share pinocchio's memory."""
+        found = self._twin()
+        found.forcing = forcing
+        return found
+
+    def with_restitutions(self, values: Mapping[str, float]) -> "Robot":
+        """The robot with other restitutions, by names such as ``restitution.wall``.
+
+        Both share pinocchio's memory.
+
+        Raises:
+            ModelError: a value is impossible, such as a restitution above 1.
+        """
+        found = self._twin()
+        found.rebounds = tuple(
+            each.rebound for each in self.description.with_parameters(values).contacts
+        )
+        found.eps = frozen([law.nominal for law in found.rebounds])
+        return found
+
+    def _twin(self) -> "Robot":
+        """Another object with the same memory for pinocchio."""
+        found = object.__new__(Robot)
+        found.__dict__.update(self.__dict__)
+        return found
+
     @cached_property
     def reach(self) -> Vector:
         """Scale of the gaps: offset, joints one after the other and 1 m, shape (m,), m."""
@@ -142,12 +221,12 @@ class Robot:
 
     def torques(self, t: float) -> Vector:
         """Torques and forces of the plant's drives at ``t``, s since the epoch, shape (n,)."""
-        force: Vector = self.description.forcing(t)
+        force: Vector = self.forcing(t)
         return force
 
     def held_force(self, t: float) -> str:
         """A warning if ``t``, s since the epoch, is after the last sample of the torques."""
-        return self.description.forcing.held(t)
+        return self.forcing.held(t)
 
     def mass(self, q: Vector) -> Matrix:
         """The mass matrix ``M(q)`` with the rotors, shape (n, n), kg m^2, kg m and kg."""
@@ -633,6 +712,26 @@ def simulated(model: Model) -> System | Robot:
         return Robot(model.robot)
     except ModelError as error:
         raise error.in_file(model.source) from None
+
+
+def observed(model: Model) -> Robot:
+    """The robot of a ``model`` for an observer: no torques act but those that are measured.
+
+    Raises:
+        UsageError: pinocchio is not installed, or the model is no robot.
+        ModelError: the URDF makes no robot that can move.
+    """
+    robot = simulated(model)
+    assert isinstance(robot, Robot), "the model is one"
+    return robot.with_forcing(Forcing.none(robot.n))
+
+
+def connected_robot(robot: Robot) -> tuple[Robot, LiveSignals | None]:
+    """The ``robot`` under the efforts of new live signals; None where none are measured."""
+    if robot.live is None:
+        return robot, None
+    signals = LiveSignals(cast(System, robot), causal=False)
+    return robot.with_forcing(replace(robot.forcing, sampled=signals.samples)), signals
 
 
 def held_joints(system: System | Robot) -> str:

@@ -13,6 +13,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in
 from impact_observer.io.recordings import model_of as model_in
+from impact_observer.io.state_arrays import ObserverStates, joined
 from impact_observer.model import read_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.plant import random_plant
@@ -93,6 +94,38 @@ def test_a_random_plant_has_drawn_parameters() -> None:
         assert isinstance(drawn.system, Robot)
         assert drawn.system.damping[1] == drawn.values["damping.elbow"]
         assert drawn.system.eps[0] == drawn.values["restitution.wall"] <= 1.0
+
+
+def test_observer_follows_the_truth_of_a_bag(bag: Path, tmp_path: Path) -> None:
+    """Estimates at the stamps of the true states, through both hits, within four deviations."""
+    made = tmp_path / "made"
+    words = f"observe {bag} --law minimum-variance --measurements hammer_arm"
+    assert main([*words.split(), "--clock-error", "1e-6", "-o", str(made)]) == 0
+    with BagReader(made) as reader:
+        truth = reader.joint_states(interfaces.PLANT_JOINT_STATES.topic)
+        topics = [interfaces.OBSERVER_STATES.topic]
+        found = joined(block for _, block in reader.blocks(topics, covariance=True))
+        hits = np.array([each.stamp for each in events_in(reader)])
+    assert isinstance(found, ObserverStates)
+    assert hits.size
+    assert np.array_equal(found.stamps, truth.stamps)
+    z = np.hstack([found.q - truth.q, found.u - truth.u])
+    z /= np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    since = (truth.stamps[:, None] - hits).astype(float)
+    settled = ~np.any((since > -1e6) & (since < 3e6), axis=1)  # the jump is within a sample
+    assert np.percentile(np.abs(z[settled]), 99) < 4
+    assert 0.5 < np.sqrt(np.mean(z[settled] ** 2)) < 1.5
+
+
+@pytest.mark.parametrize("law", ["geometric", "open-loop"])
+def test_other_laws_refuse_a_robot_in_one_line(
+    bag: Path, tmp_path: Path, law: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line names the law and the one that does."""
+    words = f"observe {bag} --law {law} --measurements hammer_arm -o {tmp_path / 'made'}"
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err.strip()
+    assert f"law {law}: takes no robot, as hammer_arm is; expected minimum-variance" in said
 
 
 @pytest.mark.parametrize(

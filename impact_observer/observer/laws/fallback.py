@@ -5,7 +5,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit
 from impact_observer.filter.model_error import unit_kicks
 from impact_observer.filter.moving_system import transition_of
+from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.filter.square_root import triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.belief import Belief, Fallback, Prediction
@@ -30,7 +31,13 @@ _DIFFERENCE = 1e-6
 
 
 class FallbackReplica:
-    """A geometric replica, and its error by white accelerations or by contacts that last."""
+    """A geometric replica, and its error by white accelerations or by contacts that last.
+
+    Attributes:
+        is_compared: whether it is compared with the estimate, and weighed in a misfit.
+    """
+
+    is_compared: ClassVar[bool] = True
 
     def __init__(self, filter_: ImpactFilter) -> None:
         """The replica of the filter's system."""
@@ -60,6 +67,11 @@ class FallbackReplica:
         errors[:n, -1] -= self._lag(change.hit).dot(x[n:])
         return Fallback(after, np.maximum(before.largest, np.abs(x)), errors)
 
+    def beside(self, before: Fallback, x: Vector) -> Fallback:
+        """The replica beside an estimate ``x``, which is another motion."""
+        del x
+        return before
+
     def _lag_of(self, hit: Contacts) -> Matrix:
         """How an impact adds to the lag, by the velocities after it, shape (n, n), s.
 
@@ -88,6 +100,36 @@ class FallbackReplica:
             return Fallback(x, before.largest, errors)
 
         return after
+
+
+class EstimateReplica(FallbackReplica):
+    """The estimate of a robot in place of a replica: what is measured bounds its error."""
+
+    is_compared: ClassVar[bool] = False
+
+    def __init__(self) -> None:
+        """Of any robot."""
+
+    def begin(self, x: Vector, root: Matrix, closed: Contacts) -> Fallback:
+        del closed
+        return Fallback(x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size + 1)))
+
+    def after(self, change: ContactChange, before: Fallback) -> Fallback:
+        del change
+        return before
+
+    def beside(self, before: Fallback, x: Vector) -> Fallback:
+        return before._replace(x=x, largest=np.maximum(before.largest, np.abs(x)))
+
+    def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
+        del t, closed
+        return lambda _: before
+
+
+def replica_of(filter_: ImpactFilter) -> FallbackReplica:
+    """The replica beside a filter of a linear system or a robot."""
+    is_robot = isinstance(filter_.members, RobotMembers)
+    return EstimateReplica() if is_robot else FallbackReplica(filter_)
 
 
 def nearest(fit: Fit, states: int) -> int:

@@ -8,6 +8,7 @@ from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.robot_motion import motion_of
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
@@ -57,7 +58,7 @@ class Law(ABC):
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
-        self.moving = MovingSystem(system) if moving is None else moving
+        self.moving = motion_of(system) if moving is None else moving
 
     def near(self, x: Vector) -> System:
         """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""

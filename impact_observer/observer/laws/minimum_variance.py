@@ -45,10 +45,10 @@ from impact_observer.observer.belief import (
     Prediction,
 )
 from impact_observer.observer.laws.fallback import (
-    FallbackReplica,
     MisfitPrediction,
     combined,
     nearest,
+    replica_of,
 )
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import predicted_by
@@ -111,9 +111,11 @@ class MinimumVariance(Law):
             and not self.uncertainty.estimates_parameters
             and ParameterAccounts.are_affordable(system)
         )
-        self._replica = FallbackReplica(filter_)
+        self._replica = replica_of(filter_)
         self._steps = ClockSteps(self._bank)
-        self._tries_steps = self.tries_steps and system.depends_on_time
+        self._tries_steps = (
+            self.tries_steps and system.depends_on_time and self._replica.is_compared
+        )
         each = zip(filter_.members.family.names, filter_.members.considered, strict=True)
         self._names = tuple("" if considered else name for name, considered in each)
         self._estimates_parameters = bool(
@@ -163,7 +165,11 @@ class MinimumVariance(Law):
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         belief = belief._replace(hypotheses=hypotheses)
         fallback = self._caught_up(belief, fallback, change.before)
-        gap = fallback.gap(self.system, change.hit[0]) if change.hit else (math.nan, math.nan)
+        gap = (
+            fallback.gap(self.near(fallback.x), change.hit[0])
+            if change.hit
+            else (math.nan, math.nan)
+        )
         fallback = self._replica.after(change, fallback)
         count = 1 + belief.ensemble.others
         restarts = partial(
@@ -206,7 +212,8 @@ class MinimumVariance(Law):
         best, account = _shown(corrected, fit)[0], prior.account
         if account is not None:
             account = self._accounts.after(change, account, fallback)
-        if change.hit and best.innovation is not None and fit is not prior.fit:
+        is_compared = self._replica.is_compared and fit is not prior.fit
+        if change.hit and best.innovation is not None and is_compared:
             by_account = math.nan if account is None else account.few.residual
             fit = fit.compared(Residual(best.innovation.residual, *gap, by_account))
         change_of_few = 0.0 if account is None else self._accounts.few.change(account.few)
@@ -312,7 +319,7 @@ class MinimumVariance(Law):
             return made._replace(clock=clock)
 
         found = predicted_by(self._bank, t, partial(_shown, hypotheses, belief.fit), prior)
-        some = partial(agreeing, hypotheses, self.system)
+        some = partial(agreeing, hypotheses, self.near(hypotheses[0].state.x))
         found.agreeing = predicted_by(self._bank, t, some, prior)
         if moved is None:
             return found
@@ -328,6 +335,10 @@ class MinimumVariance(Law):
         by_few = self._accounts.few.predict(t, account.few, prior)
         explained = account.few.is_explained
         return MisfitPrediction(belief.fit, found, motion, by_few, by_wide, explained=explained)
+
+    def near(self, x: Vector) -> System:
+        """The system at a state ``x``, shape (2n,)."""
+        return self._bank.filter.near(x)
 
     @property
     def filter(self) -> ImpactFilter:
@@ -353,7 +364,8 @@ class MinimumVariance(Law):
     ) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; one without them gets those of a start."""
         if belief.fallback is not None:
-            return belief.hypotheses, belief.fallback
+            hypotheses = belief.hypotheses
+            return hypotheses, self._replica.beside(belief.fallback, hypotheses[0].state.x)
         assert belief.root is not None, "a belief of another law"
         state = self._starts.declared(belief.replicas, belief.root, closed)
         return self._starts.per_clock(state), self._replica.begin(belief.x, belief.root, closed)

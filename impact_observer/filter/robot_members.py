@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot prepared for the filter: at each state its contacts, jumps and rests, linearised there.
+
+A robot is what a linear system is to the filter, but at one state. Restitutions may be considered:
+members differ by these alone, and share the motion between impacts.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.dynamics import KEPT
+from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.members import Member, Members
+from impact_observer.filter.robot_family import RobotFamily
+from impact_observer.filter.robot_motion import RobotMotion, RobotRates
+from impact_observer.filter.saltation import Expansion, Measured, Mirror, RestProjection
+from impact_observer.kernel._kernel import Parameters
+from impact_observer.model import System
+from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.robots.robot import Robot
+from impact_observer.states import Matrix, Vector
+
+_STEP = 6e-6
+"""Step of central differences of loads, rad or m, rad/s or m/s."""
+
+
+class TangentRobot:
+    """A robot at one state: gaps and speeds are linear near it.
+
+    Attributes:
+        n: number of coordinates.
+        m: number of contacts.
+        W: gradients of the gaps, shape (n, m).
+        q_r: gaps where all coordinates are zero, linearly, shape (m,), m.
+        eps: nominal restitution coefficients, shape (m,).
+        contact_time: durations of impacts, shape (m,), s.
+        rebounds: how the contacts rebound.
+    """
+
+    def __init__(self, robot: Robot, x: Vector) -> None:
+        """The ``robot`` at the state ``x``, shape (2n,)."""
+        self.n, self.m = robot.n, robot.m
+        self._robot, self._q = robot, x[: self.n]
+        self.W = robot.directions(self._q)
+        self.q_r = robot.gaps(self._q) - self._q @ self.W
+        self.eps, self.contact_time = robot.eps, robot.contact_time
+        self.rebounds: tuple[ReboundLaw, ...] = robot.rebounds
+
+    @cached_property
+    def M(self) -> Matrix:  # noqa: N802 (as of a system)
+        """The mass matrix, shape (n, n)."""
+        return self._robot.mass(self._q)
+
+    @property
+    def K(self) -> Matrix:  # noqa: N802
+        """The stiffness that makes V a distance: the mass matrix over 1 s^2, shape (n, n)."""
+        return self.M
+
+    def gap(self, q: Vector) -> Vector:
+        """Gaps near the state, shape (m,), m."""
+        return np.asarray(q @ self.W + self.q_r)
+
+    def contact_speed(self, u: Vector) -> Vector:
+        """Contact speeds near the state, shape (m,), m/s."""
+        return np.asarray(u @ self.W)
+
+
+def tangent(robot: Robot, x: Vector) -> System:
+    """A ``robot`` at a state, shape (2n,), in the place of a linear system."""
+    return cast(System, TangentRobot(robot, x))
+
+
+def at_zero(system: System | Robot) -> System:
+    """A linear system, or a robot where its coordinates are zero."""
+    return tangent(system, np.zeros(2 * system.n)) if isinstance(system, Robot) else system
+
+
+class RobotGaps(Measured):
+    """Gaps of a robot near a state, whose expansion knows how they bend."""
+
+    robot: Robot
+    contacts: Contacts
+
+    @classmethod
+    def about(cls, robot: Robot, contacts: Contacts, x: Vector) -> "RobotGaps":
+        """The gaps of ``contacts`` near ``x``, shape (2n,)."""
+        q = x[: robot.n]
+        W = robot.directions(q, contacts).T
+        found = cls(np.hstack([W, np.zeros_like(W)]), robot.gaps(q, contacts) - W @ q)
+        found.robot, found.contacts = robot, contacts
+        return found
+
+    def expanded(self, rates: RobotRates, x: Vector, forces: Matrix) -> Expansion:  # type: ignore[override]
+        """Their expansions about ``(0, x)``; see ``Measured.expanded``."""
+        n = self.robot.n
+        q, u = x[:n], x[n:]
+        W = self.c[:, :n]
+        acceleration = rates.along(x, forces)[0][n:]
+        bend = W @ acceleration + self.robot.bias(q, u, self.contacts)
+        by_state = np.hstack([self.robot.speed_gradients(q, u, self.contacts).T, W])
+        H = np.column_stack([-(W @ u), self.c])
+        return Expansion(self.robot.gaps(q, self.contacts), H, -by_state, bend)
+
+
+class RobotMember(Member):
+    """A robot with values of its parameters.
+
+    Attributes:
+        system: the robot.
+        values: its parameters, shape (p,).
+        moving: its motion between impacts.
+    """
+
+    def __init__(self, robot: Robot, values: Vector, moving: RobotMotion) -> None:
+        """A robot whose motion between impacts is ``moving``."""
+        self.system: Robot = robot  # type: ignore[assignment]
+        self.values, self.moving = values, moving
+
+    def near(self, x: Vector) -> System:
+        """The robot at a state ``x``, shape (2n,)."""
+        return tangent(self.system, x)
+
+    def gaps(self, contacts: Contacts, x: Vector) -> Measured:
+        """The gaps of ``contacts`` near a state ``x``, shape (2n,)."""
+        return RobotGaps.about(self.system, contacts, x)
+
+    def speeds(self, contacts: Contacts, x: Vector) -> Measured:
+        """The contact speeds of ``contacts`` near a state ``x``, shape (2n,)."""
+        n = self.system.n
+        by_u = self.system.directions(x[:n], contacts).T
+        c = np.hstack([self.system.speed_gradients(x[:n], x[n:], contacts).T, by_u])
+        return Measured(c, by_u @ x[n:] - c @ x)
+
+    def guard(
+        self, before: Contacts, contacts: Contacts, t: float, x: Vector, *, hit: bool
+    ) -> Measured:
+        """Gaps of contacts that hit, or loads of those that open while ``before`` are closed.
+
+        Near a state ``x``, shape (2n,), at ``t``, s since the epoch.
+        """
+        if hit:
+            return self.gaps(contacts, x)
+        n, which, tau = self.system.n, [before.index(i) for i in contacts], self.moving.forces(t)
+
+        def loads(x: Vector) -> Vector:
+            return self.system.loads(x[:n], x[n:], tau[0], before)[which]
+
+        steps = _STEP * np.eye(2 * n)
+        c = np.column_stack([(loads(x + h) - loads(x - h)) / (2 * _STEP) for h in steps])
+        return Measured(c, loads(x) - c @ x)
+
+    def pressed(self, change: ContactChange, x: Vector) -> Contacts:
+        """The contacts that take an impulse at an event, before which the state is ``x``."""
+        if not change.hit or len(change.active) == 1:
+            return change.hit
+        n = self.system.n
+        taking = self.system.pushed(x[:n], x[n:], change.active) or change.hit
+        return tuple(sorted({*taking, *(i for i in change.before if i in change.closed)}))
+
+    def mirror_about(self, x: Vector, pressed: Contacts) -> Mirror:
+        """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part.
+
+        Newton's law for the velocities; a gap that is left is reversed like its speed.
+        """
+        n = self.system.n
+        if not pressed:
+            return Mirror(np.eye(2 * n), np.zeros(2 * n))
+        J, landed = self.system.jump_derivatives(x, pressed), self.system.jumped(x, pressed)
+        kick, W = J[n:, n:] - np.eye(n), self.system.directions(x[:n], pressed)
+        J[:n, :n] += kick
+        landed[:n] += kick @ np.linalg.lstsq(W.T, self.system.gaps(x[:n], pressed))[0]
+        return Mirror(J, landed - J @ x)
+
+    def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
+        """What the curvature of rebound laws adds to the error of a jump: it is neglected."""
+        del root, pressed
+        return np.zeros((x.size, 0))
+
+    def stopped(self, x: Vector, closed: Contacts, gap_sensitivity: Matrix) -> RestProjection:
+        """A state ``x``, nearly at rest on ``closed`` contacts, projected onto rest on them."""
+        n, robot = self.system.n, self.system
+        q = robot.projected(x[:n], closed)
+        u = robot.stopped(q, x[n:], closed)
+        x = np.concatenate([q, u])
+        still = np.eye(n) - self.moving.stops(x, closed) @ robot.directions(q, closed).T
+        zero = np.zeros((n, n))
+        map_ = np.block([[still, zero], [zero, still]])
+        return RestProjection(x, map_, np.zeros((2 * n, gap_sensitivity.shape[1])))
+
+
+class RobotMembers(Members):
+    """The members of a robot's family; each is prepared when it is first needed.
+
+    Attributes:
+        family: the robot and the parameters that are considered.
+        given: the member with the parameters of the model.
+        moving: how many of the parameters change the motion between impacts: none.
+        considered: which of the parameters have an error, but are not estimated.
+        parameters: their bounds, and steps of finite differences by them, for the kernel.
+        is_linear: the kernel does not know a robot.
+    """
+
+    def __init__(self, family: RobotFamily, considered: Sequence[bool] = ()) -> None:
+        """Prepare the given member; without ``considered`` all parameters are estimated."""
+        self.family: RobotFamily = family
+        self.moving, self.is_linear = 0, False
+        self.considered = tuple(considered) or (False,) * family.size
+        low, high, sizes = np.zeros(family.size), np.ones(family.size), np.ones(family.size)
+        self.parameters = Parameters(low, high, sizes, 0, self.considered)
+        self._nominal = family.nominal
+        self._of_all = RobotMotion(family.system)
+        self._at = lru_cache(KEPT)(self._member)
+        self.gap_sensitivity = lru_cache(KEPT)(self._no_sensitivity)
+        self.given = RobotMember(family.system, self._nominal, self._of_all)
+
+    def at(self, values: Vector) -> Member:
+        """The member whose parameters are ``values``, shape (p,), all within their bounds."""
+        return self._at(tuple(values.tolist())) if self.family.size else self.given
+
+    def _member(self, values: tuple[float, ...]) -> RobotMember:
+        theta = np.array(values)
+        return RobotMember(self.family.robot_at(theta), theta, self._of_all)
+
+    def with_given_restitution(self, member: Member) -> Member:
+        """The given member: members differ by restitutions alone."""
+        del member
+        return self.given
+
+    def motion(self, values: Vector) -> RobotMotion:
+        """The motion between impacts of the member with ``values``: that of all members."""
+        del values
+        return self._of_all
+
+    def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
+        each = zip(self.family.parameters, self.considered, strict=True)
+        estimated = {parameter.contact for parameter, considered in each if not considered}
+        return np.array([i in estimated for i in contacts], dtype=np.bool_)
+
+    def _no_sensitivity(self, contacts: Contacts) -> Matrix:
+        """Of the gaps of ``contacts`` to the parameters: zero, shape (k, p)."""
+        return np.zeros((len(contacts), self.family.size))
+
+    def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
+        """Of ``dx/dt`` to the parameters: zero, shape (2n, p)."""
+        del member, closed, t
+        return np.zeros((x.size, self.family.size))
+
+    def load_sensitivity(
+        self, member: Member, closed: Contacts, contacts: Contacts, x: Vector, t: float
+    ) -> Matrix:
+        """Of the loads of held ``contacts`` to the parameters: zero, shape (k, p)."""
+        del member, closed, x, t
+        return np.zeros((len(contacts), self.family.size))
+
+    def impact(
+        self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
+    ) -> tuple[Vector, Matrix]:
+        """The state after an impact of ``pressed``, and its derivative by the state."""
+        mirror = self.at(values).mirror_about(x, pressed)
+        mirror = mirror.soft if soft else mirror
+        return mirror.landed(x), mirror.J
+
+
+def members_of(family: ParametricFamily, considered: Sequence[bool]) -> Members:
+    """The members of a family of linear systems or of robots."""
+    if isinstance(family, RobotFamily):
+        return RobotMembers(family, considered)
+    return Members(family, considered)

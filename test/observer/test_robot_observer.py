@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An observer of a robot: velocities through impacts from encoders, efforts and impact times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from benchmarks.robot_filter import (
+    EPOCH,
+    JITTER,
+    declared,
+    differences,
+    encoders,
+    filtered,
+    observer_of,
+    recorded,
+    without_contacts,
+)
+from impact_observer.errors import UsageError
+from impact_observer.model import read_model
+from impact_observer.observer import make_observer
+from impact_observer.observer.encoder_start import started
+from impact_observer.observer.samples import SensorSample
+from impact_observer.options import Options
+
+DECLARED = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
+
+
+def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None:
+    """The plant's own velocities: far better than without the jump or by differences."""
+    recording = recorded(seed=1, rate=200.0, seconds=1.3)
+    observer = observer_of(declared(), recording)
+    error = recording.error(filtered(observer, recording))
+    free = observer_of(without_contacts(declared(), 1.0), recording)
+    assert error < 0.3
+    assert error < recording.error(filtered(free, recording, hits=False)) / 6
+    assert error < recording.error(differences(recording, 0.005)) / 2
+    last = observer.estimate(int(recording.run.stamps[-1]))
+    z = np.abs(np.concatenate([last.q, last.u]) - recording.run.states[-1])
+    assert np.all(z < 4 * np.sqrt(np.diag(last.covariance)))
+    assert not last.misfit
+
+
+def test_samples_in_any_order_give_the_same_estimate() -> None:
+    """A late sample is put in its place, and later ones are applied again."""
+    recording = recorded(seed=2, rate=200.0, seconds=0.1)
+    in_order, late = (observer_of(declared(), recording) for _ in range(2))
+    stamp = int(recording.run.stamps[-1])
+    for samples, observer in (
+        (recording.samples, in_order),
+        ([*recording.samples[:10], *recording.samples[14:], *recording.samples[10:14]], late),
+    ):
+        for each in samples:
+            observer.measure([each])
+    first, second = in_order.estimate(stamp), late.estimate(stamp)
+    assert np.array_equal(first.u, second.u)
+    assert np.array_equal(first.covariance, second.covariance)
+
+
+def test_turns_of_a_continuous_joint_do_not_count() -> None:
+    """The encoder of the shoulder says 2 pi more: the innovation is the same."""
+    recording = recorded(seed=3, rate=200.0, seconds=0.05)
+    observer = observer_of(declared(), recording)
+    first, second = recording.samples[2:4]
+    observer.measure([first._replace(value=first.value + 2 * np.pi), second])
+    assert observer.samples.counts[0]["accepted"] == 1
+    assert abs(observer.estimate(first.stamp).q[0] - recording.run.states[1, 0]) < 0.005
+
+
+def test_observer_starts_at_the_first_samples_with_their_deviations() -> None:
+    """Velocities may be a tenth of the limits of the URDF."""
+    robot = declared().robot
+    assert robot is not None
+    samples = [SensorSample(1, EPOCH, 0.25), SensorSample(0, EPOCH, -0.5)]
+    found = started(Options(), robot, encoders(), samples)
+    assert found.initial_state == "-0.5,0.25,0.0,0.0"
+    assert found.initial_deviation == "0.001,0.001,2.0,2.5"
+    with pytest.raises(UsageError, match=r"no sample of an encoder of the joint 'elbow'"):
+        started(Options(), robot, encoders(), samples[1:])
+
+
+@pytest.mark.parametrize(
+    ("options", "measured", "expected"),
+    [
+        (replace(DECLARED, law="geometric"), True, "takes no robot"),
+        (replace(DECLARED, model_error=0.1), True, "expected torque_deviation"),
+        (replace(DECLARED, estimate_parameters=("restitution",)), True, "are considered"),
+        (DECLARED, False, "does not follow from impact times alone"),
+    ],
+)
+def test_what_an_observer_of_a_robot_cannot_do_is_said_in_one_line(
+    options: Options, measured: bool, expected: str
+) -> None:
+    """Other laws, white accelerations, estimated parameters, and impact times alone."""
+    with pytest.raises(UsageError, match=expected) as error:
+        make_observer("hammer_arm", options, measurements=encoders() if measured else ())
+    assert "\n" not in str(error.value)
+
+
+def test_considered_restitution_is_named() -> None:
+    """The deviation of the sample's restitution counts, as an error of the state."""
+    observer = make_observer(read_model("hammer_arm"), DECLARED, measurements=encoders())
+    unknowns = observer.law.uncertainty.unknowns
+    assert unknowns is not None
+    assert unknowns.family.names == ("restitution.wall",)
+    assert unknowns.considered == (True,)
