@@ -61,13 +61,13 @@ def events(hits: list[tuple[int, Kind]], contact: str = "die") -> list[ImpactEve
     ]
 
 
-@pytest.mark.parametrize("opens", [True, False])
+@pytest.mark.parametrize("opens", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     opens: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Closings at the first edge are fitted as rows, whether or not openings are reported."""
     reported = [
-        each for each in first_edges(hits_of(press(), -0.2, 12.0)) if opens or each[1] != Kind.OPEN
+        each for each in first_edges(hits_of(press(), -0.2, 10.0)) if opens or each[1] != Kind.OPEN
     ]
     guess = press(0.35)
     family = parametric_family(guess.system, ("restitution",), guess.elements)
