@@ -294,7 +294,7 @@ class RobotSensor(DeclaredSensor):
 
     def row(self, moving: MovingSystem, at: Place) -> Row:
         """The measured function of states near a place."""
-        tau = moving.forces(at.t)[0]
+        tau = moving.forces(at.t)[0] if self.is_dynamic else np.zeros(at.x.size // 2)
         h = self._reading.gradient(at.x, tau, at.closed)
         return Row(h, self._reading.value(at.x, tau, at.closed) - float(h.dot(at.x)))
 

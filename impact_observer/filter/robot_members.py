@@ -29,6 +29,9 @@ from impact_observer.states import Matrix, Vector
 _STEP = 6e-6
 """Step of central differences of loads, rad or m, rad/s or m/s."""
 
+_KEPT_STATES = 4
+"""States at which a robot is kept: those of an estimate and of its hypotheses."""
+
 
 class TangentRobot:
     """A robot at one state: gaps and speeds are linear near it.
@@ -121,10 +124,14 @@ class RobotMember(Member):
         """A robot whose motion between impacts is ``moving``."""
         self.system: Robot = robot  # type: ignore[assignment]
         self.values, self.moving = values, moving
+        self._near = lru_cache(_KEPT_STATES)(self._tangent)
 
     def near(self, x: Vector) -> System:
         """The robot at a state ``x``, shape (2n,)."""
-        return tangent(self.system, x)
+        return self._near(x.tobytes())
+
+    def _tangent(self, state: bytes) -> System:
+        return tangent(self.system, np.frombuffer(state))
 
     def gaps(self, contacts: Contacts, x: Vector) -> Measured:
         """The gaps of ``contacts`` near a state ``x``, shape (2n,)."""

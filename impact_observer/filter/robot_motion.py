@@ -8,6 +8,7 @@ exponentials of the linearisation in the middle of each step, to third order.
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,6 +26,24 @@ from impact_observer.states import Matrix, Vector
 
 _LONGEST_STEP = 0.1
 """Longest step, in the inverse of the fastest rate at rest, which is at most 1 s."""
+
+
+_Asked: TypeAlias = tuple[tuple[float, float, Contacts, bytes], Vector | None]
+"""Start, duration, closed contacts and state of a motion, and the instants of torques."""
+
+
+class _MappedStep(NamedTuple):
+    """A step of a motion.
+
+    Attributes:
+        after: the state after it, shape (2n,).
+        map_: its derivative by the state before, shape (2n, 2n).
+        seconds: how long it takes.
+    """
+
+    after: Vector
+    map_: Matrix
+    seconds: float
 
 
 class RobotRates(StateRates):
@@ -96,6 +115,7 @@ class RobotMotion(MovingSystem):
         self.scales = Scales(squares, unit, unit, unit, self.rate, 1.0 / max(self.rate, 1.0))
         self.step = _LONGEST_STEP * self.scales.timescale
         self._noisy = bool(robot.torque_deviation.any())
+        self._latest: tuple[_Asked, list[_MappedStep]] | None = None
 
     def forces(self, t: float) -> Matrix:
         """Torques and their first two derivatives at ``t``, s since the epoch, (3, n)."""
@@ -123,6 +143,8 @@ class RobotMotion(MovingSystem):
 
     def state_after(self, t: float, x: Vector, s: float, closed: Contacts) -> Vector:
         """The state ``s`` seconds after, or before, ``x`` at ``t``, shape (2n,)."""
+        if abs(s) <= self.step:
+            return self.moved(t, x, s, closed)[0]  # whose derivative is often asked for next
         for tau, h in self._steps(t, s):
             x = self.system.advanced(x, tau, h, closed)
         return x
@@ -205,16 +227,22 @@ class RobotMotion(MovingSystem):
     def _gradients(self, x: Vector, contacts: Contacts) -> Matrix:
         return np.asarray(self.system.directions(x[: self.system.n], contacts).T)
 
-    def _mapped(
-        self, t: float, x: Vector, s: float, closed: Contacts
-    ) -> Iterator[tuple[Vector, Matrix, float]]:
-        """Of each step the state after it, the derivative by the one before, and seconds."""
+    def _mapped(self, t: float, x: Vector, s: float, closed: Contacts) -> list[_MappedStep]:
+        """The steps of a motion; those asked for last are kept."""
+        sampled = self.system.forcing.sampled
+        known = None if sampled is None else sampled.time  # replaced where samples come
+        asked = float(t), float(s), closed, x.tobytes()
+        if self._latest is None or self._latest[0][0] != asked or self._latest[0][1] is not known:
+            self._latest = (asked, known), [*self._made(t, x, s, closed)]
+        return self._latest[1]
+
+    def _made(self, t: float, x: Vector, s: float, closed: Contacts) -> Iterator[_MappedStep]:
         for tau, h in self._steps(t, s):
             after = self.system.advanced(x, tau, h, closed)
             A, _ = self.system.rate_derivatives((x + after) / 2, tau, closed)
             step = h * A
             square = step @ step
-            yield after, np.eye(x.size) + step + square / 2 + square @ step / 6, h
+            yield _MappedStep(after, np.eye(x.size) + step + square / 2 + square @ step / 6, h)
             x = after
 
     def _steps(self, t: float, s: float) -> Iterator[tuple[Vector, float]]:
