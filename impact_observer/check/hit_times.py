@@ -4,6 +4,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -118,10 +119,11 @@ def doubts(
         yield line
 
 
-def first_times(reader: BagReader) -> HitTimes:
-    """The times of the first impacts of a bag."""
+def first_times(reader: BagReader, epoch: int) -> HitTimes:
+    """The times of the first impacts of a bag; ``epoch`` (ns) is that of events without one."""
     topic = reader.find(interfaces.IMPACTS)
-    return HitTimes(islice(reader.events(topic), _ENOUGH) if topic is not None else ())
+    events = () if topic is None else islice(reader.events(topic), _ENOUGH)
+    return HitTimes(replace(each, epoch=each.epoch or epoch) for each in events)
 
 
 def settling(times: HitTimes) -> str:

@@ -204,7 +204,8 @@ def odd_lines(
         return
     system = model.system
     has_covariance = observer.law.has_covariance
-    yield from doubts(reader.path, first_times(reader), system, has_covariance=has_covariance)
+    times = first_times(reader, options.epoch)
+    yield from doubts(reader.path, times, system, has_covariance=has_covariance)
     yield from far_start(system, options)
 
 

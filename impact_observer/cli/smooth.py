@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        for line in doubts(args.bag, first_times(reader), read.system, has_covariance=True):
+        times = first_times(reader, chosen.epoch)
+        for line in doubts(args.bag, times, read.system, has_covariance=True):
             progress.line(f"warning: {line}")
         for line in considered_lines(read, make_observer(read, chosen).law.uncertainty.unknowns):
             progress.line(line)

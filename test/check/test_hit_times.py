@@ -124,3 +124,19 @@ def test_events_before_their_epoch_are_counted_in_a_doubt() -> None:
         *doubts(Path("bag"), HitTimes(events), read_model("two_mass").system, has_covariance=False)
     ]
     assert any("2 events stamped before the epoch" in line for line in said)
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+@pytest.mark.parametrize("command", ["observe", "smooth"])
+def test_an_epoch_that_is_given_after_the_first_impacts_is_doubted(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two of twelve impacts of a bag without an epoch come before the epoch that is given."""
+    Path("hits.csv").write_text(
+        "time,contact\n" + "".join(f"{1.1 + 0.3 * k:.3f},stop\n" for k in range(12))
+    )
+    assert main(["import", "hits.csv", "--time-zero", "0", "-o", "bag"]) == 0
+    given = ["--model", "two_mass", "--epoch", "1.5", "--clock-error", "0.001"]
+    assert main([command, "bag", *given, "--rate", "10", "-o", "out"]) == 0
+    said = capsys.readouterr().out
+    assert "warning: 2 events stamped before the epoch: such events are not applied" in said
