@@ -38,17 +38,17 @@ class RobotGuards(Flight):
     def is_clear(self, motion: Motion, duration: float) -> bool:
         """Whether no function can fall below zero within ``duration`` seconds, by a bound.
 
-        In one step gaps are cubic polynomials by values and speeds at both ends. A closed contact
-        is in doubt.
+        In a step gaps are cubic polynomials by values and speeds at both ends. A closed contact is
+        in doubt.
         """
-        if self._closed or duration > self._moving.step:
+        if self._closed:
             return False
-        n, states = self._robot.n, (motion.state(0.0), motion.state(duration))
-        g, later = (self._robot.gaps(x[:n]) for x in states)
-        speed, speed_later = (self._robot.contact_speeds(x) for x in states)
-        third = duration / 3
-        inner = np.minimum(g + third * speed, later - third * speed_later)
-        return bool(np.all(np.minimum(np.minimum(g, later), inner) > 0))
+        count = math.ceil(duration / self._moving.step)
+        states = motion.states(np.linspace(0.0, duration, count + 1))
+        gaps = np.array([self._robot.gaps(x[: self._robot.n]) for x in states])
+        change = np.array([self._robot.contact_speeds(x) for x in states]) * (duration / count / 3)
+        inner = np.minimum(gaps[:-1] + change[:-1], gaps[1:] - change[1:])
+        return bool(np.all(gaps > 0) and np.all(inner > 0))
 
     def instants(self, duration: float) -> Vector:
         """Samples of the next ``duration`` seconds, shape (samples,)."""

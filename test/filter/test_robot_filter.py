@@ -132,9 +132,11 @@ def test_flight_without_hits_is_clear_and_one_with_a_hit_is_not() -> None:
     """The bound of a gap by values and speeds at both ends."""
     robot = hammer()
     moving, x = RobotMotion(robot), at_wall(robot)
-    far, near = (moving.state_after(0.0, x, -s, ()) for s in (0.01, 0.0005))
+    far, near = (moving.state_after(0.0, x, -s, ()) for s in (0.03, 0.0005))
     flight = RobotGuards(robot, moving, 0.0, ())
     assert flight.is_clear(moving.motion(0.0, far, ()), 0.001)
+    assert flight.is_clear(moving.motion(0.0, far, ()), 0.02)
+    assert not flight.is_clear(moving.motion(0.0, far, ()), 0.04)
     assert not flight.is_clear(moving.motion(0.0, near, ()), 0.001)
 
 
