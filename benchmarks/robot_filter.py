@@ -109,19 +109,29 @@ def wrong_plant(model: Model) -> Robot:
 
 
 @cache
-def true_run(rate: float, seconds: float, *, exact: bool) -> tuple[Robot, Run]:
-    """The plant, exact or wrong, and its motion at the stamps of encoders."""
-    model = read_model(MODEL)
-    assert model.robot is not None, "a robot"
-    robot = Robot(model.robot) if exact else wrong_plant(model)
+def true_run(rate: float, seconds: float) -> tuple[Robot, Run]:
+    """The plant, which is not the model, and its motion at the stamps of encoders."""
+    robot = wrong_plant(read_model(MODEL))
+    return robot, run_of(robot, rate, seconds)
+
+
+def run_of(robot: Robot, rate: float, seconds: float) -> Run:
+    """The motion of a ``robot`` from the initial state of the model."""
     stamps = grid(EPOCH, EPOCH + from_seconds(seconds), rate)
-    plant = make_plant(robot, *model.initial_state(), epoch=EPOCH)
-    return robot, simulate(plant, stamps)
+    return simulate(make_plant(robot, *read_model(MODEL).initial_state(), epoch=EPOCH), stamps)
 
 
-def recorded(seed: int, rate: float, seconds: float, *, exact: bool = False) -> Recording:
-    """A run as encoders and the sensor of impacts record it."""
-    robot, run = true_run(rate, seconds, exact=exact)
+def recorded(seed: int, rate: float, seconds: float) -> Recording:
+    """A run of the plant as encoders and the sensor of impacts record it."""
+    return _sensed(*true_run(rate, seconds), seed)
+
+
+def recorded_of(robot: Robot, seed: int, rate: float, seconds: float) -> Recording:
+    """The same of another ``robot``."""
+    return _sensed(robot, run_of(robot, rate, seconds), seed)
+
+
+def _sensed(robot: Robot, run: Run, seed: int) -> Recording:
     last, rng = int(run.stamps[-1]), np.random.default_rng([51, seed])
     sensor = SensorModel(jitter=JITTER)
     sent = simulate_sensor(sensor, robot, run.switchings, epoch=EPOCH, last=last, seed=seed)
@@ -245,7 +255,7 @@ def main(args: Sequence[str] | None = None) -> int:
     table = Table("encoders", "hits", *(each.replace("_", " ") for each in Errors._fields))
     for rate in RATES:
         found = [errors_of(seed, rate, chosen.seconds) for seed in range(chosen.seeds)]
-        hits = len(true_run(rate, chosen.seconds, exact=False)[1].impacts)
+        hits = len(true_run(rate, chosen.seconds)[1].impacts)
         *errors, cost = np.median(found, axis=0).tolist()
         cells = [f"{each:.3f}" for each in errors]
         table.add_row(f"{rate:g} Hz", str(hits), *cells, f"{cost:.0f}")

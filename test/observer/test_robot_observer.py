@@ -17,14 +17,18 @@ from benchmarks.robot_filter import (
     filtered,
     observer_of,
     recorded,
+    recorded_of,
     without_contacts,
 )
 from impact_observer.errors import UsageError
+from impact_observer.events import Kind
 from impact_observer.model import read_model
+from impact_observer.model.forcing import Forcing
 from impact_observer.observer import make_observer
 from impact_observer.observer.encoder_start import started
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
+from impact_observer.robots import Robot
 
 DECLARED = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
 
@@ -42,6 +46,27 @@ def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None
     z = np.abs(np.concatenate([last.q, last.u]) - recording.run.states[-1])
     assert np.all(z < 4 * np.sqrt(np.diag(last.covariance)))
     assert not last.misfit
+
+
+@pytest.mark.slow
+def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
+    """Bounces whose stamps are out of order, a rest of half a second, and the release."""
+    model = declared()
+    assert model.robot is not None
+    pressing = Forcing(
+        constant=np.array([-7.0, -2.0]),
+        frequency=np.array([6.0]),
+        cosine=np.zeros((1, 2)),
+        sine=np.array([[6.0, 0.0]]),
+    )
+    rigid = tuple(replace(each, contact_time=0.0) for each in model.robot.contacts)
+    robot = replace(model.robot, forcing=pressing, contacts=rigid)
+    recording = recorded_of(Robot(robot), seed=0, rate=200.0, seconds=1.4)
+    kinds = {switch.kind for event in recording.events for switch in event.switches}
+    assert kinds == {Kind.IMPACT, Kind.CLOSE, Kind.OPEN}
+    speeds = filtered(observer_of(replace(model, robot=robot), recording), recording)
+    errors = np.linalg.norm(speeds - recording.run.states[:, 2:], axis=1)
+    assert np.percentile(errors, 95) < 0.2
 
 
 def test_samples_in_any_order_give_the_same_estimate() -> None:
