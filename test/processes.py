@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import pytest
 import rclpy
@@ -103,6 +104,14 @@ class Spinner:
         while not condition():
             assert time.monotonic() < end, "the condition never held"
             self.executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind: Any, name: str, **fields: Any) -> Any:  # noqa: ANN401
+        """The answer of a service of another process."""
+        client = self.probe.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done)
+        return future.result()
 
     def settle(self, seconds: float = 0.1) -> None:
         """Spin for ``seconds``, and then until there is nothing to do.

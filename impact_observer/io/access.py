@@ -15,9 +15,12 @@ FOLDER = "config/sros2"
 """Folder of the policies."""
 _PARAMETERS = ("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters")
 _SETTING = ("set_parameters", "set_parameters_atomically")
-OF_EVERY_NODE = tuple(f"~/{each}" for each in (*_PARAMETERS, *_SETTING, "get_type_description"))
-"""Services of parameters and types."""
-LOGS, CHANGES = "/rosout", "/parameter_events"
+_TRANSITIONS = ("change_state", "get_available_transitions", "get_transition_graph")
+_STATES = ("get_state", "get_available_states")
+_OF_RCLPY = (*_PARAMETERS, *_SETTING, *_TRANSITIONS, *_STATES, "get_type_description")
+OF_EVERY_NODE = tuple(f"~/{each}" for each in _OF_RCLPY)
+"""Services of parameters, of the life cycle and of types."""
+LOGS, CHANGES, TRANSITIONS = "/rosout", "/parameter_events", "~/transition_event"
 """Topics that rclpy publishes."""
 
 
@@ -83,7 +86,7 @@ NODES = {
 def policy(node: str) -> str:
     """The policy of a node of this name, without a namespace, as XML."""
     access = NODES[node]
-    published = [*(each.name for each in access.publishes), LOGS, CHANGES]
+    published = [*(each.name for each in access.publishes), LOGS, CHANGES, TRANSITIONS]
     subscribed = [*(each.name for each in access.subscribes), interfaces.SIMULATED_CLOCK.name]
     served = [*access.serves, *OF_EVERY_NODE]
     lines = [

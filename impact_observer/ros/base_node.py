@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base class of the nodes: parameters, topics, timers, log and diagnostics."""
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -45,6 +46,8 @@ class BaseNode(Node):
             UsageError: a parameter is of the wrong type, out of range, or missing.
         """
         super().__init__(name, start_parameter_services=False)
+        self._lasting = set[object]()
+        self._jump: JumpHandle | None = None
         self.values = parameters.declare(self, table)
         ParameterServices(self, table)
         self.lines = LogLines(self.get_logger())
@@ -130,6 +133,24 @@ class BaseNode(Node):
             publisher.publish(array)
 
         self.repeat(1.0, publish)
+
+    @contextmanager
+    def lasting(self) -> Iterator[None]:
+        """Topics, services and timers that are made in the block outlive a cleanup of the node."""
+        before = self._entities().keys()
+        yield
+        self._lasting |= self._entities().keys() - before
+
+    def _entities(self) -> dict[Any, Any]:
+        """Topics, services and timers of the node, but no ``/clock``: how each is destroyed."""
+        own = (each for each in self.subscriptions if each.topic_name != SIMULATED_CLOCK.name)
+        return {
+            **dict.fromkeys(self.publishers, self.destroy_publisher),
+            **dict.fromkeys(own, self.destroy_subscription),
+            **dict.fromkeys(self.services, self.destroy_service),
+            **dict.fromkeys(self.timers, self.destroy_timer),
+            **dict.fromkeys(self.guards, self.destroy_guard_condition),
+        }
 
     def introduce(self, what: str, waits_for: str) -> None:
         """Log what the node runs, its topics, and what the node waits for."""

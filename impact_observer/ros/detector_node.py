@@ -13,7 +13,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.live_inputs import read_pulse
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
@@ -33,7 +33,7 @@ _DEPTH = 5000
 """Messages of a sensor that may wait: half a second at 10 kHz."""
 
 
-class DetectorNode(BaseNode):
+class DetectorNode(ManagedNode):
     """Runs one :class:`Detector` on the topics of its sources.
 
     A message without a stamp in its header gets the middleware's time of publication. Under
@@ -44,6 +44,9 @@ class DetectorNode(BaseNode):
 
     def __init__(self) -> None:
         super().__init__("detector", parameters.DETECTOR)
+
+    def configure(self) -> None:
+        """Implement ``ManagedNode``."""
         self._wanted = list(read_sources(self.values.text("sources")))
         self._detector = Detector(epoch=self.values.integer("epoch"))
         self._indices: dict[str, list[int]] = {}

@@ -14,7 +14,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import AnyMessage, EstimateError, JointState
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 
@@ -22,11 +22,14 @@ _DEPTH = 2000
 """States that are kept until their counterpart arrives, and depth of the subscriptions."""
 
 
-class MonitorNode(BaseNode):
+class MonitorNode(ManagedNode):
     """Publishes ``~/error`` for each estimate and the true state of the same stamp."""
 
     def __init__(self) -> None:
         super().__init__("monitor", parameters.MONITOR)
+
+    def configure(self) -> None:
+        """Implement ``ManagedNode``."""
         self._system = read_model(self.values.text("model")).system
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()

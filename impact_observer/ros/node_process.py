@@ -69,7 +69,8 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
     node = executor = None
     try:
         node = _make_node(make, args)
-        node.repeat(_LOOK_PERIOD, partial(warn_of_surroundings, node))
+        with node.lasting():
+            node.repeat(_LOOK_PERIOD, partial(warn_of_surroundings, node))
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
@@ -147,7 +148,8 @@ def _warn_of_unknown_parameters(node: "BaseNode", args: Sequence[str]) -> None:
     status = diagnostic_status(
         name, DiagnosticStatus.WARN, "; ".join(lines), {}, hardware=node.get_name()
     )
-    node.diagnose(lambda: [status])
+    with node.lasting():
+        node.diagnose(lambda: [status])
 
 
 def _unknown_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:

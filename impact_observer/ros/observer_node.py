@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
 from numpy.typing import ArrayLike
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
@@ -30,11 +31,11 @@ from impact_observer.observer.make_observer import declared_by
 from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.estimate_times import EstimateTimes
 from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.log_lines import without_numbers
+from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.sensor_intake import SensorIntake
@@ -55,7 +56,7 @@ _LONGEST = 100
 """Characters of a reason that are logged; the published verdict has all of them."""
 
 
-class ObserverNode(BaseNode):
+class ObserverNode(ManagedNode):
     """Runs one observer; every estimate is stamped ``epoch + k / rate``.
 
     Estimates are published when the clock is ``lag`` past their stamps. If an event arrives after
@@ -69,6 +70,10 @@ class ObserverNode(BaseNode):
 
     def __init__(self) -> None:
         super().__init__("observer", parameters.OBSERVER)
+        parameters.on_change(self, parameters.OBSERVER, self._check_change, self._change)
+
+    def configure(self) -> None:
+        """Implement ``ManagedNode``."""
         values, options = self.values, self.values.options()
         _check_lag(options, {"lag": values.number("lag")})
         model = read_model(values.text("model"))
@@ -99,12 +104,12 @@ class ObserverNode(BaseNode):
         self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
         self._is_turn = self._went_back = False
         self._declared: tuple[Law, tuple[Vector, Vector]] | None = None
+        self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
         self._timer = self.create_timer(1.0 / self._times.rate, self._on_timer)
         self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._on_clock_back)
-        parameters.on_change(self, parameters.OBSERVER, self._check_change, self._change)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
         live = f" and samples of {', '.join(self._inputs.ages(0))}" if system.live else ""
         topics = f" and publishers of {', '.join(t)}" if (t := self._sensors.topics) else ""
@@ -155,10 +160,32 @@ class ObserverNode(BaseNode):
         )
         names = ", ".join(each.name for each in self.observer.samples.sensors)
         if names:
-            self.repeat(_DISCOVERY_PERIOD, intake.discover)
+            self.repeat(_DISCOVERY_PERIOD, self._discover)
         if names and not self.observer.law.uses_measurements:
             self.lines.warning(f"{options.law} uses no measurements: {names} change nothing")
         return intake
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish from now on, if each sensor has had a sample or need not have had one."""
+        wanted = self.values.flag("wait_for_measurements")
+        if missing := self._sensors.without_sample() if wanted else ():
+            return self._wait_for(missing)
+        self._waits_for = ()
+        return super().on_activate(state)
+
+    def _wait_for(self, missing: tuple[str, ...]) -> TransitionCallbackReturn:
+        """Stay inactive, and name the ``missing`` sensors."""
+        line = f"no measurement yet of {', '.join(missing)}"
+        if self.values.flag("autostart"):
+            self._waits_for = missing
+            self.lines.warning(f"not active: {line}")
+        return self.refuse(UsageError(line))
+
+    def _discover(self) -> None:
+        """Find new topics of sensors; try again to be active once a sensor has had a sample."""
+        self._sensors.discover()
+        if self._waits_for and self._sensors.without_sample() != self._waits_for:
+            self.trigger_activate()
 
     @property
     def _last_stamp(self) -> int:
@@ -180,11 +207,11 @@ class ObserverNode(BaseNode):
         """
         names = {each.name for each in OBSERVER_OPTIONS} & values.keys()
         given: dict[str, Any] = {name: values[name] for name in names}
-        options, system = replace(self.values.options(), **given), self.observer.system
+        options = replace(self.values.options(), **given)
         _check_lag(options, values)
         self._declared = None
-        if names & _OF_THE_LAW:
-            law = self.observer.law
+        if self.is_configured and names & _OF_THE_LAW:
+            law, system = self.observer.law, self.observer.system
             self._declared = (
                 type(law)(system, declared_by(options, system, law.uncertainty)),
                 initial_state(options.initial_state, system, options.initial_deviation),
@@ -193,6 +220,8 @@ class ObserverNode(BaseNode):
     def _change(self, values: Mapping[str, Value]) -> None:
         """Use parameters that were set while the node runs; stamps never go back."""
         self.values.change(values)
+        if not self.is_configured:
+            return
         self._lag = from_seconds(self.values.number("lag"))
         self.observer.agreed = self.values.number("agreed")
         if (rate := self.values.number("rate")) != self._times.rate:

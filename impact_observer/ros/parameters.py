@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 _MODEL = Option("model", "", "a model file or the name of a sample", required=True)
+_AUTOSTART = Option(
+    "autostart",
+    True,
+    "configure and activate the node at its start; false: by its transitions of the life cycle",
+)
 _INPUT_TIMEOUT = Option(
     "input_timeout",
     1.0,
@@ -92,6 +97,7 @@ PLANT = (
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
     *MEASUREMENT_FAULTS,
+    _AUTOSTART,
 )
 OBSERVER = (
     _MODEL,
@@ -132,14 +138,22 @@ OBSERVER = (
         "sensors whose verdicts on samples are published; auto: sensors up to 50 Hz",
         choices=VERDICTS,
     ),
+    Option(
+        "wait_for_measurements",
+        False,
+        "publish nothing until each sensor of measurements has had a sample",
+    ),
+    _AUTOSTART,
 )
 DETECTOR = (
     Option("sources", "", "a file of sensors, or the name of a sample", required=True),
     Option("epoch", 0, "stamp of t = 0 that events carry; 0: unknown", "ns", low=0),
+    _AUTOSTART,
 )
 MONITOR = (
     _MODEL,
     Option("law", "", "name of the law in the messages; empty: the name of the observer node"),
+    _AUTOSTART,
 )
 VIEWER = (
     _MODEL,
@@ -154,6 +168,7 @@ VIEWER = (
         low=0.0,
         high=1e6,
     ),
+    _AUTOSTART,
 )
 TABLES: Mapping[str, tuple[Option, ...]] = {
     "plant": PLANT,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import DynamicsError, UsageError
@@ -22,8 +23,8 @@ from impact_observer.model.measurements_file import read_measurements
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.robots.robot import held_joints, simulated
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.live_intake import LiveIntake
+from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
 from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
@@ -46,20 +47,23 @@ lost announcement after 3 s only.
 """
 
 
-class PlantNode(BaseNode):
+class PlantNode(ManagedNode):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
 
     Events of the simulated sensor are published when they arrive, also after the end of the
     duration. A reset starts with a new sensor, and loses the events in transit.
 
-    Attributes:
-        done: whether the duration is over.
+    While the node is inactive its own clock stands still; with another clock the node publishes
+    what was due meanwhile once it is active again. The node is done when the duration is over.
     """
 
     def __init__(self) -> None:
         super().__init__("plant", parameters.PLANT)
+
+    def configure(self) -> None:
+        """Implement ``ManagedNode``."""
         values = self.values
-        self.done = False
+        self._paused, self._started = time.monotonic_ns(), 0
         self._model = with_urdf_of_topic(self, read_model(values.text("model")))
         self._system = simulated(self._model)
         self._rate = values.number("rate")
@@ -109,6 +113,7 @@ class PlantNode(BaseNode):
         self._ready_since: float | None = None
         # The timer is set to the next thing that is due, in wall time.
         self._timer = self.repeat(_LONGEST_SLEEP, self._on_timer)
+        self._timer.cancel()
         waits = "nothing"
         if self._wanted_subscribers:
             waits = f"{self._wanted_subscribers} subscribers on each topic"
@@ -140,6 +145,19 @@ class PlantNode(BaseNode):
         if odd := odd_epoch(epoch, max(epoch, now), "the clock,"):
             raise UsageError(f"parameter epoch: {odd}")
 
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin, or go on; time that the plant owns has stood still."""
+        self._started += time.monotonic_ns() - self._paused
+        self._paused, self._waits_since = 0, None
+        self._timer.reset()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause."""
+        self._paused = time.monotonic_ns()
+        self._timer.cancel()
+        return super().on_deactivate(state)
+
     def _on_timer(self) -> None:
         """Use inputs that were ahead of the clock, and publish."""
         self._inputs.take_what_was_ahead()
@@ -148,7 +166,7 @@ class PlantNode(BaseNode):
 
     def _tick(self) -> None:
         """Publish all messages that are due, in the order of stamps, and set the timer."""
-        if self._plant is None and not self._try_to_start():
+        if self._paused or (self._plant is None and not self._try_to_start()):
             return
         now = self._now()
         self._publish_until(now)
@@ -247,7 +265,9 @@ class PlantNode(BaseNode):
             return self.stamp_now()
         if self._plant is None:
             return self._wanted_epoch or self.stamp_now()
-        return self._epoch + int((time.monotonic_ns() - self._started) * self._factor)
+        return self._epoch + int(
+            ((self._paused or time.monotonic_ns()) - self._started) * self._factor
+        )
 
     def _sample_stamp(self, k: int) -> int:
         """Stamp of the true state number ``k``, ns."""
@@ -331,6 +351,9 @@ class PlantNode(BaseNode):
         """Restart from the initial state, as a new episode whose epoch is now."""
         if self._plant is None:
             response.success, response.message = False, "the plant has not begun yet"
+            return response
+        if self._paused:
+            response.success, response.message = False, "the plant is inactive: activate it first"
             return response
         self._episode += 1
         self._start(max(self._now(), self._sample_stamp(self._next_sample - 1) + 1))

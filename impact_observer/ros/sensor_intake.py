@@ -126,6 +126,10 @@ class SensorIntake:
             return self._verdicts != NONE
         return 0 < self.rate(index) <= SILENT_RATE
 
+    def without_sample(self) -> tuple[str, ...]:
+        """Names of the sensors without a sample that could be used."""
+        return tuple(each.name for each in self._sensors if each.index not in self._first)
+
     def statuses(self, now: int) -> list[DiagnosticStatus]:
         """The state of each sensor at ``now`` (ns)."""
         return [self._status(index, now) for index in range(len(self._sensors))]

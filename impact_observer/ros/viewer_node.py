@@ -14,7 +14,7 @@ from impact_observer.io.messages import AnyMessage, JointState, MessageError, re
 from impact_observer.model import read_model
 from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.ros import parameters
-from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
@@ -26,11 +26,14 @@ PLANT_ROW = "plant"
 """Name of the plant's row, and of its node."""
 
 
-class ViewerNode(BaseNode):
+class ViewerNode(ManagedNode):
     """Publishes ``~/markers`` of the last state of the plant and of each observer."""
 
     def __init__(self) -> None:
         super().__init__("viewer", parameters.VIEWER)
+
+    def configure(self) -> None:
+        """Implement ``ManagedNode``."""
         model = read_model(self.values.text("model"))
         self._system = model.system
         states = () if model.position is None else [model.position]
@@ -106,6 +109,8 @@ class ViewerNode(BaseNode):
 
     def _publish_markers(self) -> None:
         """Publish all rows that have a state; first delete the markers of an earlier node."""
+        if not self.is_active:
+            return
         if not self._cleared:
             self._markers.publish(self._painter.clear(self.get_clock().now().to_msg()))
             self._cleared = self._markers.get_subscription_count() > 0

@@ -38,19 +38,10 @@ BEFORE = Options(
 CHANGE = {"clock_error": 1e-5, "missed": 0.3, "initial_deviation": "2"}
 
 
-def call(spinner: Spinner, kind: Any, name: str, **fields: Any) -> Any:  # noqa: ANN401
-    """The answer of a service of another process."""
-    client = spinner.probe.create_client(kind, name)
-    spinner.until(client.service_is_ready)
-    future = client.call_async(kind.Request(**fields))
-    spinner.until(future.done)
-    return future.result()
-
-
 def parameters_of(spinner: Spinner, node: str) -> dict[str, object]:
     """All parameters that a node lists, with their values."""
-    names = call(spinner, ListParameters, f"{node}/list_parameters").result.names
-    values = call(spinner, GetParameters, f"{node}/get_parameters", names=names).values
+    names = spinner.call(ListParameters, f"{node}/list_parameters").result.names
+    values = spinner.call(GetParameters, f"{node}/get_parameters", names=names).values
     return dict(zip(names, map(parameter_value_to_python, values), strict=True))
 
 
@@ -87,7 +78,7 @@ def test_what_a_node_says_of_its_parameters_is_a_file_that_it_loads(
     ):
         missed = Given(name="missed", value=Parameter("missed", value=0.25).get_parameter_value())
         name = "observer/set_parameters_atomically"
-        answer = call(spinner, SetParametersAtomically, name, parameters=[missed])
+        answer = spinner.call(SetParametersAtomically, name, parameters=[missed])
         assert answer.result.successful, answer.result.reason
         said = {node: parameters_of(spinner, node) for node in ("observer", "plant")}
     assert said["observer"]["missed"] == 0.25
@@ -149,7 +140,7 @@ def test_a_change_acts_from_a_published_stamp_and_can_be_repeated(
             for name, value in CHANGE.items()
         ]
         name = "observer/set_parameters_atomically"
-        answer = call(spinner, SetParametersAtomically, name, parameters=given)
+        answer = spinner.call(SetParametersAtomically, name, parameters=given)
         assert answer.result.successful, answer.result.reason
         spinner.until(lambda: "clock_error was set to" in said)
         go_on(4, 8)
