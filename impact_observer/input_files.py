@@ -19,6 +19,8 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+_ENDLESS = (Path("/proc"), Path("/sys"))
+"""Folders of files that the kernel makes while they are read."""
 _read: set[tuple[int, int]] = set()
 """Device and inode of each file that was read: its identity, whatever its names."""
 
@@ -37,8 +39,12 @@ def check_input(path: Path) -> int:
     except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"{shortened(path)}: cannot be read: {reason}") from None
+    kind = ""
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "no file")
+    elif any(path.resolve().is_relative_to(folder) for folder in _ENDLESS):
+        kind = "made by the kernel as it is read"
+    if kind:
         raise UsageError(f"{path}: is {kind}; expected a regular file, whose end is known")
     _read.add((found.st_dev, found.st_ino))
     return found.st_size

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever is named as an input: every command ends, with one line."""
 
+import contextlib
 import gzip
 import os
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -47,6 +49,40 @@ def test_no_input_without_an_end_is_begun(
     assert len(error) < 500
     expected = {"pipe": "is a pipe; expected a regular file", "device": "is a device; expected"}
     assert expected.get(kind, "") in error
+
+
+def test_a_file_that_the_kernel_makes_is_no_input(capsys: pytest.CaptureFixture[str]) -> None:
+    """Some files in /proc are regular by name and never end."""
+    Path("input").symlink_to("/proc/kmsg")
+    assert main(["urdf", "input"]) == 2
+    assert "is made by the kernel" in capsys.readouterr().err
+
+
+def test_metadata_that_are_nested_without_an_end_are_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The library that reads ``metadata.yaml`` would end the process without a word."""
+    Path("bag").mkdir()
+    Path("bag/metadata.yaml").write_text("[" * 100_000, encoding="utf-8")
+    assert main(["info", "bag"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_view_in_place_of_a_table_is_no_bag(capsys: pytest.CaptureFixture[str]) -> None:
+    """A view may have rows without an end."""
+    endless = "WITH RECURSIVE t(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM t) SELECT id FROM t"
+    with contextlib.closing(sqlite3.connect("bag.db3")) as database:
+        database.execute(f"CREATE VIEW topics AS {endless}")
+    assert main(["info", "bag.db3"]) == 1
+    assert "has a view topics; expected tables alone" in capsys.readouterr().err
+
+
+def test_two_dashes_are_no_value(capsys: pytest.CaptureFixture[str]) -> None:
+    """A parser of arguments takes ``--option=--`` for an empty list."""
+    with pytest.raises(SystemExit) as end:
+        main(["plot", "bag", "--namespace=--"])
+    assert end.value.code == 2
+    assert "--namespace=--: no value found" in capsys.readouterr().err
 
 
 def test_files_of_a_bag_are_regular_ones(capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,6 +63,9 @@ class _Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse as ``ArgumentParser`` does, and keep the words for :meth:`error`."""
         self.given = args or ()
+        if empty := next((word for word in self.given if word.endswith("=--")), ""):
+            wanted = f"{empty.removesuffix('--')}VALUE"
+            self.exit(2, f"{self.prog}: {empty}: no value found; expected {wanted}\n")
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:

@@ -86,13 +86,25 @@ def encodings_at(path: Path) -> list[str]:
 
 
 def _encodings_in_sqlite(file: Path) -> set[str]:
-    wanted = "SELECT DISTINCT serialization_format FROM topics"
+    if first_view(file):
+        return set()
+    return {*_texts_in_sqlite(file, "SELECT DISTINCT serialization_format FROM topics")}
+
+
+def first_view(file: Path) -> str:
+    """The name of a view in the database of a bag, which may have no end; empty for none."""
+    views = _texts_in_sqlite(file, "SELECT name FROM sqlite_master WHERE type='view'")
+    return views[0] if views else ""
+
+
+def _texts_in_sqlite(file: Path, query: str) -> list[str]:
+    """The texts that a ``query`` of one column finds; none in a damaged database."""
     try:
         with closing(connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
             database.text_factory = partial(str, encoding="utf-8", errors="replace")
-            return {str(encoding) for (encoding,) in database.execute(wanted)}
+            return [str(found) for (found,) in database.execute(query)]
     except (SqliteError, UnicodeDecodeError):  # also of its own error, with a damaged name
-        return set()
+        return []
 
 
 def _encodings_in_mcap(file: Path) -> set[str]:

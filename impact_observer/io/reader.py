@@ -31,7 +31,13 @@ from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.input_files import check_input, open_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
-from impact_observer.io.foreign_files import ROS_2, bag_files, encodings_at, foreign_messages
+from impact_observer.io.foreign_files import (
+    ROS_2,
+    bag_files,
+    encodings_at,
+    first_view,
+    foreign_messages,
+)
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
 from impact_observer.io.messages import (
@@ -62,6 +68,8 @@ from impact_observer.states import Stamps
 _Value = TypeVar("_Value")
 
 _SALVAGE = "`impact-observer check --salvage` saves what is left"
+_MOST_NESTED = 1000
+"""Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
 _BLOCK = 1024
 """Most states in a block."""
 
@@ -146,12 +154,21 @@ class BagReader:
     def _check_indexes(self) -> None:
         """Check that the files are regular ones, and the checksums of indexes of MCAP files.
 
-        Metadata with aliases are checked to have an end when they are written out.
+        Metadata with aliases are checked to have an end when they are written out, and those with
+        many brackets or a long line, which may be nested deeply, to be YAML: the library that
+        reads them ends the process.
         """
         for file in bag_files(self.path):
             check_input(file)
-        if self.path.is_dir() and "&" in (text := read_text(self.path / "metadata.yaml")):
-            load_yaml(text)
+            if file.suffix == ".db3" and (view := first_view(file)):
+                found = f"{file.name} has a view {view}; expected tables alone"
+                raise BagError(f"{self.path}: cannot be read as a bag: {found}")
+        if self.path.is_dir():
+            text = read_text(self.path / "metadata.yaml")
+            brackets = text.count("[") + text.count("{")
+            longest = max(map(len, text.splitlines()), default=0)
+            if "&" in text or max(brackets, longest) > _MOST_NESTED:
+                load_yaml(text)
         for file in mcap_files(self.path):
             with open_input(file) as stream:
                 if index_is_damaged(stream):
