@@ -120,7 +120,8 @@ class ParameterServices:
         except UsageError as error:
             return _refusal(str(error))
         except Exception as error:  # noqa: BLE001 (a request must not end the node)
-            self._node.get_logger().error(line := f"parameters: {one_line(error)}")
+            line = f"parameters: {one_line(error)}"
+            self._node.get_logger().error(printable(line))
             return _refusal(line)
 
     def _converted(self, given: Given) -> Parameter:
