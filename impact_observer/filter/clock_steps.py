@@ -32,12 +32,14 @@ class ClockStep(NamedTuple):
         t: when the hypotheses hold, s since the epoch by the clock before the step.
         hypotheses: the likeliest first; their probabilities add up to one.
         odds: logarithm of the probability of the step over that of no step.
+        events: how many have been weighed since the step began.
     """
 
     shift: int
     t: float
     hypotheses: tuple[Hypothesis, ...]
     odds: float
+    events: int = 0
 
 
 class SensorClock(NamedTuple):
@@ -72,7 +74,8 @@ class ClockSteps:
     ) -> tuple[ClockStep, ...]:
         """The steps that are possible after an event, the likeliest first.
 
-        Something else may be wrong at an event, as probably as a step: no single one shows it.
+        Something else may be wrong at an event, as probably as a step: no single one shows it. A
+        step explains events that follow far better than no step does, or something else is wrong.
 
         Args:
             change: the event.
@@ -86,7 +89,11 @@ class ClockSteps:
         if clock.before is not None and anything - evidence > TUNING.log_possible_step:
             steps += self._begun(change, clock.before, extent)
         steps = [each._replace(odds=each.odds - evidence) for each in steps if each.hypotheses]
-        steps = [each for each in steps if each.odds > TUNING.log_possible_step]
+        steps = [
+            each
+            for each in steps
+            if each.odds > TUNING.log_possible_step and each.events <= TUNING.step_events
+        ]
         return tuple(sorted(steps, key=lambda each: -each.odds)[: TUNING.possible_steps])
 
     def _followed(self, change: ContactChange, step: ClockStep, extent: Extent) -> ClockStep:
@@ -99,7 +106,7 @@ class ClockSteps:
         predicted = self._bank.between.predict(step.hypotheses, step.t, flown)
         found = self._bank.weighed(shifted, predicted, tuple, extent)
         odds = step.odds + (log_sum([h.weight for h in found]) if found else 0.0)
-        return ClockStep(step.shift, t, normalised(found), odds)
+        return ClockStep(step.shift, t, normalised(found), odds, step.events + 1)
 
     def _begun(
         self, change: ContactChange, before: ClockStep, extent: Extent
