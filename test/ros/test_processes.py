@@ -130,13 +130,13 @@ def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) 
     """The service answers with the episode and the new epoch."""
     arguments = ros_arguments({"model": "three_mass"})
     with running_node("plant", arguments, ros_environment), spinning() as spinner:
-        client = spinner.probe.create_client(Trigger, "plant/reset")
-        spinner.until(client.service_is_ready)
-        spinner.settle()  # the plant begins when its timer first fires
-        future = client.call_async(Trigger.Request())
-        spinner.until(future.done)
-        assert future.result().success
-        assert future.result().message.startswith("episode 1, epoch ")
+        truth: list[JointState] = []
+        seen = qos_profile(Quality(depth=1000))
+        spinner.probe.create_subscription(JointState, "plant/joint_states", truth.append, seen)
+        spinner.until(lambda: truth)
+        response = spinner.call(Trigger, "plant/reset")
+        assert response.success
+        assert response.message.startswith("episode 1, epoch ")
 
 
 @pytest.mark.parametrize(
