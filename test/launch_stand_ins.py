@@ -7,6 +7,7 @@ started: the context gets what would be.
 
 import runpy
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import StringIO
@@ -56,7 +57,7 @@ class IfCondition:
 
 
 @dataclass(kw_only=True)
-class Action:
+class Action(ABC):
     """What a description lists."""
 
     condition: IfCondition | None = None
@@ -67,9 +68,9 @@ class Action:
             return self.execute(context)
         return None
 
+    @abstractmethod
     def execute(self, context: LaunchContext) -> list[Any] | None:
         """Act; return what is to be visited next."""
-        raise NotImplementedError
 
 
 @dataclass

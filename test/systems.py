@@ -29,7 +29,7 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import EventQuery, ImpactFilter
 from impact_observer.filter.likelihood import Likelihood
 from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.model import Contact, Forcing, Model, System, read_model
+from impact_observer.model import Contact, Forcing, Model, System, parse_model, read_model
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, motion_of
 from impact_observer.model.system import moving_system
@@ -114,6 +114,23 @@ stops:
   - {{name: ceiling, body: x, limit: 0, side: above, restitution: {ceiling}}}
 initial_state: {{position: [0], velocity: [{velocity}]}}
 """
+
+
+def press(force: float = 4.5, restitution: float = 0.3) -> Model:
+    """A tool that a ram presses onto its die in every period, where it bounces until it rests."""
+    return parse_model(
+        "name: press\n"
+        "bodies: [{name: ram, mass: 1.6}, {name: tool, mass: 0.6}]\n"
+        "springs:\n"
+        "  - {between: [ground, ram], stiffness: 38, damping: 0.5}\n"
+        "  - {between: [ram, tool], stiffness: 55, damping: 0.5}\n"
+        "forces:\n"
+        f"  - {{body: tool, constant: {force}}}\n"
+        "  - {body: ram, amplitude: 13, frequency: 2.5}\n"
+        "stops: [{name: die, body: tool, limit: 0.05, side: above,"
+        f" restitution: {restitution}}}]\n",
+        "press",
+    )
 
 
 def softened(model: System, seconds: float) -> System:

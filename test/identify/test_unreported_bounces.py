@@ -3,34 +3,21 @@
 
 import numpy as np
 import pytest
+from systems import press
 
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.identify import fit_report
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.identification import identify
-from impact_observer.model import Model, parse_model
+from impact_observer.model import Model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
 
 EPOCH = 1_700_000_000 * 10**9
-PRESS = """
-name: press
-bodies: [{{name: ram, mass: 1.6}}, {{name: tool, mass: 0.6}}]
-springs:
-  - {{between: [ground, ram], stiffness: 38, damping: 0.5}}
-  - {{between: [ram, tool], stiffness: 55, damping: 0.5}}
-forces: [{{body: tool, constant: 4.5}}, {{body: ram, amplitude: 13, frequency: 2.5}}]
-stops: [{{name: die, body: tool, limit: 0.05, side: above, restitution: {0}}}]
-"""
 CLOCK = 1e-5
 ROW = 0.16
 """Longest time between two hits of a row, s."""
-
-
-def press(restitution: float = 0.3) -> Model:
-    """A tool that a force presses on its die, where it bounces until it rests."""
-    return parse_model(PRESS.format(restitution), "press")
 
 
 def hits_of(model: Model, start: float, seconds: float) -> list[tuple[int, Kind]]:
@@ -69,7 +56,7 @@ def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     reported = [
         each for each in first_edges(hits_of(press(), -0.2, 10.0)) if opens or each[1] != Kind.OPEN
     ]
-    guess = press(0.35)
+    guess = press(restitution=0.35)
     family = parametric_family(guess.system, ("restitution",), guess.elements)
     fitted = identify(family, events(reported), clock=CLOCK)
     assert check_fit(fitted).fits

@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from systems import press
 
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
-from impact_observer.model import System, parse_model
+from impact_observer.model import System
 from impact_observer.observer import make_observer, replay
 from impact_observer.options import Options
 from impact_observer.plant import Plant, simulate
@@ -14,23 +15,9 @@ from impact_observer.stamps import from_seconds, grid
 from impact_observer.states import Estimate, Matrix, Stamps
 
 EPOCH = 1_700_000_000 * 10**9
-PRESS = """
-name: press
-bodies: [{{name: ram, mass: 1.6}}, {{name: tool, mass: 0.6}}]
-springs:
-  - {{between: [ground, ram], stiffness: 38, damping: 0.5}}
-  - {{between: [ram, tool], stiffness: 55, damping: 0.5}}
-forces: [{{body: tool, constant: {0}}}, {{body: ram, amplitude: 13, frequency: 2.5}}]
-stops: [{{name: die, body: tool, limit: 0.05, side: above, restitution: {1}}}]
-"""
 SECONDS = 30.0
 ROW = 0.15
 """Longest time between two hits of a row, s."""
-
-
-def press(force: float = 4.5, restitution: float = 0.3) -> System:
-    """A tool that is pressed onto its die in every period, and bounces until it rests."""
-    return parse_model(PRESS.format(force, restitution), "press").system
 
 
 def stroke(system: System, start: float) -> Run:
@@ -91,10 +78,10 @@ def errors(found: list[Estimate], run: Run) -> tuple[Matrix, Matrix]:
 @pytest.mark.parametrize("start", [-0.2])
 def test_the_bounces_that_a_debounced_switch_does_not_report_are_inserted(start: float) -> None:
     """A CLOSE at speed is the first edge of a row: the estimate bounces until it rests."""
-    run = stroke(press(), start)
+    run = stroke(press().system, start)
     hits = debounced(switched(run))
     assert len(hits) < len(switched(run)) / 4
-    found, reasons = observed(press(), hits, run.stamps)
+    found, reasons = observed(press().system, hits, run.stamps)
     error, deviation = errors(found, run)
     assert np.max(np.abs(error)) < 1e-7
     assert np.mean(np.abs(error) <= 3 * deviation) > 0.9
@@ -104,16 +91,16 @@ def test_the_bounces_that_a_debounced_switch_does_not_report_are_inserted(start:
 
 def test_a_close_without_restitution_is_a_rest_at_once() -> None:
     """Nothing bounces on a plastic die, so that no CLOSE is taken for a first edge."""
-    run = stroke(press(restitution=0.0), 0.0)
-    found, reasons = observed(press(restitution=0.0), switched(run), run.stamps)
+    run = stroke(press(restitution=0.0).system, 0.0)
+    found, reasons = observed(press(restitution=0.0).system, switched(run), run.stamps)
     assert np.max(np.abs(errors(found, run)[0])) < 1e-7
     assert not any("first edge" in each for each in reasons)
 
 
 def test_a_close_after_reported_bounces_is_a_rest() -> None:
     """The row of a switch that reports all bounces ends with a slow CLOSE."""
-    run = stroke(press(), 0.0)
-    found, reasons = observed(press(), switched(run), run.stamps)
+    run = stroke(press().system, 0.0)
+    found, reasons = observed(press().system, switched(run), run.stamps)
     assert np.max(np.abs(errors(found, run)[0])) < 1e-7
     assert not any("first edge" in each for each in reasons)
 
@@ -121,8 +108,8 @@ def test_a_close_after_reported_bounces_is_a_rest() -> None:
 @pytest.mark.slow
 def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain() -> None:
     """A press whose force is 2 percent off is refuted, and its covariance contains that."""
-    run = stroke(press(4.5 * 0.98), 0.0)
-    found, _ = observed(press(), switched(run), run.stamps)
+    run = stroke(press(4.5 * 0.98).system, 0.0)
+    found, _ = observed(press().system, switched(run), run.stamps)
     error, deviation = errors(found, run)
     assert found[-1].misfit
     assert not found[-1].synchronized
