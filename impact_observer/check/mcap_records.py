@@ -95,7 +95,7 @@ class McapFile:
     def _frame(self) -> tuple[int, int] | None:
         """Returns type and length of the next record; None at the end of the readable part.
 
-        The index is believed where it has a chunk, and no record reaches into a later chunk.
+        Where the index has a chunk, the index is used. No record reaches into a later chunk.
         """
         while True:
             if (known := self._chunks.get(self.at)) is not None:

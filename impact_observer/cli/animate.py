@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
-    film = "the film: an MP4, GIF or HTML; an existing file is replaced"
+    film = "the film: an MP4, GIF or HTML"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
     add_force(parser, "output")
     speed = "recorded seconds a second of the film (default 1)"

@@ -39,7 +39,7 @@ def check(model: str | Path, *, json: bool = False) -> int:
 
     read = read_model(model)
     if read.robot is not None:
-        robot = check_robot(read, read.robot)
+        robot = check_robot(read)
         if json:
             say(json_module.dumps(robot_json(robot), indent=2))
         else:

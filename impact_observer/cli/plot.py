@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag with estimates or truth")
-    file = "a PNG, SVG, PDF or HTML; an existing file is replaced"
+    file = "a PNG, SVG, PDF or HTML"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
     add_force(parser, "output")
     select = (

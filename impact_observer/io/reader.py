@@ -118,7 +118,7 @@ class BagReader:
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         with self._translated():
             self.storage = storage_of(self.path)
-            self._check_indexes()
+            self._check_files()
             self._reader = Reader(self.path)
             self._reader.open()
             self._connections: dict[str, list[Connection]] = {}
@@ -151,7 +151,7 @@ class BagReader:
         self.start = self._reader.start_time if self.message_count else 0
         self.end = self._reader.end_time - 1 if self.message_count else 0
 
-    def _check_indexes(self) -> None:
+    def _check_files(self) -> None:
         """Check that the files are regular ones, and the checksums of indexes of MCAP files.
 
         Metadata with aliases are checked to have an end when they are written out, and those with

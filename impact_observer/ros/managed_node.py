@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The base class of nodes with a life cycle: configured, activated, paused and cleaned up."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from lifecycle_msgs.srv import ChangeState
@@ -17,7 +18,7 @@ _LONGEST = 40
 """Characters of the name of a transition that are logged."""
 
 
-class ManagedNode(LifecycleNodeMixin, BaseNode):
+class ManagedNode(LifecycleNodeMixin, BaseNode, ABC):
     """A node that configures and activates itself, unless ``autostart`` is false.
 
     An inactive node goes on receiving, and ``publish`` publishes nothing.
@@ -49,13 +50,13 @@ class ManagedNode(LifecycleNodeMixin, BaseNode):
                 raise self._failures[0]
             self.trigger_activate()
 
+    @abstractmethod
     def configure(self) -> None:
         """Read the files that parameters name, and make topics, services and timers.
 
         Raises:
             UsageError: a parameter does not suit the others.
         """
-        raise NotImplementedError
 
     def publish(
         self, publisher: Publisher, convert: Callable[..., AnyMessage], *values: object
