@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.draw.reports import TextTable, counted, listed, print_facts, print_table
-from impact_observer.errors import ModelError
 from impact_observer.model import Model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import unit_of
 from impact_observer.plain_text import say
-from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.states import Vector
 
 
@@ -41,17 +40,14 @@ class RobotCheck(NamedTuple):
         return self.model.position is not None
 
 
-def check_robot(model: Model, description: RobotDescription) -> RobotCheck:
-    """Check the ``model`` of a robot with this ``description``.
+def check_robot(model: Model) -> RobotCheck:
+    """Check the ``model`` of a robot.
 
     Raises:
         UsageError: pinocchio is not installed.
         ModelError: the robot cannot move, or its start is inside a plane.
     """
-    try:
-        robot = Robot(description)
-    except ModelError as error:
-        raise error.in_file(model.source) from None
+    robot = robot_of(model)
     position = np.zeros(robot.n)
     if model.position is not None and model.velocity is not None:
         position, _ = robot.checked_start(model.position, model.velocity)
@@ -174,10 +170,8 @@ def _number(value: float) -> str:
 
 def _at(q: Vector, robot: Robot) -> tuple[list[float], list[float]]:
     """Gaps, m, and effective masses, kg, of the contacts."""
-    W = robot.directions(q)
-    mobility = np.einsum("ik,ik->k", W, robot.inverse_mass(q) @ W)
     with np.errstate(divide="ignore"):
-        return robot.gaps(q).tolist(), (1.0 / mobility).tolist()
+        return robot.gaps(q).tolist(), (1.0 / robot.mobility(q)).tolist()
 
 
 def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:

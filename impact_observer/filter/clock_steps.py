@@ -9,8 +9,6 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import numpy as np
-
 from impact_observer.events import Kind
 from impact_observer.filter.branching import Extent
 from impact_observer.filter.contact_change import ContactChange
@@ -43,7 +41,7 @@ class ClockStep(NamedTuple):
 
 
 class SensorClock(NamedTuple):
-    """What is believed of steps of the sensor's clock.
+    """Steps of the sensor's clock: the shift so far, and hypotheses on further steps.
 
     Attributes:
         late: how late stamps are by all steps so far, ns.
@@ -79,7 +77,7 @@ class ClockSteps:
 
         Args:
             change: the event.
-            clock: as it was believed before.
+            clock: the shift and the hypotheses before the event.
             evidence: logarithm of the density of the event without a step.
             extent: of the motion.
         """
@@ -147,7 +145,7 @@ class ClockSteps:
 
     def _deviation(self, contact: int, prior: GaussianState, clock: float) -> float:
         """Standard deviation of the shift of the stamps, s, well above what the event leaves."""
-        n, speed = self._filter.system.n, abs(self._filter.speed(contact, prior))
-        gap = float(np.linalg.norm(self._filter.system.W[:, contact] @ prior.root[:n]))
+        speed = abs(self._filter.speed(contact, prior))
+        gap = self._filter.gap_deviation(contact, prior)
         known = math.hypot(clock, gap / speed) if speed else math.inf
         return min(TUNING.step_deviation * known, TUNING.largest_step)

@@ -145,6 +145,12 @@ class ImpactFilter:
         gap, speed = self.gap(contact, state), self.speed(contact, state)
         return min(gap / speed, self.conditioning.longest) if gap < 0 and speed < 0 else 0.0
 
+    def gap_deviation(self, contact: int, state: GaussianState) -> float:
+        """The standard deviation of a gap by that of the state, m."""
+        near = self.near(state.x)
+        seen = near.W[:, contact].dot(state.root[: near.n])
+        return math.sqrt(seen.dot(seen))
+
     def speed_deviation(self, contact: int, state: GaussianState) -> float:
         """The standard deviation of ``speed``, m/s."""
         near, n = self.near(state.x), self.system.n

@@ -70,9 +70,7 @@ def _comes_to_rest(
     """
     if filter_.system.rebounds[contact].drives:
         return False
-    near = filter_.near(state.x)
-    seen = near.W[:, contact].dot(state.root[: near.n])
-    deviation = math.sqrt(seen.dot(seen))
+    deviation = filter_.gap_deviation(contact, state)
     brief = TUNING.resting_flight * filter_.scales.timescale
     is_low = speed * flight / 4 <= deviation and flight <= brief
     return is_low or flight <= filter_.conditioning.short

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of what is measured beside the impacts, as linear functions of the state."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -287,10 +288,8 @@ class RobotSensor(DeclaredSensor):
         self._reading = reading = RobotReading(measurement, robot, index)
         self.measurement, self.index = measurement, index
         self.is_dynamic = reading.is_dynamic
-        turning = {
-            each.name for each in robot.description.urdf_joints if each.type == "continuous"
-        }
-        self.period = math.tau if {*dict(measurement.position)} & turning else 0.0
+        turning = itertools.compress(robot.coordinates, robot.turns)
+        self.period = math.tau if {*dict(measurement.position)}.intersection(turning) else 0.0
 
     def row(self, moving: MovingSystem, at: Place) -> Row:
         """The measured function of states near a place."""

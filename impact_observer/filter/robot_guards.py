@@ -13,8 +13,6 @@ from impact_observer.filter.robot_motion import RobotMotion
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
-_STEP = 6e-6
-"""Step of central differences of loads, rad or m, rad/s or m/s."""
 _FIRST_SAMPLES = 8.0 ** np.arange(-2, 0)
 """Samples in the first interval, over its length: a flight after an impact may be short."""
 _ROUNDING = 1e-12
@@ -70,10 +68,9 @@ class RobotGuards(Flight):
         if j < self.gaps:
             W = self._robot.directions(x[:n], self.contacts[j : j + 1])
             return np.concatenate([W[:, 0], np.zeros(n)])
-        steps = _STEP * np.eye(2 * n)
-        return np.array(
-            [(self._at(s, x + h)[j] - self._at(s, x - h)[j]) / (2 * _STEP) for h in steps]
-        )
+        tau = self._moving.forces(self._t + s)[0]
+        loads = self._robot.load_gradients(x, tau, self._closed)
+        return np.asarray(loads[j - self.gaps])
 
     def rounding(self, j: int, s: float, x: Vector) -> float:
         """Deviation of the rounding of function ``j`` after ``s`` seconds, at the state ``x``."""

@@ -26,9 +26,6 @@ from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
-_STEP = 6e-6
-"""Step of central differences of loads, rad or m, rad/s or m/s."""
-
 _KEPT_STATES = 4
 """States at which a robot is kept: those of an estimate and of its hypotheses."""
 
@@ -153,14 +150,10 @@ class RobotMember(Member):
         """
         if hit:
             return self.gaps(contacts, x)
-        n, which, tau = self.system.n, [before.index(i) for i in contacts], self.moving.forces(t)
-
-        def loads(x: Vector) -> Vector:
-            return self.system.loads(x[:n], x[n:], tau[0], before)[which]
-
-        steps = _STEP * np.eye(2 * n)
-        c = np.column_stack([(loads(x + h) - loads(x - h)) / (2 * _STEP) for h in steps])
-        return Measured(c, loads(x) - c @ x)
+        robot, n, which = self.system, self.system.n, [before.index(i) for i in contacts]
+        tau = self.moving.forces(t)[0]
+        c = robot.load_gradients(x, tau, before)[which]
+        return Measured(c, robot.loads(x[:n], x[n:], tau, before)[which] - c @ x)
 
     def pressed(self, change: ContactChange, x: Vector) -> Contacts:
         """The contacts that take an impulse at an event, before which the state is ``x``."""

@@ -181,7 +181,8 @@ class RobotMotion(MovingSystem):
         inverse = self.system.inverse_mass(q)
         if not closed:
             return inverse
-        return np.asarray(inverse - self.stops(x, closed) @ (self._gradients(x, closed) @ inverse))
+        W = self.system.directions(q, closed)
+        return np.asarray(inverse - self.stops(x, closed) @ (W.T @ inverse))
 
     def root_energy(self, x: Vector) -> float:
         """The root of twice the kinetic energy of a state ``x``, shape (2n,), sqrt(J)."""
@@ -190,13 +191,12 @@ class RobotMotion(MovingSystem):
 
     def contact_length(self, contact: int, x: Vector) -> float:
         """The largest speed of a contact per ``root_energy`` at a state ``x``, 1/sqrt(kg)."""
-        (w,) = self._gradients(x, (contact,))
-        return math.sqrt(w @ self.system.inverse_mass(x[: self.system.n]) @ w)
+        W, kicks = self.system.kicks(x[: self.system.n], (contact,))
+        return math.sqrt(W[:, 0] @ kicks[:, 0])
 
     def stops(self, x: Vector, contacts: Contacts) -> Matrix:
         """Velocities by unit speeds that ``contacts`` lose at a state ``x``, shape (n, k)."""
-        W = self._gradients(x, contacts).T
-        kicks = self.system.inverse_mass(x[: self.system.n]) @ W
+        W, kicks = self.system.kicks(x[: self.system.n], contacts)
         return np.asarray(kicks @ np.linalg.pinv(W.T @ kicks, hermitian=True))
 
     def shifts(self, x: Vector, contacts: Contacts) -> Matrix:
@@ -223,9 +223,6 @@ class RobotMotion(MovingSystem):
     def carried(self, t: float, x: Vector, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states about ``x`` at ``t``, one a column, ``s`` seconds later."""
         return np.asarray(self.moved(t, x, s, closed)[1] @ columns)
-
-    def _gradients(self, x: Vector, contacts: Contacts) -> Matrix:
-        return np.asarray(self.system.directions(x[: self.system.n], contacts).T)
 
     def _mapped(self, t: float, x: Vector, s: float, closed: Contacts) -> list[_MappedStep]:
         """The steps of a motion; those asked for last are kept."""

@@ -344,10 +344,7 @@ class System:
         Raises:
             UsageError: a wrong number of values, or one that is not finite.
         """
-        return (
-            checked_part("position", position, self.n),
-            checked_part("velocity", velocity, self.n),
-        )
+        return checked_parts(position, velocity, self.n)
 
 
 def refuse_contact_time(system: System, what: str) -> None:
@@ -376,12 +373,16 @@ def moving_system(system: System, grounds: Grounds) -> System:
     return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
-def checked_part(name: str, values: ArrayLike, n: int) -> Vector:
-    """``values`` as a read-only array of shape (n,); ``name`` is that of the argument.
+def checked_parts(position: ArrayLike, velocity: ArrayLike, n: int) -> tuple[Vector, Vector]:
+    """``position`` and ``velocity`` as read-only arrays of shape (n,).
 
     Raises:
         UsageError: a wrong number of values, or one that is not finite or too large.
     """
+    return _checked_part("position", position, n), _checked_part("velocity", velocity, n)
+
+
+def _checked_part(name: str, values: ArrayLike, n: int) -> Vector:
     try:
         array = frozen(values)
     except (TypeError, ValueError):

@@ -145,7 +145,7 @@ class Belief(NamedTuple):
         innovations: the estimate's gaps at the last event in standard deviations, by contact.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
-        clock: what is believed of steps of the sensor's clock.
+        clock: steps of the sensor's clock, and hypotheses on further ones.
         learned: estimated parameters, computed at the first request.
         fit: how the model has explained the latest events, for a law with innovations.
         hypotheses: hypotheses of a law that has several, the likeliest first; else empty. The

@@ -53,15 +53,18 @@ def make_observer(
     model = model_of(model, "make_observer")
     undeclared = 0.0 if is_exact or model.has_exact_numbers else TUNING.undeclared_error
     law = law or law_named(options.law)
+    system: System | Robot
     if model.robot is not None:
-        return _robot_observer(model, law, options, others, measurements)
-    system, live = connected(model.system)
-    unknowns = unknowns or _unknown_parameters(system, options, model)
-    begin = Uncertainty(unknowns=unknowns, undeclared=undeclared)
-    uncertainty = declared_by(options, system, begin)
+        _check_robot_options(model.robot.name, law, options, measurements)
+        robot, live = connected_robot(observed(model))
+        system, known = robot, Uncertainty(unknowns=_considered_restitutions(robot, model))
+    else:
+        linear, live = connected(model.system)
+        unknowns = unknowns or _unknown_parameters(linear, options, model)
+        system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
     return Observer(
         system,
-        law(system, uncertainty),
+        law(cast(System, system), declared_by(options, system, known)),
         *initial_state(options.initial_state, system, options.initial_deviation),
         epoch=options.epoch,
         history=options.history,
@@ -80,16 +83,10 @@ def _model_error(options: Options, system: System | Robot) -> float | None:
     return None if options.model_error < 0 else options.model_error
 
 
-def _robot_observer(
-    model: Model,
-    law: type[Law],
-    options: Options,
-    others: Matrix | None,
-    measurements: Sequence[Measurement],
-) -> Observer:
-    """An observer of the robot of a ``model``, whose efforts and encoders are measured."""
-    assert model.robot is not None, "a robot"
-    name = model.robot.name
+def _check_robot_options(
+    name: str, law: type[Law], options: Options, measurements: Sequence[Measurement]
+) -> None:
+    """Raise UsageError if the robot of this ``name`` cannot be observed so."""
     if not (law.has_covariance and law.uses_measurements):
         raise UsageError(
             f"law {law.name}: takes no robot, as {name} is; expected minimum-variance"
@@ -109,27 +106,16 @@ def _robot_observer(
             f"measurements: none of positions of the robot {name}, whose motion does not follow"
             " from impact times alone; expected its encoders, --measurements FILE"
         )
-    robot, live = connected_robot(observed(model))
+
+
+def _considered_restitutions(robot: Robot, model: Model) -> UnknownParameters | None:
+    """The restitutions of a ``robot`` with deviations in its ``model``; None without one."""
     deviations = model.uncertainty.deviation_by_name if model.uncertainty is not None else {}
     family = RobotFamily.named(robot, [name for name, each in deviations.items() if each])
-    unknowns = None
-    if family.size:
-        variances = np.square([deviations[name] for name in family.names])
-        unknowns = UnknownParameters(family, np.diag(variances), 0.0, (True,) * family.size)
-    begin = Uncertainty(model_error=0.0, unknowns=unknowns)
-    uncertainty = declared_by(options, robot, begin)
-    return Observer(
-        robot,
-        law(cast(System, robot), uncertainty),
-        *initial_state(options.initial_state, robot, options.initial_deviation),
-        epoch=options.epoch,
-        history=options.history,
-        ensemble=options.ensemble,
-        others=others,
-        agreed=options.agreed,
-        live=live,
-        measurements=measurements,
-    )
+    if not family.size:
+        return None
+    variances = np.square([deviations[name] for name in family.names])
+    return UnknownParameters(family, np.diag(variances), 0.0, (True,) * family.size)
 
 
 def declared_by(options: Options, system: System | Robot, before: Uncertainty) -> Uncertainty:

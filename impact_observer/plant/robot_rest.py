@@ -41,10 +41,8 @@ class RobotRest:
     def speed_tolerance(self, x: Vector) -> Vector:
         """Contact speeds that count as zero in a state (q, u), shape (m,), m/s."""
         robot, n = self._robot, self._robot.n
-        W = robot.directions(x[:n])
-        mobility = np.einsum("ik,ik->k", W, robot.inverse_mass(x[:n]) @ W)
         energy = 2 * robot.kinetic_energy(x[:n], x[n:])
-        return np.asarray(_ROUNDING * np.sqrt(np.maximum(energy * mobility, 0.0)))
+        return np.asarray(_ROUNDING * np.sqrt(np.maximum(energy * robot.mobility(x[:n]), 0.0)))
 
     def resting(self, x: Vector, tau: Vector, contacts: Contacts, before: Vector) -> Contacts:
         """The contacts that rest on their planes after an impact, as indices.

@@ -23,7 +23,7 @@ from impact_observer.model.grounds import LiveNames
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
-from impact_observer.model.system import checked_part, per_second
+from impact_observer.model.system import checked_parts, per_second
 from impact_observer.robots.pinocchio_model import imported_pinocchio, pinocchio_model
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -265,8 +265,7 @@ class Robot:
         free = free[self._out]
         if not len(closed):
             return np.asarray(free)
-        W = self.directions(q, closed)
-        held = self.inverse_mass(q) @ W
+        W, held = self.kicks(q, closed)
         short = W.T @ free + self.bias(q, u, closed)
         return np.asarray(free - held @ _least(W.T @ held, short))
 
@@ -275,10 +274,19 @@ class Robot:
 
         A negative force means that the contact is about to open.
         """
-        W = self.directions(q, closed)
-        held = self.inverse_mass(q) @ W
+        W, held = self.kicks(q, closed)
         short = W.T @ self.acceleration(q, u, tau) + self.bias(q, u, closed)
         return np.asarray(_least(W.T @ held, -short))
+
+    def load_gradients(self, x: Vector, tau: Vector, closed: Sequence[int]) -> Matrix:
+        """Derivatives of ``loads`` by the state ``x``, of second order, shape (k, 2n)."""
+        n = self.n
+
+        def loads(at: Vector) -> Vector:
+            return self.loads(at[:n], at[n:], tau, closed)
+
+        steps = _STEP * np.eye(2 * n)
+        return np.column_stack([(loads(x + h) - loads(x - h)) / (2 * _STEP) for h in steps])
 
     def acceleration_derivatives(
         self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int] = ()
@@ -387,6 +395,19 @@ class Robot:
             W[:, k] = (self._normals[i] @ J.reshape(6, -1)[:3])[self._out]  # a vector for n = 1
         return W
 
+    def kicks(self, q: Vector, contacts: Sequence[int] | None = None) -> tuple[Matrix, Matrix]:
+        """``W`` and ``M^-1 W`` of ``contacts``, by default of all, shape (n, k) each.
+
+        A column of the second has the velocities that a unit impulse of a contact adds.
+        """
+        W = self.directions(q, contacts)
+        return W, self.inverse_mass(q) @ W
+
+    def mobility(self, q: Vector) -> Vector:
+        """``diag(W' M^-1 W)`` of all contacts, shape (m,), 1/kg."""
+        W, held = self.kicks(q)
+        return np.asarray(np.einsum("ik,ik->k", W, held))
+
     def contact_speeds(self, x: Vector) -> Vector:
         """``gamma = W(q)'u`` of all contacts in a state ``x``, shape (m,), m/s."""
         return np.asarray(self.directions(x[: self.n]).T @ x[self.n :])
@@ -458,8 +479,7 @@ class Robot:
             g = self.gaps(q, contacts)
             if np.all(np.abs(g) <= _ON_PLANE * reach):
                 break
-            W = self.directions(q, contacts)
-            held = self.inverse_mass(q) @ W
+            W, held = self.kicks(q, contacts)
             q = q - held @ _least(W.T @ held, g)
         return q
 
@@ -467,8 +487,7 @@ class Robot:
         """The nearest ``u`` in the metric of ``M`` with ``gamma = 0`` on ``contacts``, (n,)."""
         if not len(contacts):
             return u
-        W = self.directions(q, contacts)
-        held = self.inverse_mass(q) @ W
+        W, held = self.kicks(q, contacts)
         return np.asarray(u - held @ _least(W.T @ held, W.T @ u))
 
     # Impacts
@@ -507,8 +526,7 @@ class Robot:
         """
         n = self.n
         q, u = x[:n], x[n:]
-        W = self.directions(q, pushed)
-        held = self.inverse_mass(q) @ W
+        W, held = self.kicks(q, pushed)
         lost = self._lost(W.T @ u, pushed)
         return np.concatenate([q, u - held @ _least(W.T @ held, lost)])
 
@@ -540,8 +558,7 @@ class Robot:
     def jump_by_restitution(self, x: Vector, pushed: Sequence[int]) -> Matrix:
         """Derivatives of ``jumped`` by the first parameter of each rebound law, (2n, k)."""
         n = self.n
-        W = self.directions(x[:n], pushed)
-        held = self.inverse_mass(x[:n]) @ W
+        W, held = self.kicks(x[:n], pushed)
         gamma = (W.T @ x[n:]).tolist()
         lost = np.diag(
             [self.rebounds[i].sensitivity(g)[0] for i, g in zip(pushed, gamma, strict=True)]
@@ -589,8 +606,8 @@ class Robot:
         """
         if not all(self.rebounds[i].is_affine for i in contacts):
             return len(contacts) == 1 and self.rebounds[contacts[0]].is_nonexpansive
-        W = self.directions(q, contacts)
-        G = W.T @ self.inverse_mass(q) @ W
+        W, held = self.kicks(q, contacts)
+        G = W.T @ held
         size = np.sqrt(np.diag(G))
         G, eps = G / np.outer(size, size), self.eps[list(contacts)]
         if np.all(eps == eps[:1]):
@@ -605,10 +622,7 @@ class Robot:
         Raises:
             UsageError: a wrong number of values, or one that is not finite.
         """
-        return (
-            checked_part("position", position, self.n),
-            checked_part("velocity", velocity, self.n),
-        )
+        return checked_parts(position, velocity, self.n)
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """The initial state of a plant, outside all planes.
@@ -657,8 +671,7 @@ class Robot:
         self, q: Vector, u: Vector, active: Sequence[int], *, plastic: bool
     ) -> tuple[Matrix, Vector] | None:
         """``M^-1 W`` and impulses of Newton's law; None where nothing is hit."""
-        W = self.directions(q, active)
-        held = self.inverse_mass(q) @ W
+        W, held = self.kicks(q, active)
         gamma = W.T @ u
         if len(active) > 1:
             energy = float(u @ self.mass(q) @ u)
@@ -699,30 +712,36 @@ def _least(G: Matrix, b: Matrix) -> Matrix:
     return np.asarray(b / G[0, 0] if len(G) == 1 else linalg.lstsq(G, b)[0])
 
 
-def simulated(model: Model) -> System | Robot:
-    """The linear system or the robot of a ``model``, for a plant.
+def robot_of(model: Model) -> Robot:
+    """The robot of a ``model``.
 
     Raises:
-        UsageError: pinocchio is not installed, or the start is inside a plane.
-        ModelError: the URDF makes no robot that can move.
+        UsageError: pinocchio is not installed, or the URDF has not come from its topic.
+        ModelError: the URDF makes no robot that can move; the error names the model file.
     """
-    if model.robot is None:
-        return model.system
+    assert model.robot is not None, "a robot"
     try:
         return Robot(model.robot)
     except ModelError as error:
         raise error.in_file(model.source) from None
 
 
+def simulated(model: Model) -> System | Robot:
+    """The linear system or the robot of a ``model``, for a plant.
+
+    Raises:
+        UsageError, ModelError: as ``robot_of``.
+    """
+    return model.system if model.robot is None else robot_of(model)
+
+
 def observed(model: Model) -> Robot:
     """The robot of a ``model`` for an observer: no torques act but those that are measured.
 
     Raises:
-        UsageError: pinocchio is not installed, or the model is no robot.
-        ModelError: the URDF makes no robot that can move.
+        UsageError, ModelError: as ``robot_of``.
     """
-    robot = simulated(model)
-    assert isinstance(robot, Robot), "the model is one"
+    robot = robot_of(model)
     return robot.with_forcing(Forcing.none(robot.n))
 
 
