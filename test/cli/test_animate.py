@@ -31,7 +31,9 @@ def refusal(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tup
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [("20", 9, 50), ("30", 14, 30)])
+@pytest.mark.parametrize(
+    "case", [("20", 9, 50), pytest.param(("30", 14, 30), marks=pytest.mark.long)]
+)
 def test_gif_repeats_at_the_right_speed(
     sample_bag: Path,
     tmp_path: Path,

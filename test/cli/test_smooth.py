@@ -124,7 +124,7 @@ HITS = """
 """Hits of a drill by its ringing accelerometer, us; three of 106 are missing."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_tmp_path")
 def test_hits_of_a_drill_are_smoothed_with_a_restitution_that_is_learned(
     capsys: pytest.CaptureFixture[str],

@@ -110,7 +110,7 @@ def watched(model: Model, run: Run, start: Array, jitter: float, seed: int) -> O
     return observer
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "deviations",
     [

@@ -165,7 +165,7 @@ def test_the_disorder_of_an_event_is_how_late_its_stamp_is() -> None:
         assert disorder(event, interpret(event, (), latest), latest) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_filter_keeps_the_track_where_the_clock_does_not_resolve_the_last_bounces() -> None:
     """A drill that comes to rest on its rock again and again; stamps err by 0.1 ms."""
     found = outcome(Job(0, 1, 15.0, SensorModel(jitter=1e-4)))

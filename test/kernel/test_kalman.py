@@ -251,7 +251,7 @@ def test_a_missed_impact_with_parameters_is_the_true_map() -> None:
     assert_near(differences, columns @ root[:, :2], 1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_covariance_is_that_of_many_draws() -> None:
     """A stamp that is off by 3 ms and a prior of a centimetre: weighted draws of the true map."""
     random, clock, t = np.random.default_rng(5), 3e-3, 3.25

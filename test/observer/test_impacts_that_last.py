@@ -124,7 +124,7 @@ def test_covariance_is_honest_between_onset_and_jump(
     assert checked > 15
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("seconds", "restitution"), [(0.002, 0.1), (0.002, 0.3), (0.1, 0.5)])
 def test_filter_knows_that_a_body_has_turned_inside_its_stop(
     seconds: float, restitution: float
@@ -146,7 +146,7 @@ def test_filter_knows_that_a_body_has_turned_inside_its_stop(
     assert observer.estimate(int(made.stamps[-1])).synchronized
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("restitution", [0.1, 0.3])
 def test_a_rest_inside_the_stop_that_is_not_reported_is_no_certainty(restitution: float) -> None:
     """The estimate cannot know when it ends: it is not synchronized while it is far off."""
@@ -208,7 +208,7 @@ def soft_error(contact_time: float, law: str) -> float:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("law", LAWS)
 def test_declared_contact_time_explains_stops_that_give_way(law: str) -> None:
     """Below 0.15 %, where it is 0.3 to 0.5 % without."""

@@ -636,7 +636,7 @@ def test_samples_say_nothing_while_a_contact_lasts(law: str) -> None:
     np.testing.assert_array_equal(x_of(observer, stamp + NS_PER_S), before)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("noise", "shown"), [(1e-3, {}), (5e-3, {"x1": 5e-3})])
 def test_errors_much_larger_than_declared_are_learned(
     noise: float, shown: dict[str, float]

@@ -143,7 +143,7 @@ def test_error_is_rounding_after_twice_as_many_impacts_as_coordinates(name: str)
     assert max(ratios) <= 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @BOTH
 def test_covariance_is_consistent_with_the_errors(name: str) -> None:
     """NEES and innovations for stamp errors of 1 ms and initial errors as declared.

@@ -181,7 +181,7 @@ def test_exact_model_has_no_error_and_is_synchronized() -> None:
     assert watcher.remarks[Remark.MISFIT] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_warning_ends_when_the_model_fits_again() -> None:
     """The restitution is right after 18 periods of the force, for a minute."""
     model, watcher = sample("two_mass").system, watching()
@@ -300,7 +300,7 @@ contacts: [{name: stop, direction: [0, -1], gap: 0.25, restitution: 0.8}]
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_impacts_hardly_see_stays_wide_in_a_misfit() -> None:
     """The force on x is 12 % larger; the stop hits y, and few kinds of parameters explain that."""
     model = parse_model(PLANE, "plane").system

@@ -166,7 +166,7 @@ WORST = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 @pytest.mark.parametrize("fault", WORST)
 def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
@@ -234,7 +234,7 @@ def far_off(
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_masses_without_springs_do_not_come_to_rest_in_a_corner() -> None:
     """Where all gaps are zero, and any event fits. Every fifth impact is missed, with jitter."""
     free = system(
@@ -280,7 +280,7 @@ def test_a_door_is_not_lost_beside_a_hammer_that_hits_ten_times_a_second(seed: i
     assert not any(off and synchronized for off, synchronized in found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_motion_that_no_impact_shows_does_not_run_away(seed: int) -> None:
     """All masses together. The covariance is widened often, the estimate stays near the motion."""
@@ -311,7 +311,7 @@ def test_a_motion_that_no_impact_shows_does_not_run_away(seed: int) -> None:
     assert np.mean(off) < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_rig_of_micrometres_is_followed_from_a_start_that_is_off_by_a_metre(seed: int) -> None:
     """What counts as slow follows from the motion, not from what was declared of the start."""
@@ -341,7 +341,7 @@ def test_a_rig_of_micrometres_is_followed_from_a_start_that_is_off_by_a_metre(se
     assert exact.estimate(int(whole.stamps[-1])).synchronized
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_of_two_contacts_that_are_missed_come_in_their_order() -> None:
     """Closer to each other than the samples in which gaps are searched."""
     model, whole = between_stops()
@@ -473,7 +473,7 @@ def test_clock_error_is_estimated(error: float) -> None:
     assert deviation < 3 * error
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 def test_clock_error_is_estimated_in_any_run(name: str) -> None:
     """The same in 60 s."""
@@ -487,7 +487,7 @@ def test_clock_error_is_estimated_in_any_run(name: str) -> None:
         assert 1 / 3.5 < found / error < 3.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("error", [3e-5, 3e-4, 5e-4])
 def test_jitter_is_not_taken_for_an_error_of_the_model(error: float) -> None:
     """Of a drill that hits twelve times a second, whatever the jitter is between powers of ten.

@@ -105,7 +105,7 @@ def test_a_close_after_reported_bounces_is_a_rest() -> None:
     assert not any("first edge" in each for each in reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_of_bounces_tell_a_wrong_force_and_do_not_make_certain() -> None:
     """A press whose force is 2 percent off is refuted, and its covariance contains that."""
     run = stroke(press(4.5 * 0.98).system, 0.0)

@@ -70,7 +70,7 @@ def test_a_sensor_that_comes_back_is_followed_again() -> None:
     np.testing.assert_allclose(np.concatenate([found.q, found.u]), whole.states[k], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("jitter", "missed"), [(0.0, 0.0), (1e-3, 0.0), (1e-3, 0.2)])
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 def test_a_sensor_that_lives_is_not_called_dead(name: str, jitter: float, missed: float) -> None:

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 LAWS = pytest.mark.parametrize("law", BUILT_IN)
 UNILATERAL_SLOW = pytest.mark.parametrize(
     "law",
-    [pytest.param(law, marks=pytest.mark.slow if law == "unilateral" else ()) for law in BUILT_IN],
+    [pytest.param(law, marks=pytest.mark.long if law == "unilateral" else ()) for law in BUILT_IN],
 )
 START = [0.3, -0.4, 1.0, -2.0]
 TICK = NS_PER_S // 64

@@ -325,7 +325,7 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
     assert np.min(found.states[:, 1]) >= -(1 - 1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_chain_of_three_hundred_closes_and_opens_two_contacts_and_an_observer_follows() -> None:
     """No gap is ever negative; a replica that starts in the true state follows the plant."""
     n = 300

@@ -150,7 +150,7 @@ def test_impacts_agree_with_a_runge_kutta_method() -> None:
     np.testing.assert_allclose(mine.states[-1], y, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_time_stepping_converges_to_the_same_motion() -> None:
     """Moreau's scheme knows moving stops, too: its error falls with its step."""
     model, stamps = parse_model(RIG, "rig"), grid(EPOCH, EPOCH + 2 * 10**9, 50.0)

@@ -29,6 +29,7 @@ uncertainty:
 """
 
 
+@pytest.mark.long
 def test_drawn_values_have_the_declared_mean_and_covariance() -> None:
     """Of 2000 draws, within five standard errors; what is exact stays exact."""
     model = parse_model(RIG + KNOWN, "rig")

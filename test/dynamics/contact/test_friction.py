@@ -430,7 +430,7 @@ def test_derivative_of_a_rubbing_motion_has_saltation_at_every_turn(seed: int) -
     np.testing.assert_allclose(motion.transition(6.0).T, expected, atol=2e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_minimum_variance_finds_the_state_and_learns_the_friction() -> None:
     """V falls to 1e-14 of V0 with exact events; a force that is 8 % off is found."""
     model = sample("rubbing_guide")

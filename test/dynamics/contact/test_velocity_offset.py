@@ -214,7 +214,7 @@ def test_body_that_leaves_a_stop_that_drives_is_not_hit_at_the_start() -> None:
     assert made.states[0, 1] == V / 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_time_stepping_drives_by_the_same_law() -> None:
     """Its first impacts are those of the event-driven plant, up to a few steps."""
     model = rig()
@@ -251,7 +251,7 @@ def test_minimum_variance_synchronizes_on_a_stop_that_drives() -> None:
     assert watcher.estimate(int(made.stamps[-1])).synchronized
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_covariance_is_honest_at_a_stop_that_drives() -> None:
     """Mean of the normalised error squared over 30 runs whose stamps jitter by 1 ms."""
     model, jitter, squares = rig(), 1e-3, []
