@@ -162,6 +162,7 @@ def _compare_one(
     from impact_observer.io.reader import BagReader, named_topic
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
+    from impact_observer.robots.robot import simulated
 
     with BagReader(bag, args.namespace) as reader, Progress() as progress:
         progress.show(f"{bag}: reading")
@@ -169,11 +170,16 @@ def _compare_one(
         truth = named_topic(reader, args.truth) if args.truth else reader.truth_topic()
         tell = partial(say, file=sys.stderr if args.json else sys.stdout)
         read_part(reader, args.start, args.duration, [truth] if truth else [], tell=tell)
+        if options and read.robot is not None:
+            raise UsageError(
+                f"--laws {args.laws}: {read.robot.name} in {bag} is a robot, whose observers need"
+                " measurements; expected the bag that observe --measurements FILE makes"
+            )
         # The ensemble is left out: no estimate depends on the ensemble.
         observers = [make_observer(read, replace(each, ensemble=1)) for each in options]
         result = compare_bag(
             reader,
-            read.system,
+            simulated(read),
             observers,
             truth=args.truth,
             estimates=args.observers,

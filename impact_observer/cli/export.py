@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.table_files import write_table
     from impact_observer.io.bag_part import read_part, time_zero, topic_of_impacts
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import system_of
+    from impact_observer.io.recordings import model_of
+    from impact_observer.robots.robot import simulated
 
     if args.topics is not None and args.what == EVENTS:
         raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         if is_of_events:
             blocks = event_rows(reader, args.epoch, show)
         elif args.what == ERRORS:
-            system = system_of(reader, args.model)
+            system = simulated(model_of(reader, args.model))
             blocks = error_rows(reader, system, args.topics, args.epoch, show)
         else:
             blocks = state_rows(reader, args.topics, args.epoch, show)

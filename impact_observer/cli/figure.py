@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_picture
-    from impact_observer.compare.error_tables import seminorm_remarks, table_of_laws
+    from impact_observer.compare.error_tables import distance_remarks, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
     from impact_observer.draw.pictures import save
     from impact_observer.draw.reports import print_facts, print_table
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         say(json.dumps(metrics, indent=2))
         return 0
     print_table(table_of_laws(DISTANCE, comparisons))
-    print_facts(seminorm_remarks(comparisons))
+    print_facts(distance_remarks(comparisons))
     say(f"picture: {args.output}")
     return 0
 

@@ -59,9 +59,10 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.draw.plot.series import read_recording, topics_drawn
     from impact_observer.io.bag_part import read_part
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import system_of
+    from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.output_files import check_output
+    from impact_observer.robots.robot import simulated
 
     check_output(args.output, (*PICTURES, *PAGES))
     is_page = args.output.suffix.lower() in PAGES
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         known = args.model is not None or reader.model_text() is not None
         recording = read_recording(
             reader,
-            system_of(reader, args.model) if known else None,
+            simulated(model_of(reader, args.model)) if known else None,
             select=args.select,
             observers=args.observers,
             measurements=read_measurements(args.measurements),

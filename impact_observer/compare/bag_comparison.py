@@ -21,9 +21,10 @@ from impact_observer.io.bag_part import TimeZero, time_zero
 from impact_observer.io.pairing import Samples, sample_type, samples_of
 from impact_observer.io.reader import BagReader, named_states, named_topic
 from impact_observer.io.recordings import events_in, outcomes_in
-from impact_observer.io.state_arrays import JointStates, ObserverStates
+from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
 from impact_observer.model import System
 from impact_observer.observer import Observer
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Stamps
 
@@ -41,7 +42,7 @@ class BagComparison:
         zero: time zero.
     """
 
-    system: System
+    system: System | Robot
     comparisons: dict[str, Comparison]
     impacts: dict[str, Stamps]
     zero: TimeZero
@@ -49,7 +50,7 @@ class BagComparison:
 
 def compare_bag(
     reader: BagReader,
-    system: System,
+    system: System | Robot,
     observers: Sequence[Observer] = (),
     *,
     truth: str | None = None,
@@ -62,7 +63,7 @@ def compare_bag(
 
     Args:
         reader: the bag.
-        system: gives M and K for V.
+        system: gives V.
         observers: to run on the bag, one a law; they have received nothing yet.
         truth: the topic of the plant's true states; None for the only one in the bag.
         estimates: observers' prefixes, or topics of states; None for every observer.
@@ -144,7 +145,7 @@ def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, 
 
 def states_of_topics(
     reader: BagReader,
-    system: System,
+    system: System | Robot,
     topics: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> tuple[dict[str, str], dict[str, Samples]]:
@@ -152,7 +153,7 @@ def states_of_topics(
 
     Args:
         reader: the bag.
-        system: gives the order of the coordinates.
+        system: gives the order of the coordinates; states of a robot have deviations.
         topics: topics of states.
         progress: receives the number of messages read, and of all.
 
@@ -167,13 +168,14 @@ def states_of_topics(
     total, done = sum(reader.topics[topic].count for topic in chosen), 0
     laws: dict[str, str] = {}
     blocks: dict[str, list[Samples]] = {topic: [] for topic in chosen}
-    for topic, block in reader.blocks(chosen, system.coordinates):
-        blocks[topic].append(_samples(block))
+    has_deviations = isinstance(system, Robot)
+    for topic, block in reader.blocks(chosen, system.coordinates, covariance=has_deviations):
+        blocks[topic].append(_samples(block, has_deviations=has_deviations))
         if law := getattr(block, "law", ""):
             laws[topic] = law
         done += block.stamps.size
         progress(done, total)
-    nothing = np.empty(0, sample_type(2 * system.n))
+    nothing = np.empty(0, sample_type(2 * system.n, has_deviations=has_deviations))
     return laws, {topic: np.concatenate([nothing, *read]) for topic, read in blocks.items()}
 
 
@@ -187,6 +189,7 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
     return topic
 
 
-def _samples(block: JointStates) -> Samples:
+def _samples(block: JointStates, *, has_deviations: bool) -> Samples:
     last_event = block.last_event if isinstance(block, ObserverStates) else None
-    return samples_of(block.stamps, np.hstack([block.q, block.u]), last_event)
+    deviations = deviations_in(block) if has_deviations else None
+    return samples_of(block.stamps, np.hstack([block.q, block.u]), last_event, deviations)

@@ -20,8 +20,9 @@ from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
 from impact_observer.io.reader import BagReader, first_block, named_states, states_of
 from impact_observer.io.recordings import events_in, outcomes_in
-from impact_observer.io.state_arrays import JointStates, ObserverStates
+from impact_observer.io.state_arrays import ObserverStates, deviations_in
 from impact_observer.model import System
+from impact_observer.robots.robot import Robot
 
 DEVIATIONS = ("deviation_q", "deviation_u")
 """Prefixes of the columns of standard deviations, of coordinates and of velocities."""
@@ -51,7 +52,7 @@ def state_rows(
         if block.stamps.size:
             numbers = _columns(("q", "u"), block.names, np.hstack([block.q, block.u]))
             if with_deviations:
-                numbers |= _columns(DEVIATIONS, block.names, _deviations(block))
+                numbers |= _columns(DEVIATIONS, block.names, deviations_in(block))
             words = {"topic": [topic] * block.stamps.size}
             yield TableBlock(topic, zero, block.stamps, words, numbers)
             done += block.stamps.size
@@ -60,7 +61,7 @@ def state_rows(
 
 def error_rows(
     reader: BagReader,
-    system: System,
+    system: System | Robot,
     topics: Collection[str] | None,
     epoch: int | None,
     progress: Progress,
@@ -131,15 +132,6 @@ def _has_covariance(reader: BagReader, topic: str) -> bool:
     """Whether the first estimates on a topic have a covariance."""
     _, block = next(iter(reader.blocks([topic], covariance=True)))
     return isinstance(block, ObserverStates) and block.covariance.size > 0
-
-
-def _deviations(block: JointStates) -> NDArray[np.float64]:
-    """Standard deviations of coordinates and velocities, shape (rows, 2n); NaN without."""
-    if isinstance(block, ObserverStates) and block.covariance.size:
-        variances = np.diagonal(block.covariance, axis1=1, axis2=2)
-        # Rounding may leave a variance slightly below zero.
-        return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
-    return np.full((block.stamps.size, 2 * len(block.names)), np.nan)
 
 
 def state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.compare.energy_of_errors import contact_speeds, energies, errors_of
 from impact_observer.compare.mismatch import Mismatch, windows
-from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError, DynamicsError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import (
@@ -32,13 +32,19 @@ from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.samples import SensorSample
-from impact_observer.stamps import seconds_between, text
-from impact_observer.states import Stamps, Vector
+from impact_observer.robots.robot import Robot
+from impact_observer.stamps import NS_PER_S, seconds_between, text
+from impact_observer.states import Matrix, Stamps, Vector
 
 SETTLED = 1e-2
 """Default of the ratio V over V at the start below which an estimate has settled."""
 _FLOOR = 10.0
 """V over V at the end up to which V counts as falling."""
+AFTER_HITS = (0.002, 0.05)
+"""Begin and end of the time after a hit in which velocities matter most, s: the hit itself may
+last 1 ms, and its stamp has an error."""
+COVERED = 2.0
+"""Standard deviations within which 95 % of the errors should be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +57,8 @@ class Comparison:
         stamps: of the samples that count, ns, shape (samples,).
         error: estimate minus truth, (dq, du), shape (samples, 2n).
         V: Lyapunov distance, J, shape (samples,).
+        deviations: standard deviations of the estimate, shape (samples, 2n), NaN without a
+            covariance; shape (samples, 0) of linear systems.
         samples: number of samples that count.
         late: estimates left out because their event had not arrived.
         stale: states left out because they came long after later ones.
@@ -63,11 +71,12 @@ class Comparison:
         settling_time: seconds from the first sample until it has settled for good, or None.
     """
 
-    system: System
+    system: System | Robot
     law: str
     stamps: Stamps
     error: NDArray[np.float64]
     V: Vector
+    deviations: Matrix
     samples: int
     late: int
     stale: int
@@ -93,6 +102,43 @@ class Comparison:
     def states(self) -> tuple[str, ...]:
         """Names of the states: coordinates, then their velocities."""
         return self.system.state_names
+
+    @property
+    def since_hits(self) -> Vector:
+        """Seconds since the last hit at each sample, shape (samples,); infinite before any."""
+        hits = np.array(self.outcomes.hits, dtype=np.int64)
+        last = np.searchsorted(hits, self.stamps, side="right") - 1
+        since = np.full(self.stamps.size, np.inf)
+        known = last >= 0
+        since[known] = (self.stamps[known] - hits[last[known]]) / NS_PER_S
+        return since
+
+    @property
+    def rms_after_hits(self) -> Vector | None:
+        """Root mean square error of each state in ``AFTER_HITS``, shape (2n,); None without."""
+        since, (begin, end) = self.since_hits, AFTER_HITS
+        chosen = (since >= begin) & (since < end)
+        return np.sqrt(np.mean(self.error[chosen] ** 2, axis=0)) if chosen.any() else None
+
+    @property
+    def velocity_after_hits(self) -> float | None:
+        """Root mean square of the length of the velocity's error in ``AFTER_HITS``.
+
+        None without a sample then, or if velocities have different units.
+        """
+        rms, n = self.rms_after_hits, self.system.n
+        if rms is None or len({*self.system.state_units[n:]}) > 1:
+            return None
+        return float(np.linalg.norm(rms[n:]))
+
+    @property
+    def coverage(self) -> Vector | None:
+        """Share of the errors of each state within ``COVERED`` deviations; None without any."""
+        known = np.isfinite(self.deviations).all(axis=1)
+        if not (self.deviations.size and known.any()):
+            return None
+        inside = np.abs(self.error[known]) <= COVERED * self.deviations[known]
+        return np.asarray(np.mean(inside, axis=0))
 
     @property
     def rate_per_second(self) -> float | None:
@@ -122,7 +168,7 @@ def is_near_end(V: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def compare_states(
-    system: System,
+    system: System | Robot,
     law: str,
     truth: Samples,
     estimates: Samples,
@@ -134,7 +180,7 @@ def compare_states(
     """Compare estimates with the truth at the stamps that both have.
 
     Args:
-        system: gives M and K for V.
+        system: gives V.
         law: name of the law.
         truth: true states, in the order of the bag.
         estimates: estimated states, in the order of the bag.
@@ -166,8 +212,8 @@ def compare_states(
         )
     punctual = arrived(pairs["stamp"], pairs["last_event"], outcomes.reported)
     between &= punctual
-    error = pairs["estimate"] - pairs["truth"]
-    V = distance(system, error[:, : system.n], error[:, system.n :])
+    error = errors_of(system, pairs)
+    V = energies(system, pairs["truth"], error)
     mismatch.samples = int(np.count_nonzero(between))
     mismatch.V = float(np.max(V[between], initial=0.0))
     kept = punctual & ~between
@@ -180,6 +226,7 @@ def compare_states(
         stamps=stamps,
         error=error,
         V=V,
+        deviations=pairs["deviation"][kept],
         samples=stamps.size,
         late=int(np.count_nonzero(~punctual)),
         stale=truth.size - kept_truth.size + estimates.size - kept_estimates.size,
@@ -215,13 +262,13 @@ def settling_time(stamps: Stamps, V: NDArray[np.float64], settled: float) -> flo
 
 
 def _mismatch(
-    system: System, pairs: Pairs, outcomes: EventOutcomes, begin: int
+    system: System | Robot, pairs: Pairs, outcomes: EventOutcomes, begin: int
 ) -> tuple[NDArray[np.bool_], Mismatch]:
     """Mask of the samples between the jumps of truth and estimate, and their windows."""
     between, mismatch, stamps = np.zeros(pairs.size, dtype=np.bool_), Mismatch(), pairs["stamp"]
+    speeds = [contact_speeds(system, pairs[key]) for key in ("truth", "estimate")]
     for c, name in enumerate(system.contact_names):
-        w = system.W[:, c]
-        truth, estimate = (pairs[key][:, system.n :] @ w for key in ("truth", "estimate"))
+        truth, estimate = (each[:, c] for each in speeds)
         for impact, others in impacts_with_neighbours(outcomes, name):
             first, end = map(int, windows(stamps, truth, estimate, impact, others))
             low, high = np.searchsorted(stamps, [first, end])
@@ -247,7 +294,7 @@ def compare_observer(
     events: Sequence[ImpactEvent],
     truth: Samples,
     *,
-    system: System | None = None,
+    system: System | Robot | None = None,
     settled: float = SETTLED,
     begin: int = 0,
     needs_event: bool = True,

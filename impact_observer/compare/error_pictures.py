@@ -15,6 +15,7 @@ from impact_observer.compare.bag_comparison import BagComparison
 from impact_observer.compare.comparison import Comparison
 from impact_observer.draw.pictures import MOST_ROWS, Style, mark_rows, styles
 from impact_observer.io.bag_part import TimeZero
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps, Vector
 
@@ -27,6 +28,8 @@ _ROOM, _PAPER_ROOM = 108, 54
 """Letters of a legend side by side above the axes."""
 _HANDLE = 11
 """Width of the line before a legend's label with its margins, in letters."""
+_AROUND, _BINS = 0.1, 40
+"""Time after a hit of which errors are drawn, s, and the parts in which they are averaged."""
 
 
 def distance_picture(
@@ -57,6 +60,35 @@ def error_pictures(
     for coordinates, comparisons in alike.items():
         picture = _error_picture(comparisons, TimeZero(0, instants_of(results)))
         yield bags[coordinates], len(coordinates), picture
+
+
+def hits_picture(labelled: Mapping[str, Comparison]) -> Figure | None:
+    """The rms error of all velocities over the time since the last hit; None without robots."""
+    shown = {k: c for k, c in labelled.items() if isinstance(c.system, Robot) and c.outcomes.hits}
+    if not shown:
+        return None
+    edges = np.linspace(0.0, _AROUND, _BINS + 1)
+    drawn = styles([each.law for each in shown.values()])
+    with mpl.rc_context({"font.size": _FONT}):
+        figure = Figure(figsize=(_SIZE[0], 3.2), layout="constrained")
+        axes = figure.add_subplot()
+        for each, style in zip(shown.values(), drawn, strict=True):
+            size = np.sum(each.error[:, each.system.n :] ** 2, axis=1)
+            total, count = (
+                np.histogram(each.since_hits, edges, weights=weights)[0]
+                for weights in (size, None)
+            )
+            known = count > 0
+            middle = 500.0 * (edges[1:] + edges[:-1])[known]
+            _draw_curve(axes, middle, np.sqrt(total[known] / count[known]), len(shown), style)
+        axes.set_xlabel("time since the last hit [ms]")
+        units = {unit for c in shown.values() for unit in c.system.state_units[c.system.n :]}
+        axes.set_ylabel(f"rms error of velocities [{' and '.join(sorted(units))}]")
+        axes.grid(visible=True, which="major", color="0.9")
+        labels = [_shortened(label, _ROOM - _HANDLE) for label in shown]
+        where = _legend_style(labels, _ROOM)
+        figure.legend(axes.lines, labels, loc="outside upper left", **where)
+    return figure
 
 
 def _by_bag(
@@ -141,7 +173,7 @@ def _error_picture(comparisons: Mapping[str, Comparison], zero: TimeZero) -> Fig
     If there are more than ``MOST_COORDINATES``, the coordinates with the largest errors are shown.
     """
     first = next(iter(comparisons.values()))
-    names, n = first.system.coordinates, first.system.n
+    names, n, units = first.system.coordinates, first.system.n, first.system.state_units
     rms = np.sum([np.square(each.rms[:n]) for each in comparisons.values()], axis=0)
     shown = np.sort(np.argsort(-rms, kind="stable")[:MOST_COORDINATES])
     drawn = styles([each.law for each in comparisons.values()])
@@ -150,8 +182,8 @@ def _error_picture(comparisons: Mapping[str, Comparison], zero: TimeZero) -> Fig
         grid = figure.subplots(shown.size, 2, sharex=True, squeeze=False)
         for row, i in enumerate(shown):
             for axes, column, label in (
-                (grid[row, 0], i, f"|Δ{names[i]}| [{first.system.unit}]"),
-                (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [{first.system.speed_unit}]"),
+                (grid[row, 0], i, f"|Δ{names[i]}| [{units[i]}]"),
+                (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [{units[n + i]}]"),
             ):
                 for each, style in zip(comparisons.values(), drawn, strict=True):
                     size = np.abs(each.error[:, column])

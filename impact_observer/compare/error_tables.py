@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.compare.comparison import Comparison
+from impact_observer.compare.comparison import AFTER_HITS, Comparison
 from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, metrics_of
 from impact_observer.draw.reports import ReportLine, TextTable, listed, print_facts, print_table
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.output_files import replacing
 from impact_observer.plain_text import say
+from impact_observer.robots.robot import Robot
 
 _ROUNDING = 1e-26
 """Largest ratio of V to the largest V that is rounding: V is a square, states have 16 digits."""
@@ -55,7 +56,7 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
         print_table(table)
         say("")
     rounded = [label for label, comparison in labelled.items() if _is_rounding(comparison)]
-    print_facts([*seminorm_remarks(labelled), *_rounding_remarks(rounded)])
+    print_facts([*distance_remarks(labelled), *_rounding_remarks(rounded)])
 
 
 def _is_rounding(comparison: Comparison) -> bool:
@@ -71,11 +72,17 @@ def _rounding_remarks(labels: list[str]) -> Iterator[ReportLine]:
         yield ReportLine("note", text)
 
 
-def seminorm_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]:
-    """A remark on each system whose V does not depend on every error."""
+def distance_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]:
+    """A remark on each system whose V does not depend on every error, and on the V of robots."""
     systems = {comparison.system.name: comparison.system for comparison in labelled.values()}
     for name, system in systems.items():
-        if is_seminorm(system):
+        if isinstance(system, Robot):
+            begin, end = (1e3 * each for each in AFTER_HITS)
+            velocities = ", ".join(dict.fromkeys(system.speed_units))
+            text = f"{name} is a robot: V = 1/2 du' M du + 1/2 dq' M dq / s^2 at the true q"
+            text += f"; after hits: {begin:g} to {end:g} ms later, velocities in {velocities}"
+            yield ReportLine("note", text)
+        elif is_seminorm(system):
             text = f"{name} has a rigid-body mode: V does not see an error of its position"
             yield ReportLine("note", text)
 
@@ -92,7 +99,7 @@ def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:
     return TextTable(
         ("law", *(metric.heading for metric in shown)),
         [
-            (label, *(metric.cell(metric.value(comparison)) for metric in shown))
+            (label, *(metric.cell(metric.value_of(comparison)) for metric in shown))
             for label, comparison in labelled.items()
         ],
         title=title.format(names=names, settled=settled),
@@ -101,10 +108,11 @@ def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> TextTable:
 
 def errors_table(labelled: Mapping[str, Comparison]) -> TextTable:
     """A table with a row for each state of each estimate."""
-    shown = [metric for metric in METRICS if metric.table == ERRORS]
+    shown = [m for m in METRICS if m.table == ERRORS and m.is_shown(labelled.values())]
     rows = []
     for label, comparison in labelled.items():
-        columns = [map(metric.cell, metric.value(comparison)) for metric in shown]
+        nothing = [None] * len(comparison.states)
+        columns = [map(metric.cell, metric.value_of(comparison) or nothing) for metric in shown]
         rows += [(label, *row) for row in zip(comparison.states, *columns, strict=True)]
     headings = ("law", "state", *(metric.heading for metric in shown))
     return TextTable(headings, rows, title=ERRORS, words=("state",))

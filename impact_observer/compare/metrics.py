@@ -10,8 +10,10 @@ headings of that page with ``METRICS``.
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from impact_observer.compare.comparison import Comparison
+from impact_observer.compare.comparison import COVERED, Comparison
 from impact_observer.events import Ruling
+from impact_observer.robots.robot import Robot
+from impact_observer.states import Vector
 
 DISTANCE = "Estimates of {names}; settled: V < {settled:g} V0; rates: fall of ln V"
 IMPACTS = "Impacts; samples left out: late, or between the jumps of truth and estimate"
@@ -30,6 +32,7 @@ class Metric(NamedTuple):
         heading: of its column.
         cell: makes the text of one number.
         optional: whether the column is left out if no comparison has a value.
+        of_robots: whether only robots have the metric.
     """
 
     key: str
@@ -38,10 +41,21 @@ class Metric(NamedTuple):
     heading: str = ""
     cell: Callable[[Any], str] = "{}".format
     optional: bool = False
+    of_robots: bool = False
 
     def is_shown(self, comparisons: Iterable[Comparison]) -> bool:
         """Whether the printed table of some ``comparisons`` has a column for the metric."""
-        return not self.optional or any(self.value(each) is not None for each in comparisons)
+        if not (self.optional or self.of_robots):
+            return True
+        return any(self.value_of(each) is not None for each in comparisons)
+
+    def value_of(self, comparison: Comparison) -> Any:  # noqa: ANN401 (as ``value`` gives it)
+        """The value; None where the system has no such metric."""
+        return self.value(comparison) if self.applies_to(comparison) else None
+
+    def applies_to(self, comparison: Comparison) -> bool:
+        """Whether the compared system has the metric."""
+        return not self.of_robots or isinstance(comparison.system, Robot)
 
 
 def _rate(value: float | None, without: str = "") -> str:
@@ -54,6 +68,10 @@ def _count(value: int | None) -> str:
 
 def _ratio(value: float | None) -> str:
     return "undefined" if value is None else f"{value:.2e}"
+
+
+def _listed(values: Vector | None) -> list[float] | None:
+    return None if values is None else values.tolist()
 
 
 def _switches(comparison: Comparison, ruling: Ruling) -> int | None:
@@ -124,9 +142,33 @@ METRICS = (
     Metric("rms", lambda c: c.rms.tolist(), ERRORS, "rms", "{:.3e}".format),
     Metric("max", lambda c: c.largest.tolist(), ERRORS, "largest", "{:.3e}".format),
     Metric("final", lambda c: c.error[-1].tolist(), ERRORS, "final", "{:+.3e}".format),
+    Metric(
+        "rms_after_hits",
+        lambda c: _listed(c.rms_after_hits),
+        ERRORS,
+        "rms after hits",
+        lambda rms: "" if rms is None else f"{rms:.3e}",
+        of_robots=True,
+    ),
+    Metric(
+        "coverage",
+        lambda c: _listed(c.coverage),
+        ERRORS,
+        f"within {COVERED:g} deviations",
+        lambda share: "" if share is None else f"{share:.1%}",
+        of_robots=True,
+    ),
+    Metric(
+        "velocity_after_hits",
+        lambda c: c.velocity_after_hits,
+        IMPACTS,
+        "after hits",
+        lambda rms: "" if rms is None else f"{rms:.3g}",
+        of_robots=True,
+    ),
 )
 
 
 def metrics_of(comparison: Comparison) -> dict[str, Any]:
     """All metrics of a comparison by key, as ``--json`` prints them."""
-    return {metric.key: metric.value(comparison) for metric in METRICS}
+    return {each.key: each.value(comparison) for each in METRICS if each.applies_to(comparison)}

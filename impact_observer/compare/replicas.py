@@ -90,6 +90,7 @@ def compare_replicas(
             stamps=own,
             error=unknown[: V.size],
             V=V,
+            deviations=unknown[: V.size, :0],
             samples=V.size,
             late=late,
             stale=0,

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from impact_observer import __version__
 from impact_observer.compare.bag_comparison import BagComparison
-from impact_observer.compare.comparison import Comparison
+from impact_observer.compare.comparison import AFTER_HITS, Comparison
 from impact_observer.compare.error_pictures import (
     MOST_COORDINATES,
     distance_picture,
     error_pictures,
+    hits_picture,
     instants_of,
 )
 from impact_observer.compare.error_tables import errors_table, system_names, table_of_laws
@@ -19,6 +20,7 @@ from impact_observer.draw.pictures import svg
 from impact_observer.draw.reports import TextTable, listed
 from impact_observer.output_files import replacing
 from impact_observer.plain_text import markup
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import seconds_between
 
 _STYLE = """
@@ -39,6 +41,10 @@ _ABOUT_V = (
     "du<sup>T</sup> M du + &frac12; dq<sup>T</sup> K dq. An estimate has settled when V stays "
     "below {settled:g} of its start. The rates are the fall of ln V per second and per impact, "
     "until V is first within a factor of ten of its end."
+)
+_ABOUT_V_OF_ROBOTS = (
+    "Of a robot V is &frac12; du<sup>T</sup> M(q) du + &frac12; dq<sup>T</sup> M(q) dq / "
+    "s<sup>2</sup> with the true q."
 )
 _ABOUT_IMPACTS = (
     "Late samples were published before their event had arrived. Between the jumps: the truth had "
@@ -82,9 +88,15 @@ def _page(
     yield _figure(picture, f"V over time, {_names(bags)}")
     yield _html(table_of_laws(DISTANCE, labelled))
     yield _note(_ABOUT_V.format(settled=settled))
+    if any(isinstance(each.system, Robot) for each in labelled.values()):
+        yield _note(_ABOUT_V_OF_ROBOTS)
     yield "<h2>Impacts</h2>"
     yield _html(table_of_laws(IMPACTS, labelled))
     yield _note(_ABOUT_IMPACTS)
+    if (around_hits := hits_picture(labelled)) is not None:
+        begin, end = (1e3 * each for each in AFTER_HITS)
+        yield _figure(svg(around_hits), "Errors of the velocities after hits, all hits together")
+        yield _note(f"After hits: the errors from {begin:g} to {end:g} ms after each hit.")
     yield "<h2>Errors of each state</h2>"
     for shown, n, figure in error_pictures(labelled, results):
         most = f"; the {MOST_COORDINATES} coordinates with the largest"

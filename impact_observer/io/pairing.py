@@ -16,26 +16,34 @@ Samples: TypeAlias = NDArray[np.void]
 """States at stamps, rows of ``sample_type``."""
 Pairs: TypeAlias = NDArray[np.void]
 """Rows with the ``stamp`` (ns), the states ``truth`` and ``estimate``, shape (2n,), and the
-``last_event`` of the estimate; ascending stamps."""
+``last_event`` and ``deviation`` of the estimate; ascending stamps."""
 
 
-def sample_type(size: int) -> np.dtype[np.void]:
+def sample_type(size: int, *, has_deviations: bool = False) -> np.dtype[np.void]:
     """A ``stamp`` (ns), a state ``x`` (q, u) of ``size`` numbers, and its ``last_event``.
 
-    ``last_event`` is the stamp of the last event that an estimate contains, ns, 0 for none.
+    ``last_event`` is the stamp of the last event that an estimate contains, ns, 0 for none. The
+    ``deviation`` has the standard deviations of ``x``, or no number.
     """
-    return np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (size,))])
+    deviations = ("deviation", "f8", (size if has_deviations else 0,))
+    return np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (size,)), deviations])
 
 
 def samples_of(
-    stamps: Stamps, x: NDArray[np.float64], last_event: Stamps | None = None
+    stamps: Stamps,
+    x: NDArray[np.float64],
+    last_event: Stamps | None = None,
+    deviations: NDArray[np.float64] | None = None,
 ) -> Samples:
-    """States ``x``, shape (samples, 2n), at ``stamps`` (ns).
+    """States ``x`` with their ``deviations``, shape (samples, 2n), at ``stamps`` (ns).
 
     Without ``last_event`` every estimate contains all events before it.
     """
-    samples = np.empty(stamps.size, sample_type(x.shape[1]))
+    kind = sample_type(x.shape[1], has_deviations=deviations is not None)
+    samples = np.empty(stamps.size, kind)
     samples["stamp"], samples["x"] = stamps, x
+    if deviations is not None:
+        samples["deviation"] = deviations
     samples["last_event"] = np.iinfo(np.int64).max if last_event is None else last_event
     return samples
 
@@ -63,10 +71,11 @@ def paired(truth: Samples, estimates: Samples) -> Pairs:
     )
     state = truth.dtype["x"]
     row = [("stamp", "i8"), ("last_event", "i8"), ("truth", state), ("estimate", state)]
-    pairs = np.empty(common.size, row)
+    pairs = np.empty(common.size, [*row, ("deviation", estimates.dtype["deviation"])])
     pairs["stamp"], pairs["truth"] = common, true_states["x"][of_truth]
     pairs["estimate"] = estimated["x"][of_estimates]
     pairs["last_event"] = estimated["last_event"][of_estimates]
+    pairs["deviation"] = estimated["deviation"][of_estimates]
     return pairs
 
 

@@ -48,6 +48,15 @@ class ObserverStates(JointStates):
     covariance: NDArray[np.float64]
 
 
+def deviations_in(block: JointStates) -> NDArray[np.float64]:
+    """Standard deviations of coordinates and velocities, shape (rows, 2n); NaN without."""
+    if isinstance(block, ObserverStates) and block.covariance.size:
+        variances = np.diagonal(block.covariance, axis1=1, axis2=2)
+        # Rounding may leave a variance slightly below zero.
+        return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
+    return np.full((block.stamps.size, 2 * len(block.names)), np.nan)
+
+
 class StateCollector:
     """Collects the messages of one topic and makes arrays of them."""
 

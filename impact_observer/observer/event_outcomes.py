@@ -26,6 +26,8 @@ class EventOutcomes:
         rulings: how many switches were finally applied, rejected and inserted, without
             insertions that were withdrawn; None without verdicts. All events then count as
             applied.
+        hits: stamps of all impacts that were reported or that the observer inserted, ns,
+            ascending.
         measured: how many samples of sensors were used, and how many were not, by the verdicts on
             samples; None without such verdicts.
     """
@@ -34,6 +36,7 @@ class EventOutcomes:
     reported: Stamps
     impacts: tuple[tuple[int, str], ...]
     rulings: Counter[Ruling] | None
+    hits: tuple[int, ...] = ()
     measured: tuple[int, int] | None = None
 
     def until(self, stamp: int) -> int:
@@ -49,7 +52,8 @@ def outcomes_of(
     impacts = sorted({(stamp, contact) for stamp, contact, _ in impacts_of(every)})
     stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))
     if verdicts is None:
-        return EventOutcomes(stamps, stamps, tuple(impacts), None)
+        hits = tuple(sorted({stamp for stamp, _ in impacts}))
+        return EventOutcomes(stamps, stamps, tuple(impacts), None, hits)
     last = final_rulings(verdicts)
     used = {(s, contact) for (s, _, contact), r in last.items() if r is not Ruling.REJECTED}
     inserted = {(s, contact) for (s, _, contact), r in last.items() if r is Ruling.INSERTED}
@@ -58,7 +62,8 @@ def outcomes_of(
     instants = np.array(sorted({stamp for stamp, _ in used}), dtype=np.int64)
     reported = np.intersect1d(instants, stamps)
     rulings = count_rulings(last, set(stamps.tolist()))
-    return EventOutcomes(instants, reported, tuple(sorted(applied)), rulings)
+    hits = tuple(sorted({stamp for stamp, _ in {*impacts, *inserted}}))
+    return EventOutcomes(instants, reported, tuple(sorted(applied)), rulings, hits)
 
 
 def count_rulings(

@@ -7,6 +7,7 @@ period. To an impact between two neighbours the model's motion leads from both s
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from impact_observer.dynamics import Phases
@@ -24,6 +25,11 @@ motions are farther apart, the stamp of the impact is wrong, and the line stays 
 _COARSE = 0.3
 """Disagreement of positions and velocities, over the change of velocities, above which the samples
 are too few: some 3 a period."""
+
+
+_ELSEWHERE = 4.0
+"""Change of velocities in an interval, over that in the one beside with the stamp of a jump, from
+which the jump is in the former."""
 
 
 class FreeMotion:
@@ -64,7 +70,7 @@ def with_states_between(
     q, u = x[:, :n], x[:, n:]
     dt = (np.diff(stamps) / NS_PER_S)[:, None]
     count = np.diff(np.searchsorted(jumps, stamps, "right"))
-    smooth = count == 0
+    smooth = (count == 0) & ~_beside_stamps(count, np.linalg.norm(np.diff(u, axis=0), axis=1))
     off = np.abs(np.diff(q, axis=0) - dt * (u[1:] + u[:-1]) / 2)[smooth]
     if off.size == 0 or np.sum(off) > _COARSE * np.sum((dt * np.abs(np.diff(u, axis=0)))[smooth]):
         return stamps, x
@@ -87,6 +93,22 @@ def with_states_between(
     merged = np.concatenate(every)
     order = np.argsort(merged, kind="stable")
     return merged[order], np.concatenate(states)[order]
+
+
+def _beside_stamps(count: Stamps, changes: Vector) -> NDArray[np.bool_]:
+    """Mask of the intervals in which velocities jump although the stamp is in the one beside.
+
+    A stamp has an error, and an impact that lasts begins before its jump.
+
+    Args:
+        count: stamps of jumps in each interval, shape (N - 1,).
+        changes: of the velocities in each interval, shape (N - 1,).
+    """
+    jumps = np.zeros(count.size, dtype=np.bool_)
+    for k in np.flatnonzero(count).tolist():
+        for beside in {max(k - 1, 0), min(k + 1, count.size - 1)} - {k}:
+            jumps[beside] |= changes[beside] > _ELSEWHERE * changes[k]
+    return jumps
 
 
 def _up_to_a_jump(free: FreeMotion, stamps: Stamps, x: Matrix, jump: int) -> tuple[Stamps, Matrix]:

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.system import UNKNOWN_UNIT, per_second
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 _GROUPS = ("positions", "velocities", "gaps")
@@ -16,12 +18,12 @@ _GROUPS = ("positions", "velocities", "gaps")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
-    """A number that depends linearly on the state, ``row . (q, u) + offset``.
+    """A number that depends on the state, ``row . (q, u) + offset``, or the gap of a robot.
 
     Attributes:
         name: as in the columns of ``export``: ``q_x1``, ``u_x1``; of a gap ``g_stop``.
         label: for an axis, with the unit.
-        row: coefficients, shape (2n,).
+        row: coefficients, shape (2n,); zeros of a robot's gap, which is not linear.
         offset: m.
         contact: index of the contact, of a gap; None of other quantities.
     """
@@ -39,7 +41,8 @@ def values_of(quantities: Sequence[Quantity], x: Matrix, motion: Matrix | None =
     Args:
         quantities: k of them.
         x: states (q, u), shape (N, 2n).
-        motion: addition of moving grounds to the gaps, shape (N, m), m; None for no addition.
+        motion: addition of moving grounds to the gaps, or the gaps of a robot, shape (N, m), m;
+            None for no addition.
 
     Returns:
         Shape (N, k).
@@ -52,10 +55,21 @@ def values_of(quantities: Sequence[Quantity], x: Matrix, motion: Matrix | None =
     return values
 
 
-def deviations_of(quantities: Sequence[Quantity], covariance: Matrix) -> Matrix:
-    """The standard deviation of each quantity, shape (N, k), of covariances, (N, 2n, 2n)."""
+def deviations_of(
+    quantities: Sequence[Quantity],
+    covariance: Matrix,
+    gradients: NDArray[np.float64] | None = None,
+) -> Matrix:
+    """The standard deviation of each quantity, shape (N, k), of covariances, (N, 2n, 2n).
+
+    The ``gradients`` of a robot's gaps in each state have the shape (N, n, m).
+    """
     variances = np.empty((len(covariance), len(quantities)))
     for column, each in enumerate(quantities):
+        if each.contact is not None and gradients is not None:
+            w, n = gradients[:, :, each.contact], gradients.shape[1]
+            variances[:, column] = np.einsum("ki,kij,kj->k", w, covariance[:, :n, :n], w)
+            continue
         (used,) = np.nonzero(each.row)
         factors = each.row[used]
         parts = covariance[:, used[:, None], used]
@@ -64,7 +78,7 @@ def deviations_of(quantities: Sequence[Quantity], covariance: Matrix) -> Matrix:
     return np.asarray(np.sqrt(np.where(variances < 0, 0.0, variances)))
 
 
-def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quantity]:
+def quantities_of(names: Sequence[str], system: System | Robot | None) -> dict[str, Quantity]:
     """All quantities of a model by name: coordinates with their velocities, then gaps.
 
     Args:
@@ -72,15 +86,19 @@ def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quan
         system: of the model, whose coordinates are ``names``; None, without a model, for no gaps.
     """
     n, quantities = len(names), list[Quantity]()
-    m = UNKNOWN_UNIT if system is None else system.unit
+    unknown = (UNKNOWN_UNIT,) * n + (per_second(UNKNOWN_UNIT),) * n
+    units = unknown if system is None else system.state_units
     unit = np.eye(2 * n)
     for i, name in enumerate(names):
-        quantities.append(Quantity(f"q_{name}", f"{name} [{m}]", unit[i]))
-        quantities.append(Quantity(f"u_{name}", f"d{name}/dt [{per_second(m)}]", unit[n + i]))
-    if system is not None:
+        quantities.append(Quantity(f"q_{name}", f"{name} [{units[i]}]", unit[i]))
+        quantities.append(Quantity(f"u_{name}", f"d{name}/dt [{units[n + i]}]", unit[n + i]))
+    if isinstance(system, Robot):
+        for i, name in enumerate(system.contact_names):
+            quantities.append(Quantity(f"g_{name}", f"gap of {name} [m]", np.zeros(2 * n), 0.0, i))
+    elif system is not None:
         for i, contact in enumerate(system.contacts):
             row = np.concatenate([contact.direction, np.zeros(n)])
-            name, label = f"g_{contact.name}", f"gap of {contact.name} [{m}]"
+            name, label = f"g_{contact.name}", f"gap of {contact.name} [{system.unit}]"
             quantities.append(Quantity(name, label, row, contact.gap, i))
     return {each.name: each for each in quantities}
 

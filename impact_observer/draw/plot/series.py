@@ -3,8 +3,10 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.draw.estimates import chosen_observers, labels_by_law
 from impact_observer.draw.plot.between_samples import FreeMotion, with_states_between
@@ -28,6 +30,7 @@ from impact_observer.io.state_arrays import JointStates, ObserverStates
 from impact_observer.model import System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer.event_outcomes import EventOutcomes
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -110,7 +113,7 @@ class PlotContent:
 
 def read_recording(
     reader: BagReader,
-    system: System | None,
+    system: System | Robot | None,
     *,
     select: Sequence[str] | None = None,
     observers: Sequence[str] | None = None,
@@ -149,16 +152,21 @@ def read_recording(
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
     zero = time_zero(reader)
     epoch = zero.stamp
-    system = system and with_recorded(reader, system, epoch, warn)
+    if isinstance(system, System):
+        system = with_recorded(reader, system, epoch, warn)
     counts = {topic: reader.topics[topic].count for topic in topics}
     reported = np.unique(np.array([each.stamp for each in events], dtype=np.int64))
-    free = None if system is None or system.guides else FreeMotion(system, epoch)
+    free = None
+    if isinstance(system, System) and not system.guides:
+        free = FreeMotion(system, epoch)
+    has_gaps = any(each.contact is not None for each in shown)
+    gaps = _Gaps(system if has_gaps else None, epoch)
     curves = {
         topic: _Curve(
             shown,
             outcomes_in(reader, topic, events) if prefix else None,
             None if counts[topic] * DENSE <= max(counts.values()) else reported,
-            lambda stamps: _gap_motion(system, stamps - epoch),
+            gaps,
             free,
         )
         for topic, prefix in topics.items()
@@ -225,9 +233,33 @@ def _measured_alone(measurement: Measurement) -> tuple[str, float]:
     return f"{kind}_{coordinate}", factor
 
 
-def _gap_motion(system: System | None, ns: Stamps) -> Matrix | None:
-    """Addition of moving grounds to gaps at ``ns`` since the epoch; None if no ground moves."""
-    return None if system is None or system.frame is None else system.gap_motion(ns)
+class _Gaps(NamedTuple):
+    """The part of gaps that is not linear in the state.
+
+    Attributes:
+        system: of the model; None if no gap is drawn.
+        epoch: stamp of ``t = 0``, ns.
+    """
+
+    system: System | Robot | None
+    epoch: int
+
+    def motion(self, stamps: Stamps, x: Matrix) -> Matrix | None:
+        """``motion`` of ``values_of`` at ``stamps`` (ns) in the states ``x``, shape (N, 2n)."""
+        if self.system is None:
+            return None
+        ns = stamps - self.epoch
+        if isinstance(self.system, Robot):
+            return self.system.gaps_at(ns, x)
+        return None if self.system.frame is None else self.system.gap_motion(ns)
+
+    def gradients(self, x: Matrix) -> NDArray[np.float64] | None:
+        """``gradients`` of ``deviations_of`` in the states ``x``, shape (N, 2n)."""
+        if not isinstance(self.system, Robot):
+            return None
+        n, m = self.system.n, self.system.m
+        W = [self.system.directions(each[:n]) for each in x]
+        return np.array(W).reshape(len(x), n, m)
 
 
 def topics_drawn(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
@@ -284,7 +316,7 @@ class _Curve:
         quantities: Sequence[Quantity],
         outcomes: EventOutcomes | None,
         reported: Stamps | None,
-        motion: Callable[[Stamps], Matrix | None],
+        gaps: _Gaps,
         free: FreeMotion | None = None,
     ) -> None:
         """Begin with no samples.
@@ -293,11 +325,11 @@ class _Curve:
             quantities: of the plot.
             outcomes: of the events, for an estimate; None for the truth.
             reported: stamps of all events, ns; None to put no states between samples.
-            motion: gives the addition of moving grounds to the gaps at stamps.
+            gaps: what of the gaps is not linear.
             free: as of ``with_states_between``.
         """
         self.count = 0
-        self._motion = motion
+        self._gaps = gaps
         self._free = free
         self.law = ""
         self._quantities = quantities
@@ -315,13 +347,14 @@ class _Curve:
                 rows = arrived(block.stamps, block.last_event, used)
         own = block.stamps[rows]
         x = np.hstack([block.q[rows], block.u[rows]])
-        stamps = own
+        stamps, at_own = own, x
         if self._jumps is not None:
             stamps, x = with_states_between(own, x, self._jumps, self._free)
-        values = values_of(self._quantities, x, self._motion(stamps))
+        values = values_of(self._quantities, x, self._gaps.motion(stamps, x))
         deviations = np.full(values.shape, np.nan)
         if isinstance(block, ObserverStates) and block.covariance.size:
-            at_samples = deviations_of(self._quantities, block.covariance[rows])
+            gradients = self._gaps.gradients(at_own)
+            at_samples = deviations_of(self._quantities, block.covariance[rows], gradients)
             for k, column in enumerate(at_samples.T):
                 deviations[:, k] = np.interp(stamps, own, column) if own.size else column
         self.count += own.size

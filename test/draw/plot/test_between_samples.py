@@ -75,3 +75,16 @@ def test_samples_that_are_too_few_or_enough_stay_as_they_are(rate: float, count:
     at, states = with_states_between(stamps, x, NO_JUMPS)
     np.testing.assert_array_equal(at, stamps)
     np.testing.assert_array_equal(states, x)
+
+
+def test_a_jump_beside_its_stamp_gets_no_peak() -> None:
+    """A stamp 15 ms early lies in the interval before: no velocity is beyond those of samples."""
+    seconds, jump = 0.1 * np.arange(12), 0.505
+    q = np.where(seconds < jump, -seconds, seconds - 2 * jump)
+    u = np.where(seconds < jump, -1.0, 1.0)
+    x = np.column_stack([q - seconds**2 / 4, u - seconds / 2])
+    stamps = (1e9 * (1 + seconds)).round().astype(np.int64)
+    at, states = with_states_between(stamps, x, np.array([1_490_000_000]))
+    assert at.size > 60
+    assert states[:, 1].max() <= x[:, 1].max() + 1e-9
+    assert states[:, 1].min() >= x[:, 1].min() - 1e-9

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from arms import PENDULUM, model_of, wall
 
 from impact_observer.draw.plot.quantities import (
     deviations_of,
@@ -12,6 +13,7 @@ from impact_observer.draw.plot.quantities import (
 )
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model, read_model
+from impact_observer.robots import Robot
 
 SYSTEM = read_model("three_mass").system
 NAMES = ("a", "b")
@@ -95,3 +97,22 @@ def test_unknown_word_is_one_line_with_what_there_is() -> None:
         selected(quantities_of(NAMES, None), ("stop",))
     assert "--select stop" in str(error.value)
     assert "q_a, u_a, q_b, u_b" in str(error.value)
+
+
+def test_gaps_of_a_robot_are_those_of_its_kinematics() -> None:
+    """A pendulum of 1 m at a wall 0.2 m behind it: 0.2 + sin q, which moves by cos q."""
+    pytest.importorskip("pinocchio")
+    robot = Robot(model_of(PENDULUM, "hinge", contacts=wall(offset=-0.2)))
+    q = np.linspace(-3, 3, 7)
+    x = np.stack([q, np.ones(7)], axis=1)
+    every = quantities_of(robot.coordinates, robot)
+    shown = selected(every, ("wall", "hinge"))
+    values = values_of(shown, x, robot.gaps_at(np.zeros(7, np.int64), x))
+    np.testing.assert_allclose(values, np.stack([0.2 + np.sin(q), q, np.ones(7)], axis=1))
+    W = np.array([robot.directions(each) for each in x[:, :1]])
+    covariance = np.tile(np.diag([0.04, 0.09]), (7, 1, 1))
+    found = deviations_of(shown, covariance, W)
+    wanted = np.stack([0.2 * np.abs(np.cos(q)), np.full(7, 0.2), np.full(7, 0.3)], axis=1)
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+    labels = [each.label for each in shown]
+    assert labels == ["gap of wall [m]", "hinge [rad]", "dhinge/dt [rad/s]"]

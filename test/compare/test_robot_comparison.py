@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparing estimates of robots with the truth: V, errors after hits, coverage."""
+
+import numpy as np
+import pytest
+from arms import DOUBLE, SLIDER, model_of, wall
+
+pytest.importorskip("pinocchio", reason="not installed: extra robots")
+
+from impact_observer.compare.comparison import Comparison, compare_states
+from impact_observer.compare.error_pictures import hits_picture
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.io.pairing import samples_of
+from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
+from impact_observer.robots import Robot
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Matrix, Vector
+
+ARM = Robot(model_of(DOUBLE, "shoulder, elbow", rotor_inertia="{elbow: 0.1}", contacts=wall()))
+NO_EVENTS = outcomes_of((), ())
+STAMPS = NS_PER_S + 1_000_000 * np.arange(400)
+HITS = (NS_PER_S + 100_300_000, NS_PER_S + 130_000_000, NS_PER_S + 290_700_000)
+EVENTS = [ImpactEvent(stamp, (Switch("wall"),), k) for k, stamp in enumerate(HITS, 1)]
+
+
+def mass(q: Vector) -> Matrix:
+    """The mass matrix of ``ARM``, by hand: two rods of 1.5 and 0.8 kg, and the elbow's rotor."""
+    far = 0.02 + 0.8 * 0.3**2
+    both = far + 0.8 * 0.7 * 0.3 * np.cos(q[1])
+    near = 0.05 + 1.5 * 0.4**2 + 0.8 * 0.7**2 + 2 * both - far
+    return np.array([[near, both], [both, far + 0.1]])
+
+
+def compared(
+    truth: Matrix,
+    error: Matrix,
+    outcomes: EventOutcomes = NO_EVENTS,
+    deviations: Matrix | None = None,
+) -> Comparison:
+    """The comparison of estimates with this ``error``, at as many of ``STAMPS``."""
+    stamps = STAMPS[: len(truth)]
+    nothing = np.full_like(truth, np.nan)
+    estimates = samples_of(stamps, truth + error, deviations=deviations)
+    return compare_states(
+        ARM, "some law", samples_of(stamps, truth, deviations=nothing), estimates, outcomes
+    )
+
+
+def test_distance_weighs_both_errors_with_the_mass_at_the_true_position() -> None:
+    """A hand-written mass matrix gives the same V."""
+    rng = np.random.default_rng(1)
+    truth, error = rng.normal(size=(2, 50, 4))
+    wanted = [
+        (e[:2] @ mass(x[:2]) @ e[:2] + e[2:] @ mass(x[:2]) @ e[2:]) / 2
+        for x, e in zip(truth, error, strict=True)
+    ]
+    np.testing.assert_allclose(compared(truth, error).V, wanted, rtol=1e-12)
+
+
+def test_whole_turns_of_a_continuous_joint_are_no_error() -> None:
+    """The encoder that an observer started from may count modulo a turn."""
+    error = np.full((3, 4), 0.1)
+    turned = error + np.array([4 * np.pi, -2 * np.pi, 0, 0])
+    found = compared(np.ones((3, 4)), turned)
+    np.testing.assert_allclose(found.error, error, atol=1e-14)
+    assert compared(np.ones((3, 4)), error).largest[0] == pytest.approx(0.1)
+
+
+def test_errors_after_hits_are_those_from_2_to_50_ms_after_the_last_hit() -> None:
+    """A loop over samples and hits finds the same ones, rejected hits among them."""
+    truth, error = np.zeros((400, 4)), np.random.default_rng(2).normal(size=(400, 4))
+    verdicts = [Verdict(HITS[0], Ruling.REJECTED, 1), Verdict(HITS[1], Ruling.APPLIED, 2)]
+    found = compared(truth, error, outcomes_of(EVENTS, verdicts))
+    squares = []
+    for stamp, e in zip(STAMPS.tolist(), error, strict=True):
+        before = [hit for hit in HITS if hit <= stamp]
+        if before and 0.002 <= (stamp - before[-1]) * 1e-9 < 0.05:
+            squares.append(e**2)
+    assert 100 < len(squares) < 150
+    wanted = np.sqrt(np.mean(squares, axis=0))
+    assert found.rms_after_hits is not None
+    np.testing.assert_allclose(found.rms_after_hits, wanted, rtol=1e-12)
+    assert found.velocity_after_hits == pytest.approx(np.hypot(*wanted[2:]), rel=1e-12)
+    assert compared(truth, error).velocity_after_hits is None, "there was no hit"
+
+
+def test_velocities_in_different_units_have_no_common_error() -> None:
+    """The sum of rad/s and m/s would mean nothing; each joint has its own number."""
+    text = DOUBLE.replace('name="shoulder" type="continuous"', 'name="shoulder" type="prismatic"')
+    robot = Robot(model_of(text, "shoulder, elbow", contacts=wall()))
+    x = samples_of(STAMPS, np.zeros((400, 4)))
+    found = compare_states(robot, "some law", x, x, outcomes_of(EVENTS, None))
+    assert found.velocity_after_hits is None
+    assert found.rms_after_hits is not None
+    slider = Robot(model_of(SLIDER, "rail", contacts=wall(normal="[0, 0, 1]")))
+    x = samples_of(STAMPS, np.zeros((400, 2)))
+    assert compare_states(slider, "law", x, x, outcomes_of(EVENTS, None)).velocity_after_hits == 0
+
+
+def test_coverage_is_the_share_of_errors_within_two_deviations() -> None:
+    """Counted one by one; estimates without a covariance do not count."""
+    rng = np.random.default_rng(3)
+    deviations = rng.uniform(0.05, 0.2, size=(400, 4))
+    error = rng.normal(size=(400, 4)) * deviations * [1.0, 0.5, 1.0, 2.0]
+    deviations[:10] = np.nan
+    found = compared(np.zeros((400, 4)), error, deviations=deviations).coverage
+    assert found is not None
+    for i, share in enumerate(found):
+        inside = sum(abs(error[k, i]) <= 2 * deviations[k, i] for k in range(10, 400))
+        assert share == pytest.approx(inside / 390, abs=1e-12)
+    assert compared(np.zeros((400, 4)), error).coverage is None
+
+
+def test_picture_of_hits_has_the_errors_of_each_time_after_them() -> None:
+    """An error that falls with the time since the hit gives a curve that falls as fast."""
+    since = np.array([min([s - h for h in HITS if h <= s], default=NS_PER_S) for s in STAMPS])
+    error = np.zeros((400, 4))
+    error[:, 2] = np.exp(-since / 2e7)
+    figure = hits_picture({"law": compared(np.zeros((400, 4)), error, outcomes_of(EVENTS, None))})
+    assert figure is not None
+    (line,) = figure.axes[0].lines
+    x, y = (np.asarray(each, dtype=np.float64) for each in line.get_data())
+    assert x.size == 40
+    np.testing.assert_allclose(y, np.exp(-x / 20), rtol=0.08)
+    assert hits_picture({"law": compared(np.zeros((400, 4)), error)}) is None
