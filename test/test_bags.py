@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorded bags: their contents, and the estimates from them, offline and live."""
 
+import csv
+import json
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -33,11 +35,12 @@ BAGS = shared("bags")
 ROUNDED = 2
 """By how much the stamps of a bag that is made again may differ, ns."""
 NUMBERS = YAML(typ="safe").load(shared("bags/expected.yaml"))
-EXPECTED, FAULTY = NUMBERS["ideal"], NUMBERS["faulty"]
+EXPECTED, FAULTY, ROBOTS = (NUMBERS[key] for key in ("ideal", "faulty", "robots"))
 ROWS = re.findall(
     r"^\| `(\w+)` .*?`impact-observer ([^`]*)`", (BAGS / "README.md").read_text(), re.MULTILINE
 )
 COMMANDS = {name: command.split() for name, command in ROWS if name not in EXPECTED}
+OF_ROBOTS = {name: COMMANDS.pop(name) for name in ROBOTS}
 SIMULATED = [name for name, command in COMMANDS.items() if command[0] == "simulate"]
 _AXES = "linear_acceleration.x linear_acceleration.y linear_acceleration.z"
 RIGS: dict[str, tuple[Callable[[Path], Path], str, str]] = {
@@ -96,7 +99,7 @@ def test_estimates_from_a_recorded_bag_have_the_expected_error(
 def test_there_is_a_bag_for_every_fault_of_the_sensor() -> None:
     """The table has a command for each bag, and there are expected figures for each."""
     folders = {path.name for path in BAGS.iterdir() if path.is_dir()}
-    assert folders == {*EXPECTED, *FAULTY}
+    assert folders == {*EXPECTED, *FAULTY, *ROBOTS}
     assert COMMANDS.keys() == FAULTY.keys()
     assert {*SIMULATED, *RIGS} == FAULTY.keys()
     options = {word for command in COMMANDS.values() for word in command}
@@ -135,6 +138,68 @@ def test_a_bag_of_a_faulty_sensor_is_what_its_command_makes(
     assert (states.stamps == truth.stamps).all()
     np.testing.assert_allclose(states.q, truth.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(states.u, truth.u, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_bag_of_a_robot_is_what_its_command_makes(name: str, tmp_path: Path) -> None:
+    """Hits, true states, encoders and efforts are the same."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    assert main([*OF_ROBOTS[name], "-o", str(tmp_path / "bag")]) == 0
+    sensed = []
+    for path in (BAGS / name, tmp_path / "bag"):
+        with BagReader(path) as reader:
+            truth, model = reader.joint_states("/plant/joint_states"), model_of(reader)
+            messages = [message for _, message in reader.messages("/joint_states")]
+            rows = np.array([np.hstack([each.position, each.effort]) for each in messages])
+            events = [each.stamp for each in events_in(reader)]
+        sensed.append((events, rows, np.hstack([truth.q, truth.u]), model.provenance))
+    (events, rows, states, known), (new_events, new_rows, new_states, new_known) = sensed
+    assert len(events) == ROBOTS[name]["impacts"]
+    np.testing.assert_allclose(events, new_events, rtol=0, atol=ROUNDED)
+    np.testing.assert_allclose(rows, new_rows, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(states, new_states, rtol=0, atol=1e-9)
+    assert {k: v for k, v in known.items() if k != "version"} == {
+        k: v for k, v in new_known.items() if k != "version"
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+def test_velocities_after_hits_of_a_robot_are_known(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the commands that a user types; all that can be drawn and exported is."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    numbers, made = ROBOTS[name], tmp_path / "made"
+    words = ["observe", str(BAGS / name), "--law", "minimum-variance"]
+    assert main([*words, *numbers["observe"].split(), "-o", str(made)]) == 0
+    report, errors = tmp_path / "report.html", tmp_path / "errors.csv"
+    capsys.readouterr()
+    assert main(["compare", str(made), "--report", str(report)]) == 0
+    assert "V = 1/2 du' M du + 1/2 dq' M dq / s^2 at the true q" in capsys.readouterr().out
+    assert report.read_text("utf-8").count("<svg") == 3
+    assert main(["compare", str(made), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["minimum-variance"]
+    assert found["velocity_after_hits"] < numbers["after_hits"]
+    assert np.mean(found["coverage"]) > numbers["coverage"]
+    counts = [numbers[each] for each in ("applied", "rejected", "inserted")]
+    rejected, inserted = found["switches_rejected"], found["impacts_inserted"]
+    assert [found["impacts_used"], rejected, inserted] == counts
+    assert main(["export", str(made), "--what", "errors", "-o", str(errors)]) == 0
+    with errors.open(encoding="utf-8") as file:
+        rows = [*csv.DictReader(file)]
+    assert len(rows) == found["samples"]
+    assert float(rows[-1]["V"]) == found["V_end"]
+    drawn = ["plot", str(made), "--select", "wall,velocities", "-o", str(tmp_path / "a.svg")]
+    assert main(drawn) == 0
+    assert "gap of wall" in (tmp_path / "a.svg").read_text("utf-8")
+    capsys.readouterr()
+    for words in (
+        ["compare", str(made), "--laws", "geometric"],
+        ["animate", str(made), "-o", "a.gif"],
+    ):
+        assert main(words) == 2
+        assert "a robot" in capsys.readouterr().err
 
 
 def recorded(path: Path, topic: str, field: str) -> tuple[list[int], Any]:

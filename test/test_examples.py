@@ -12,7 +12,7 @@ import pytest
 from impact_observer.cli.main import main
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-PICTURES = ("basins", "beam", "drill", "drop_height", "encoder", "gears", "shaker")
+PICTURES = ("basins", "beam", "drill", "drop_height", "encoder", "gears", "hammer_arm", "shaker")
 """Those that draw one."""
 
 
@@ -112,6 +112,17 @@ def test_encoder_and_impacts_know_more_together() -> None:
 
 
 @pytest.mark.slow
+def test_velocity_of_an_arm_is_known_through_a_hit() -> None:
+    """Ten times better than by differences of its encoders, and within its own deviations."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    found = example("hammer_arm")["swing"](1.25)
+    assert found.hits.size == 1
+    assert found.error(found.observed) < found.error(found.differences) / 10
+    z = (found.observed - found.truth) / found.deviations
+    assert np.percentile(np.abs(z), 95) < 2.5
+
+
+@pytest.mark.slow
 def test_basins_hold_two_motions() -> None:
     """Both motions are there, and a start has the same one whatever the grid."""
     code = example("basins")
@@ -132,6 +143,7 @@ def test_basins_hold_two_motions() -> None:
         ("drop_height", ["1", "1.8", "2.4", "2.85", "3.1875"]),
         ("encoder", ["--seconds", "6.1"]),
         ("gears", ["--seconds", "0.5"]),
+        ("hammer_arm", ["--seconds", "1.2"]),
         ("shaker", ["--seconds", "0.5"]),
     ],
 )
@@ -142,6 +154,8 @@ def test_an_example_prints_and_draws(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """As a user starts it."""
+    if name == "hammer_arm":
+        pytest.importorskip("pinocchio", reason="not installed: extra robots")
     monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
     example(name)["main"]()
     assert capsys.readouterr().out.splitlines()[-1] == f"picture: {name}.png"
