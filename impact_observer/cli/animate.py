@@ -106,7 +106,7 @@ def animate(
     from impact_observer.draw.film_files import picture_rate, write_film
     from impact_observer.draw.film_from_bag import read_film
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import system_of
+    from impact_observer.io.recordings import model_of
     from impact_observer.stamps import seconds_between
 
     span = LONGEST * speed if duration is None else duration
@@ -114,7 +114,7 @@ def animate(
     rate = picture_rate(output, fps)
     with BagReader(bag, namespace) as reader, Progress() as progress:
         progress.show(f"reading {bag}")
-        system = system_of(reader, model)
+        system = model_of(reader, model).system
         film = read_film(
             reader,
             system,

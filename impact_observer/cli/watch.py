@@ -57,12 +57,13 @@ def run(args: argparse.Namespace) -> int:
     from rich.live import Live
 
     from impact_observer.model import read_model
+    from impact_observer.robots.robot import simulated
     from impact_observer.ros.session import require_ros
 
     require_ros()
     from impact_observer.ros.watcher import Listener, line, screen, watch
 
-    system = None if args.model is None else read_model(args.model).system
+    system = None if args.model is None else simulated(read_model(args.model))
     listener = Listener(args.observers, system, window=args.window)
     console = Console(highlight=False)
 

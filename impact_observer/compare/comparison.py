@@ -212,7 +212,7 @@ def compare_states(
         )
     punctual = arrived(pairs["stamp"], pairs["last_event"], outcomes.reported)
     between &= punctual
-    error = errors_of(system, pairs)
+    error = errors_of(system, pairs["truth"], pairs["estimate"])
     V = energies(system, pairs["truth"], error)
     mismatch.samples = int(np.count_nonzero(between))
     mismatch.V = float(np.max(V[between], initial=0.0))

@@ -10,18 +10,17 @@ import math
 import numpy as np
 
 from impact_observer.dynamics.lyapunov import distance
-from impact_observer.io.pairing import Pairs
 from impact_observer.model import System
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 
-def errors_of(system: System | Robot, pairs: Pairs) -> Matrix:
-    """Estimate minus truth (dq, du), shape (samples, 2n).
+def errors_of(system: System | Robot, truth: Matrix, estimate: Matrix) -> Matrix:
+    """Estimate minus truth (dq, du), of states (q, u), all of shape (samples, 2n).
 
     Whole turns of a robot's continuous joints are no errors: an encoder may count modulo a turn.
     """
-    error = np.asarray(pairs["estimate"] - pairs["truth"])
+    error = np.asarray(estimate - truth)
     if isinstance(system, Robot) and system.turns.any():
         turning = np.flatnonzero(system.turns)
         error[:, turning] -= math.tau * np.round(error[:, turning] / math.tau)

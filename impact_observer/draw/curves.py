@@ -17,11 +17,12 @@ from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import system_of
+from impact_observer.io.recordings import model_of
 from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.system import UNKNOWN_UNIT
 from impact_observer.resources import shared
+from impact_observer.robots.robot import Robot, simulated
 
 TABS = (
     "positions",
@@ -68,7 +69,9 @@ class Curve:
 
 
 def curves(
-    system: System, observers: Sequence[ObserverTopics], topics: Iterable[str] | None = None
+    system: System | Robot,
+    observers: Sequence[ObserverTopics],
+    topics: Iterable[str] | None = None,
 ) -> tuple[Curve, ...]:
     """The curves of observers, and of the plant in the namespace of each observer.
 
@@ -121,7 +124,7 @@ def curves_of_model(model: str, observers: Sequence[str]) -> tuple[Curve, ...]:
         UsageError, ModelError: a name that no node can have, or the model cannot be read.
     """
     topics = dict.fromkeys(ObserverTopics.of_node(name) for name in observers)
-    return curves(read_model(model).system, list(topics))
+    return curves(simulated(read_model(model)), list(topics))
 
 
 def curves_of_bag(
@@ -139,7 +142,7 @@ def curves_of_bag(
         UsageError, ModelError: an observer that is not in the bag, or the model cannot be read.
     """
     with BagReader(bag) as reader:
-        system, present = system_of(reader, model), observers_in(reader)
+        system, present = simulated(model_of(reader, model)), observers_in(reader)
         if not present:
             raise UnfitBagError(
                 f"{bag}: has no estimates; make them with observe, or name a model"
@@ -164,7 +167,7 @@ def _filled_in(
     rows: Sequence[Mapping[str, Any]],
     source: str,
     names: _Names,
-    system: System,
+    system: System | Robot,
     learned: Sequence[str],
 ) -> Iterator[Curve]:
     """The curves of some rows of the template."""
@@ -194,13 +197,14 @@ def _filled_in(
             )
 
 
-def _repeated(each: object, system: System, learned: Sequence[str]) -> Iterator[_Names]:
+def _repeated(each: object, system: System | Robot, learned: Sequence[str]) -> Iterator[_Names]:
     """The names that differ from one curve of a row to the next."""
     if each == "coordinate":
         n = system.n
         for i, name in enumerate(system.coordinates):
             variances = {"variance_q": i * (2 * n + 1), "variance_u": (n + i) * (2 * n + 1)}
-            yield {"coordinate": name, "i": i, **variances}
+            own = {"unit": system.units[i]} if isinstance(system, Robot) else {}
+            yield {"coordinate": name, "i": i, **variances, **own}
     elif each == "contact":
         for name in system.contact_names:
             yield {"contact": name, "quoted": _quoted(name)}

@@ -230,11 +230,6 @@ def model_of(reader: BagReader, model: str | None = None) -> Model:
     return parse_model(*text_of_model(reader, model))
 
 
-def system_of(reader: BagReader, model: str | None) -> System:
-    """The system of ``model_of``."""
-    return model_of(reader, model).system
-
-
 def events_in(reader: BagReader) -> list[ImpactEvent]:
     """All events of a bag, by run of the sender, stamp and sequence (``sender_runs.in_order``).
 

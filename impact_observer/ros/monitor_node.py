@@ -8,11 +8,12 @@ from collections import OrderedDict
 
 import numpy as np
 
-from impact_observer.dynamics.lyapunov import distance
+from impact_observer.compare.energy_of_errors import energies, errors_of
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import AnyMessage, EstimateError, JointState
 from impact_observer.model import read_model
+from impact_observer.robots.robot import simulated
 from impact_observer.ros import parameters
 from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
@@ -30,7 +31,7 @@ class MonitorNode(ManagedNode):
 
     def configure(self) -> None:
         """Implement ``ManagedNode``."""
-        self._system = read_model(self.values.text("model")).system
+        self._system = simulated(read_model(self.values.text("model")))
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()
         self._errors = self.publisher(interfaces.MONITOR_ERROR)
@@ -70,8 +71,10 @@ class MonitorNode(ManagedNode):
 
     def _compare(self, truth: JointState, estimate: JointState) -> None:
         """Publish the error of an estimate."""
-        q, u = np.asarray(estimate.q - truth.q), np.asarray(estimate.u - truth.u)
-        v = float(distance(self._system, q, u))
+        x, estimated = (np.concatenate([each.q, each.u])[None] for each in (truth, estimate))
+        errors = errors_of(self._system, x, estimated)
+        (v,) = energies(self._system, x, errors).tolist()
+        q, u = np.split(errors[0], 2)
         error = EstimateError(truth.stamp, self._law, v, truth.names, q, u)
         self.publish(self._errors, self.make.estimate_error, error)
 

@@ -20,9 +20,9 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from impact_observer.compare.energy_of_errors import energies, errors_of
 from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.draw.reports import figure, literal_text
-from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Verdict
 from impact_observer.io import interfaces
@@ -42,6 +42,7 @@ from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.model.system import per_second, unit_of
 from impact_observer.process_end import Stop
+from impact_observer.robots.robot import Robot, simulated
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.session import ros_node
@@ -193,7 +194,7 @@ class Listener:
     def __init__(
         self,
         observers: Collection[str] | None = None,
-        system: System | None = None,
+        system: System | Robot | None = None,
         *,
         window: float = 60.0,
     ) -> None:
@@ -210,7 +211,7 @@ class Listener:
         names = [ObserverTopics.of_node(name).prefix for name in observers or ()]
         self.received: set[str] = set()
         self._wanted = None if observers is None else set(names)
-        self._system, self._systems = system, dict[str, System]()
+        self._system, self._systems = system, dict[str, System | Robot]()
         self._window = round(window * NS_PER_S)
         self._observers = {name: ObserverView(name) for name in names}
         self._estimates: dict[str, dict[int, tuple[tuple[str, ...], Estimate]]] = {}
@@ -300,7 +301,7 @@ class Listener:
         self._last_impact = event.stamp, ", ".join(each.contact for each in event.switches)
 
     def _on_model(self, topic: str, message: AnyMessage) -> None:
-        self._systems[topic] = parse_model(message.data, topic).system
+        self._systems[topic] = simulated(parse_model(message.data, topic))
 
     def _on_verdict(self, topic: str, message: AnyMessage) -> None:
         verdict, latency = read_verdict(message)
@@ -356,7 +357,7 @@ class Listener:
             view,
             law=estimate.law,
             stamp=stamp,
-            lines=_state_lines(names, unit, estimate, truth),
+            lines=_state_lines(names, _units(system, unit, names), estimate, truth),
             v=v,
             history=tuple(self._histories.get(name, {}).values()),
             convergence=estimate.convergence,
@@ -367,7 +368,7 @@ class Listener:
             unit=unit,
         )
 
-    def _system_of(self, name: str) -> System | None:
+    def _system_of(self, name: str) -> System | Robot | None:
         """The system of an observer; None if no model of it is known."""
         return self._system or self._systems.get(_beside(name, interfaces.PLANT_MODEL))
 
@@ -383,9 +384,11 @@ class Listener:
         if truth is None or system is None or sorted(system.coordinates) != sorted(names):
             return None
         order = [names.index(each) for each in system.coordinates]
-        q, u = estimate.q - truth[0], estimate.u - truth[1]
+        pairs = (truth, (estimate.q, estimate.u))
+        x, estimated = (np.concatenate([q[order], u[order]])[None] for q, u in pairs)
         history = self._histories.setdefault(name, {})
-        v = history[estimate.stamp] = float(distance(system, q[order], u[order]))
+        v = float(energies(system, x, errors_of(system, x, estimated))[0])
+        history[estimate.stamp] = v
         for old in [each for each in history if each < estimate.stamp - self._window]:
             del history[old]
         return v
@@ -423,16 +426,29 @@ def _ordered(truth: JointState, names: tuple[str, ...]) -> tuple[Vector, Vector]
     return state.q, state.u
 
 
+def _units(system: System | Robot | None, unit: str, names: tuple[str, ...]) -> list[str]:
+    """The unit of each coordinate: ``unit``, unless joints of a robot have their own."""
+    own = (
+        dict(zip(system.coordinates, system.units, strict=True))
+        if isinstance(system, Robot)
+        else {}
+    )
+    return [own.get(name, unit) for name in names]
+
+
 def _state_lines(
-    names: tuple[str, ...], unit: str, estimate: Estimate, truth: tuple[Vector, Vector] | None
+    names: tuple[str, ...],
+    units: list[str],
+    estimate: Estimate,
+    truth: tuple[Vector, Vector] | None,
 ) -> tuple[StateLine, ...]:
-    """Coordinates in ``unit``, then velocities."""
+    """Coordinates in their ``units``, then velocities."""
     size = 2 * len(names)
     values = np.concatenate([estimate.q, estimate.u]).tolist()
     true = [None] * size if truth is None else np.concatenate(truth).tolist()
     variances = np.diag(estimate.covariance) if estimate.covariance.size else None
     deviations = [None] * size if variances is None else np.sqrt(variances.clip(0.0)).tolist()
-    units = [unit] * len(names) + [per_second(unit)] * len(names)
+    units = [*units, *map(per_second, units)]
     return tuple(
         StateLine(*each)
         for each in zip((*names, *names), units, values, true, deviations, strict=True)

@@ -11,7 +11,7 @@ from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.observed_bag import observe_bag
-from impact_observer.io.recordings import system_of
+from impact_observer.io.recordings import model_of
 from impact_observer.observer import Options, make_observer
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
@@ -32,7 +32,7 @@ def observed() -> bool:
     with BagReader(Path("bag")) as reader:
         epoch = 0 if any(event.epoch for event in reader.events()) else S
         observer = make_observer(
-            system_of(reader, None), Options("kinematic", epoch=epoch, ensemble=1)
+            model_of(reader).system, Options("kinematic", epoch=epoch, ensemble=1)
         )
         try:
             _, rulings = observe_bag(reader, observer, Path("out"), epoch=epoch)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from arms import joint, link, model_of, urdf
 from plotting_tools import everything
 
 from impact_observer.draw.curves import curves
@@ -12,6 +13,7 @@ from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import UsageError
 from impact_observer.io import BagReader
 from impact_observer.model import read_model
+from impact_observer.robots import Robot
 
 MOTION = {"positions", "velocities", "errors", "standard deviations"}
 LAWS = {
@@ -84,6 +86,23 @@ def test_a_model_of_angles_has_its_curves_in_rad() -> None:
         found = curves(system, [ObserverTopics.of_node("observer_minimum_variance")])
         units = {each.plot.partition("[")[2] for each in found if each.tab in MOTION}
         assert units == {f"{unit}]", f"{unit}/s]"}
+
+
+def test_joints_of_a_robot_have_their_own_units() -> None:
+    """A cart on a rail in m, with a pendulum in rad."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    text = urdf(
+        link("cart", 1.0, "0 0 0") + link("rod", 1.0, "0 0 -1"),
+        joint("rail", "base", "cart", kind="prismatic") + joint("hinge", "cart", "rod"),
+    )
+    robot = Robot(model_of(text, "rail, hinge"))
+    found = curves(robot, [ObserverTopics.of_node("observer_minimum_variance")])
+    plots = {each.name: each.plot for each in found if each.tab == "velocities"}
+    assert plots["rail plant"] == "rail velocity [m/s]"
+    assert plots["hinge plant"] == "hinge velocity [rad/s]"
+    deviations = [each.plot for each in found if each.tab == "standard deviations"]
+    words = [f"standard deviations of positions [{unit}]" for unit in ("m", "rad")]
+    assert {*words} < {*deviations}
 
 
 def test_observers_of_two_rigs_are_distinguished() -> None:

@@ -24,6 +24,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
+from arms import PENDULUM, SLIDER, model_of
 from plotting_tools import DIAGNOSTICS, EPOCH, diagnostics, everything
 from processes import PATIENCE, ros_arguments, running_node
 from rich.cells import cell_len
@@ -36,6 +37,7 @@ from impact_observer.io import BagReader, JointState
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.model import read_model
 from impact_observer.resources import shared
+from impact_observer.robots import Robot
 from impact_observer.ros.watcher import (
     Listener,
     ObserverView,
@@ -206,6 +208,26 @@ def test_a_truth_of_other_coordinates_is_not_shown() -> None:
     (seen,) = listener.view(EPOCH).observers
     assert [each.truth for each in seen.lines] == [None] * 4
     assert seen.v is None
+
+
+def test_v_of_a_robot_has_the_mass_at_the_true_position() -> None:
+    """A cart of 2 kg on a rail: half its mass times both squares; units are those of the joint."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    model, listener = model_of(SLIDER, "rail"), Listener()
+    listener.receive("/plant/model", MAKE.model(model.text()))
+    listener.receive("/plant/joint_states", truth(EPOCH, ("rail",), q=0.5))
+    state = Estimate(EPOCH, "minimum-variance", np.array([0.8]), np.array([0.4]))
+    listener.receive("/observer/state", MAKE.estimate(state, ("rail",)))
+    (view,) = listener.view(EPOCH).observers
+    assert view.v == pytest.approx(2.0 * (0.3**2 + 0.4**2) / 2, rel=1e-12)
+    assert [each.unit for each in view.lines] == ["m", "m/s"]
+    listener = Listener(system=Robot(model_of(PENDULUM, "hinge")))
+    listener.receive("/plant/joint_states", truth(EPOCH, ("hinge",), q=0.5))
+    state = Estimate(EPOCH, "minimum-variance", np.array([0.6 + 2 * np.pi]), np.array([0.2]))
+    listener.receive("/observer/state", MAKE.estimate(state, ("hinge",)))
+    (view,) = listener.view(EPOCH).observers
+    assert view.v == pytest.approx((0.1**2 + 0.2**2) / 2, rel=1e-12), "a turn is no error"
+    assert [each.unit for each in view.lines] == ["rad", "rad/s"]
 
 
 def test_a_message_without_sense_is_a_warning() -> None:
