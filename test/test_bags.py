@@ -202,6 +202,20 @@ def test_velocities_after_hits_of_a_robot_are_known(
         assert "a robot" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_the_page_of_robots_goes_from_a_model_to_a_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its commands as they stand there."""
+    pytest.importorskip("pinocchio", reason="not installed: extra robots")
+    page = (shared("docs") / "robots.md").read_text("utf-8")
+    commands = re.findall(r"^    impact-observer (.*)$", page, re.MULTILINE)
+    assert len(commands) == 5
+    monkeypatch.chdir(tmp_path)
+    assert [main(command.split()) for command in commands] == [0] * 5
+    assert Path("velocities.png").read_bytes().startswith(b"\x89PNG")
+
+
 def recorded(path: Path, topic: str, field: str) -> tuple[list[int], Any]:
     """Log times of a sensor's messages, and the values in them, shape (messages, any)."""
     with BagReader(path) as reader:
