@@ -89,14 +89,14 @@ def rattle(seconds: float, seed: int = 1) -> Rattled:
     angles = np.array([each.q[0] for each in items if isinstance(each, Estimate)])
     times = (run.stamps - epoch) / NS_PER_S
     drive = DRIVE[0] * np.cos(DRIVE[1] * times)
-    found = [verdicts[each.sequence].reason for each in run.events]
+    found = [verdicts[each.sequence] for each in run.events]
     true = [each.switches[0].contact == "back" for each in run.events]
     return Rattled(
         times,
         run.states[:, 0] - drive,
         angles - drive,
         (np.array([each.stamp for each in run.events]) - epoch) / NS_PER_S,
-        np.column_stack([true, ["it hit back" in each for each in found]]),
+        np.column_stack([true, [each.hit_contact == "back" for each in found]]),
     )
 
 

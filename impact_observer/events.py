@@ -132,6 +132,12 @@ class Verdict(NamedTuple):
     innovation: float = -1.0
     revises: bool = False
 
+    @property
+    def hit_contact(self) -> str:
+        """Name of the contact that has hit: another one than reported if mislabelled."""
+        other = self.reason.partition(MISLABELLED)[2].partition(";")[0]
+        return other or self.contact
+
 
 class SmoothedImpact(NamedTuple):
     """An impact or a release, by all events; mirrors ``impact_observer_msgs/SmoothedImpact``.
@@ -175,6 +181,8 @@ class MeasurementVerdict(NamedTuple):
     reason: str = ""
 
 
+MISLABELLED = "mislabelled: it hit "
+"""Prefix of the reason of a verdict on an impact of another contact, whose name follows."""
 REVISED = "revised: "
 """Prefix of the reason of a verdict that replaces an earlier one."""
 

@@ -71,6 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " hits then are no missed detections (default 0)",
     )
     parser.add_argument(
+        "--mislabelled",
+        metavar="P",
+        type=number,
+        default=Options.mislabelled,
+        help="probability that an impact is reported for another contact, such as 0.5 for one"
+        f" sensor of two contacts; 0: never (default {Options.mislabelled:g})",
+    )
+    parser.add_argument(
         "--epoch",
         metavar="S",
         type=stamp,
@@ -144,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
 
     free = tuple(name.strip() for name in args.free.split(",") if name.strip())
     clock = None if args.clock_error < 0 else args.clock_error
-    dead_time = Options(dead_time=args.dead_time).dead_time
+    sensor = Options(dead_time=args.dead_time, mislabelled=args.mislabelled)
     _check_usage(args, free, clock)
     lines = sys.stderr if args.json else sys.stdout
     given = _read(args, partial(say, file=lines))
@@ -163,7 +171,8 @@ def run(args: argparse.Namespace) -> int:
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
                 measurements=given.measurements,
                 samples=given.samples,
-                dead_time=dead_time,
+                dead_time=sensor.dead_time,
+                mislabelled=sensor.mislabelled,
             )
         except BagError as error:
             raise type(error)(f"{args.bag}: {error}") from None

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from impact_observer.events import MISLABELLED
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.error_accounts import ErrorAccounts
 from impact_observer.filter.hypotheses import Hypothesis
@@ -201,7 +202,7 @@ class Branching:
             other_contact = change._replace(before=closed, hit=(i,), closed=closed)
             prior = self.priors.reported + h.weight_without((i,))
             weight = prior + self.priors.mislabelled - math.log(len(others))
-            reason = f"mislabelled: it hit {system.contact_names[i]}"
+            reason = f"{MISLABELLED}{system.contact_names[i]}"
             yield Draft(weight, h, other_contact, reason)
 
     def _bounce(self, change: ContactChange, h: Hypothesis) -> Branch | None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fitted model in words, in tables, as JSON and as a model file."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -207,8 +207,12 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "residual": fitted.rms,
         "degrees_of_freedom": fitted.freedom,
         "impacts": len(fitted.shifts),
-        "rejected": [[stamp, names[i]] for stamp, i in sorted(recording.rejected)],
+        "rejected": [[stamp, names[i]] for stamp, i in sorted(recording.rejected_events)],
         "inserted": [[stamp, names[i]] for stamp, i in sorted(recording.inserted)],
+        "mislabelled": [
+            [stamp, names[named], names[i]]
+            for (stamp, i), named in sorted(recording.counted_for_others.items())
+        ],
         "settled": [[stamp, names[i]] for stamp, i in sorted(recording.settled)],
         "probability_of_size": check.size,
         "probability_of_whiteness": check.white,
@@ -421,11 +425,15 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
             " this value, unless the model is wrong.",
         )
     if fitted.recording.rejected:
-        yield _hits(fitted, fitted.recording.rejected, "rejected as spurious")
+        yield _hits(fitted, fitted.recording.rejected_events, "rejected as spurious")
     if fitted.recording.inserted:
         dead = len(fitted.recording.in_dead_time)
         known = f" ({dead} of them in the dead time)" if dead else ""
         yield _hits(fitted, fitted.recording.inserted, f"inserted as missed{known}")
+    if others := fitted.recording.counted_for_others:
+        names = fitted.family.system.contact_names
+        own = frozenset(others)
+        yield _hits(fitted, own, "reported for another contact", lambda hit: names[others[hit]])
     yield from _about_rows(fitted)
     if settled := len(fitted.recording.settled):
         yield ReportLine(
@@ -526,10 +534,22 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
         yield "without --clock-error an error of the model looks like one of the clock"
 
 
-def _hits(fitted: Identification, hits: frozenset[Hit], outcome: str) -> ReportLine:
-    """The contacts and instants (s since the epoch) of impacts with one outcome."""
+def _hits(
+    fitted: Identification,
+    hits: frozenset[Hit],
+    outcome: str,
+    reported: Callable[[Hit], str] | None = None,
+) -> ReportLine:
+    """The contacts and instants (s since the epoch) of impacts with one outcome.
+
+    ``reported`` gives the names that their events have, if these are others.
+    """
     names, epoch = fitted.family.system.contact_names, fitted.recording.episode.epoch
-    instants = (f"{names[i]} at {seconds_between(epoch, t):.3f} s" for t, i in sorted(hits))
+    instants = (
+        f"{names[hit[1]]} at {seconds_between(epoch, hit[0]):.3f} s"
+        + (f" (as {reported(hit)})" if reported else "")
+        for hit in sorted(hits)
+    )
     text = f"{counted(len(hits), 'impact')} {outcome}: {listed(instants, _SHOWN)}."
     return ReportLine("note", text)
 

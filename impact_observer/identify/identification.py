@@ -57,6 +57,7 @@ from impact_observer.model.parameter_uncertainty import correlations_of
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
+from impact_observer.options import Options
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -209,6 +210,7 @@ def identify(
     measurements: Sequence[Measurement] = (),
     samples: Sequence[SensorSample] = (),
     dead_time: float = 0.0,
+    mislabelled: float = Options.mislabelled,
 ) -> Identification:
     """Fit the parameters of a family, and the initial state, to impact times and to samples.
 
@@ -224,6 +226,7 @@ def identify(
         measurements: what sensors measure beside the impacts.
         samples: of them; those up to the last impact count.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
+        mislabelled: probability that an impact is reported for another contact.
 
     Raises:
         UsageError: something arrives live, the clock's offset is free under a sampled forcing,
@@ -249,7 +252,9 @@ def identify(
     if family.system.guides:
         episode, state = late_start(family.system, episode, events)
     report = _Report(progress)
-    whole = Recording(episode, state=state, report=report, dead_time=dead_time)
+    whole = Recording(
+        episode, state=state, report=report, dead_time=dead_time, mislabelled=mislabelled
+    )
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
     identification, problem, solution = found = search.unexplained() or search.explaining_fit()
@@ -301,9 +306,24 @@ class _Search(NamedTuple):
 
     def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
-        clock, family = self.clock, self.family
-        if clock is not None and (smoothed := self._smoothed(clock)):
+        if not self._is_often_mislabelled:
+            smoothed = None if self.clock is None else self._smoothed(self.clock)
+            return smoothed or self._from_events()
+        interval = self.whole.problem(self.family).interval
+        smoothed = self._smoothed(_SUSPICIOUS * interval if self.clock is None else self.clock)
+        if smoothed and smoothed.identification.converged:
             return smoothed
+        try:
+            fitted = self._from_events()
+        except IdentificationError:  # of contacts that no event names, for example
+            if smoothed is None:
+                raise
+            return smoothed
+        return fitted if fitted.identification.converged else smoothed or fitted
+
+    def _from_events(self) -> _Fitted:
+        """The fit that begins at the events, by the first way that leads to one."""
+        family = self.family
         if has_rows(self.whole, family.system) and (rowed := self._with_rows()):
             return rowed
         return self._replace(whole=opened(self.whole)).fit_as_reported()
@@ -482,19 +502,31 @@ class _Search(NamedTuple):
         is_one = solution.converged and solution.is_outside
         return is_one and solution.rms <= self._least(problem)
 
+    @property
+    def _is_often_mislabelled(self) -> bool:
+        """Whether events are declared to name another contact more often than is usual.
+
+        A fit of all impacts begins with wrong contacts then; a filter finds the right ones.
+        """
+        is_many = self.whole.mislabelled > Options.mislabelled and self.family.system.m > 1
+        return is_many and not self.trust_events
+
     def _least(self, problem: Problem) -> float:
         """The usual shift up to which a fit needs no search for outliers, s."""
         clock = self.clock
         return _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
 
     def _smoothed(self, clock: float) -> _Fitted | None:
-        """The fit that begins at the smoothed motion; None unless stamps are too near each other.
+        """The fit that begins at the smoothed motion; None unless no fit may begin at the events.
 
+        That is where stamps are too near each other, or many events name another contact.
         ``clock`` is the approximate standard deviation of a stamp, s.
         """
-        if self.family.system.guides or not is_crowded(self.whole, clock):
+        is_apt = self._is_often_mislabelled or is_crowded(self.whole, clock)
+        if self.family.system.guides or not is_apt:
             return None
-        self.report.stage("smoothing bounces that settle")
+        what = "contacts of impacts" if self._is_often_mislabelled else "bounces that settle"
+        self.report.stage(f"smoothing {what}")
         start = smoothed_start(
             self.family,
             self.whole,
@@ -507,7 +539,7 @@ class _Search(NamedTuple):
         )
         if start is None:
             return None
-        self.report.stage("bounces that settle")
+        self.report.stage(what)
         try:
             recording, y = start
             problem, solution = gated(*fit(recording.problem(self.family), y))

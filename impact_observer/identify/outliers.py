@@ -10,7 +10,7 @@ through a stop, an impact is inserted, or a rejected one accepted again.
 import numpy as np
 from scipy import linalg
 
-from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.events import DECIDING, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.identify.least_squares import usual_size
@@ -63,6 +63,7 @@ def outliers_by_observer(
         clock_error=None if wrong is None else min(wrong, _LARGEST),
         model_error=_MODEL_ERROR * reach * rate**1.5 if wrong is None else 0.0,
         dead_time=recording.dead_time,
+        mislabelled=recording.mislabelled,
     )
     observer = Observer(
         system,
@@ -73,16 +74,26 @@ def outliers_by_observer(
         ensemble=1,
     )
     none = np.empty(0, dtype=np.int64)
-    verdicts = [v for v in replay(observer, events, none) if isinstance(v, Verdict)]
+    verdicts = {
+        (v.stamp, v.sequence, v.contact): v
+        for v in replay(observer, events, none)
+        if isinstance(v, Verdict) and v.ruling in DECIDING
+    }  # the last ones
     index = {name: i for i, name in enumerate(system.contact_names)}
     received = {(key.stamp, i) for key in recording.episode.keys for i, _ in key.switches}
     outliers: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
-    for (stamp, _, contact), ruling in final_rulings(verdicts).items():
-        if ruling in outliers and contact in index:
-            outliers[ruling].add((stamp, index[contact]))
+    struck = dict[Hit, int]()
+    for each in verdicts.values():
+        if each.contact not in index:
+            continue
+        hit = each.stamp, index[each.contact]
+        if each.ruling in outliers:
+            outliers[each.ruling].add(hit)
+        elif each.hit_contact != each.contact:
+            struck[hit] = index[each.hit_contact]
     return recording.with_outliers(
         outliers[Ruling.REJECTED] & received, outliers[Ruling.INSERTED] - received
-    )
+    ).relabelled(struck)
 
 
 def outliers_by_motion(
@@ -99,6 +110,10 @@ def outliers_by_motion(
     if swapped is not None or abs(solution.shifts[worst]) > _GATE * deviation:
         worst = worst if swapped is None else swapped
         return _moved(recording, problem, solution, worst, _GATE * deviation)
+    if pairs := _mislabelled(recording, solution, _GATE * deviation):
+        inserted -= {*pairs.values()}
+        struck = {event: contact for event, (_, contact) in pairs.items()}
+        return recording.with_outliers(rejected - {*pairs}, inserted).relabelled(struck)
     for stamp, contact in penetrations(recording, problem, solution, deviation):
         near = {
             hit
@@ -120,6 +135,30 @@ def _mistaken(recording: Recording, solution: Solution) -> int | None:
             if contact in hits[k][1] and abs(stamp - at) * 1e-9 + _ROUNDED < _NEARER * own:
                 return j
     return None
+
+
+def _mislabelled(recording: Recording, solution: Solution, width: float) -> dict[Hit, Hit]:
+    """Missed impacts by the rejected events that were they, with the name of another contact.
+
+    ``width`` is the largest error of a stamp, s.
+    """
+    pairs = dict[Hit, Hit]()
+    impacts = {
+        (key.stamp, i)
+        for key in (recording.episode.keys if recording.mislabelled else ())
+        for i, kind in key.switches
+        if kind is Kind.IMPACT
+    }
+    free = impacts & recording.rejected
+    for (stamp, contacts), t in zip(recording.hits(), solution.t.tolist(), strict=True):
+        at = recording.episode.epoch + from_seconds(t)
+        for i in contacts:
+            near = {hit for hit in free if hit[1] != i and abs(hit[0] - at) * 1e-9 <= width}
+            if (stamp, i) in recording.inserted and near:
+                event = min(near, key=lambda hit: abs(hit[0] - at))
+                pairs[event] = stamp, i
+                free.discard(event)
+    return pairs
 
 
 def _moved(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording to be explained: which impacts count, and which were missed."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -15,6 +15,7 @@ from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
+from impact_observer.options import Options
 from impact_observer.stamps import from_seconds, seconds_between
 from impact_observer.states import Vector
 from impact_observer.trajectory.linearised_system import FlightEnd
@@ -45,6 +46,8 @@ class Recording:
         rows: switches that follow from the motion and that the sensor does not report: those of
             rows of bounces, of which it has reported the first edge, and openings.
         bouncing: closings that are such a first edge, and so impacts.
+        mislabelled: probability that an event names another contact.
+        named: contacts that events name, by the hit of another contact for which the event counts.
     """
 
     episode: Episode
@@ -60,6 +63,18 @@ class Recording:
     dead_time: float = 0.0
     rows: tuple[EventKey, ...] = ()
     bouncing: frozenset[Hit] = field(default=frozenset())
+    mislabelled: float = Options.mislabelled
+    named: Mapping[Hit, int] = field(default_factory=dict)
+
+    @property
+    def counted_for_others(self) -> dict[Hit, int]:
+        """The accepted hits that events report for another contact, and the index of that one."""
+        return {hit: i for hit, i in self.named.items() if hit not in self.rejected}
+
+    @property
+    def rejected_events(self) -> frozenset[Hit]:
+        """The rejected impacts, by the contacts that their events name."""
+        return frozenset((hit[0], self.named.get(hit, hit[1])) for hit in self.rejected)
 
     @property
     def start(self) -> float:
@@ -95,6 +110,27 @@ class Recording:
     def with_outliers(self, rejected: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
         """The same events, with other impacts rejected and inserted."""
         return replace(self, rejected=frozenset(rejected), inserted=frozenset(inserted))
+
+    def relabelled(self, struck: Mapping[Hit, int]) -> "Recording":
+        """The same events, of which some count for another contact than before.
+
+        ``struck`` are indices of the contacts by the hits as they count now. An event that says
+        that the other contact switches too is left as it is.
+        """
+        named, keys = dict(self.named), []
+        for key in self.episode.keys:
+            own = {i for i, _ in key.switches}
+            switches = []
+            for i, kind in key.switches:
+                to = struck.get((key.stamp, i), i)
+                if to in own:
+                    to = i
+                else:
+                    was = named.pop((key.stamp, i), i)
+                    named |= {(key.stamp, to): was} if was != to else {}
+                switches.append((to, kind))
+            keys.append(key._replace(switches=tuple(sorted(switches))))
+        return replace(self, episode=self.episode._replace(keys=keys), named=named)
 
     def hits(self) -> list[tuple[int, tuple[int, ...]]]:
         """Stamps (ns) and contacts of the accepted moments; no contacts where some only open."""

@@ -89,7 +89,12 @@ def smoothed_start(
     end = recording.episode.keys[-1].stamp
     learned = tuple(each for each in family.parameters if is_observed(each.name))
     declared = min(clock, highest("clock_error"))
-    options = Options(clock_error=declared, model_error=0.0, dead_time=recording.dead_time)
+    options = Options(
+        clock_error=declared,
+        model_error=0.0,
+        dead_time=recording.dead_time,
+        mislabelled=recording.mislabelled,
+    )
     if trust_events:
         options = replace(options, missed=0.0, spurious=0.0, mislabelled=0.0)
     try:
@@ -138,15 +143,23 @@ def _recording(
         if each.ruling is Ruling.REJECTED and each.contact in index
     }
     used = {(key.stamp, i) for key in keys for i, _ in key.switches}
-    left_out = set[Hit]()
+    struck = {
+        (key.stamp, key.sequence): {i for i, kind in key.switches if kind is not Kind.OPEN}
+        for key in keys
+    }
+    left_out, named = set[Hit](), dict[Hit, int]()
     for key in episode.keys:
         hits = {(key.stamp, i) for i, kind in key.switches if kind is not Kind.OPEN} - used
-        left_out |= hits - rejected
+        others = struck.get((key.stamp, key.sequence), set()) - {i for i, _ in key.switches}
+        if len(own := hits - rejected) == len(others) == 1:
+            named[key.stamp, others.pop()] = own.pop()[1]
+        left_out |= own
         false = tuple(each for each in key.switches if (key.stamp, each[0]) in hits & rejected)
         keys += [key._replace(switches=false)] if false else []
     return replace(
         recording.with_outliers(rejected, inserted),
         episode=episode._replace(keys=sorted(keys)),
         settled=frozenset(left_out),
+        named=named,
         instants=instants,
     )
