@@ -41,4 +41,4 @@ def contact_speeds(system: System | Robot, x: Matrix) -> Matrix:
     """Contact speeds, shape (samples, m), m/s, in states (q, u), shape (samples, 2n)."""
     if isinstance(system, System):
         return np.asarray(x[:, system.n :] @ system.W)
-    return np.array([system.contact_speeds(each) for each in x]).reshape(-1, system.m)
+    return np.array([system.contact_speeds(each) for each in x]).reshape(len(x), system.m)

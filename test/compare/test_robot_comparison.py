@@ -97,6 +97,17 @@ def test_velocities_in_different_units_have_no_common_error() -> None:
     assert compare_states(slider, "law", x, x, outcomes_of(EVENTS, None)).velocity_after_hits == 0
 
 
+def test_a_robot_without_contacts_is_compared() -> None:
+    """There are no hits, and all samples count."""
+    robot = Robot(model_of(SLIDER, "rail"))
+    x = samples_of(STAMPS, np.zeros((400, 2)))
+    found = compare_states(robot, "law", x, samples_of(STAMPS, np.ones((400, 2))), NO_EVENTS)
+    np.testing.assert_allclose(found.V, 2.0)
+    assert found.samples == 400
+    assert found.rms_after_hits is None
+    assert compare_states(robot, "law", x, x, NO_EVENTS).V.max() == 0.0
+
+
 def test_coverage_is_the_share_of_errors_within_two_deviations() -> None:
     """Counted one by one; estimates without a covariance do not count."""
     rng = np.random.default_rng(3)
