@@ -37,7 +37,6 @@ from impact_observer.model.measurement import Measurement
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.model.urdf_file import Urdf
 from impact_observer.observer import Observer, make_observer
-from impact_observer.observer.encoder_start import started
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
 from impact_observer.plant import Run, SensorModel, simulate, simulate_sensor
@@ -164,7 +163,6 @@ def observer_of(model: Model, recording: Recording) -> Observer:
     """An observer of a ``model`` that knows the efforts of a ``recording``."""
     assert model.robot is not None, "a robot"
     options = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
-    options = started(options, model.robot, encoders(), recording.samples)
     observer = make_observer(model, options, measurements=encoders())
     assert observer.live is not None, "efforts are measured"
     efforts = zip(recording.run.stamps.tolist(), recording.efforts.tolist(), strict=True)

@@ -71,7 +71,6 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.recordings import model_of
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observer import law_named, make_observer
-    from impact_observer.observer.encoder_start import started
 
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
@@ -84,8 +83,6 @@ def run(args: argparse.Namespace) -> int:
         events = events_from(reader, chosen.epoch)
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
         chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
-        if read.robot is not None and law_named(chosen.law).has_covariance:
-            chosen = started(chosen, read.robot, sensors, used)
         observer = make_observer(read, chosen, measurements=sensors)
         odd = odd_lines(reader, read, observer, chosen)
         for line in (*measured.problems, *unused_lines(observer), *odd):

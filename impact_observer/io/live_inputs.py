@@ -16,6 +16,8 @@ from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.plain_text import part_left_out
 
 LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
+_DEPTH = 2000
+"""Messages with efforts that may wait: those of 2 s at 1 kHz."""
 
 
 class LiveSample(NamedTuple):
@@ -66,7 +68,10 @@ def read_pulse(message: AnyMessage) -> int:
 
 
 def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage) -> Iterator[str]:
-    """Add what is in a message of one of the ``LIVE_TOPICS``; in words why some cannot be used."""
+    """Add what is in a message; in words why some cannot be used.
+
+    Of another topic than the ``LIVE_TOPICS``, which has efforts of joints, others are left out.
+    """
     moves = interface is interfaces.GROUND_MOTION
     try:
         if interface is interfaces.PHASE_REFERENCE:
@@ -75,6 +80,7 @@ def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage
             problems = [
                 live.add_motion(*each) if moves else live.add_force(*each[:3])
                 for each in read_samples(message, moves=moves)
+                if interface in LIVE_TOPICS or each.name in live.inputs
             ]
     except MessageError as error:
         problems = [str(error)]
@@ -101,25 +107,24 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
             yield part_left_out(count, reader.topics[topic].count, what, why)
 
 
+def efforts_on(topic: str) -> interfaces.Interface:
+    """A ``topic`` with efforts of a robot's joints, as drivers publish them."""
+    quality = interfaces.Quality(reliable=False, depth=_DEPTH)
+    return interfaces.Interface(topic, interfaces.JOINT_STATE, quality)
+
+
 def give_efforts(reader: BagReader, live: LiveSignals, topic: str) -> Iterator[str]:
     """Add the efforts of a robot's joints on a ``topic`` of a bag; lines as ``give_recorded``.
 
     Raises:
         BagError: the bag is damaged.
     """
-    name = f"/{topic.lstrip('/')}"
-    if name not in reader.topics:
+    efforts, lost = efforts_on(topic), Counter[str]()
+    if (name := efforts.topic) not in reader.topics:
         yield f"no efforts on {name}, where the model has them: they count as zero"
         return
-    lost = Counter[str]()
     for _, message in reader.messages(name):
-        try:
-            samples = read_samples(message, moves=False)
-        except MessageError as error:
-            lost[str(error)] += 1
-            continue
-        own = (each for each in samples if each.name in live.inputs)
-        lost.update({*filter(None, (live.add_force(*each[:3]) for each in own))})
+        lost.update({*give(live, efforts, message)})
     for why, count in lost.items():
         what = f"messages on {name} wholly or partly"
         yield part_left_out(count, reader.topics[name].count, what, why)

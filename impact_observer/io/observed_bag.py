@@ -117,6 +117,7 @@ def observe_bag(
         made = messages.serialized(_with_samples(items, observer, loud))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
+        observer.require_start()
         is_later = stamps.size and stamps[-1] > observer.last_event > 0
         if is_later and (silence := observer.silence(int(stamps[-1]))):
             warn(f"after the last event, {text(observer.last_event)} s, {silence}")

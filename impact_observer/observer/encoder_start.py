@@ -3,13 +3,16 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+
+import numpy as np
 
 from impact_observer.errors import UsageError
+from impact_observer.filter.uncertainty import deviation_of
 from impact_observer.model.measurement import Measurement
-from impact_observer.model.robot_description import RobotDescription
-from impact_observer.observer.samples import SensorSample
+from impact_observer.observer.event_order import EventKey
 from impact_observer.options import Options
+from impact_observer.robots.robot import Robot
+from impact_observer.states import Vector
 
 _SHARE = 0.1
 """Deviation of a velocity whose deviation is not declared, over its limit in the URDF."""
@@ -19,49 +22,76 @@ _LEARNED = 0.01
 """Deviation of a first sample whose sensor declares none, rad or m."""
 
 
-def started(
-    options: Options,
-    robot: RobotDescription,
-    sensors: Sequence[Measurement],
-    samples: Iterable[SensorSample],
-) -> Options:
-    """``options`` whose initial state is at rest at the first sample of each joint's encoder.
+class EncoderStart:
+    """The first sample of the encoder of each joint, at which a robot is taken to be at rest."""
 
-    Positions have the deviations of the ``sensors``, velocities those of the options, or a tenth
-    of the limits of the URDF. Options with an initial state of their own stay as they are.
+    def __init__(self, robot: Robot, sensors: Sequence[Measurement]) -> None:
+        """Find the encoders of a ``robot`` among its ``sensors``; no sample has come yet.
 
-    Raises:
-        UsageError: a joint has no sample of an encoder, or deviations are not as expected.
-    """
-    if options.initial_state != Options.initial_state:
-        return options
-    encoders = {
-        each.position[0][0]: i
-        for i, each in enumerate(sensors)
-        if len(each.position) == 1 and each.position[0][1] == 1.0 and not each.velocity
-    }
-    first: dict[int, float] = {}
-    for sample in samples:
-        first.setdefault(sample.sensor, sample.value)
-        if len(first) == len(sensors):
-            break
-    position, deviation = list[float](), list[float]()
-    for joint in robot.joints:
-        if (i := encoders.get(joint)) is None or i not in first:
-            raise UsageError(
-                f"initial state: no sample of an encoder of the joint {joint!r} found; expected"
-                " one in measurements and bag, or an initial state"
-            )
-        position.append(first[i] - sensors[i].offset)
-        known = sensors[i].deviation
-        deviation.append(_LEARNED if known is None else known)
-    if options.initial_deviation == Options.initial_deviation:
-        limits = (each.velocity for each in robot.urdf_joints)
-        deviation += [_SHARE * each if math.isfinite(each) else _UNLIMITED for each in limits]
-    else:
-        deviation += [float(options.initial_deviation)] * robot.n
-    return replace(
-        options,
-        initial_state=",".join(map(repr, [*position, *[0.0] * robot.n])),
-        initial_deviation=",".join(map(repr, deviation)),
-    )
+        Raises:
+            UsageError: a joint has no encoder.
+        """
+        by_joint = {
+            each.position[0][0]: i
+            for i, each in enumerate(sensors)
+            if len(each.position) == 1 and each.position[0][1] == 1.0 and not each.velocity
+        }
+        for joint in robot.coordinates:
+            if joint not in by_joint:
+                raise UsageError(
+                    f"initial state: no encoder of the joint {joint!r} found; expected one in"
+                    " measurements, or an initial state"
+                )
+        self._given, self._robot = (robot, sensors), robot
+        self._encoders = [by_joint[joint] for joint in robot.coordinates]
+        self._sensors = [sensors[i] for i in self._encoders]
+        self._first: dict[int, EventKey] = {}
+
+    def note(self, samples: Iterable[EventKey]) -> bool:
+        """Take note of received ``samples``; returns whether the first ones have changed."""
+        changed = False
+        for key in samples:
+            known = self._first.get(key.sensor)
+            is_first = known is None or key.stamp < known.stamp
+            if is_first and key.sensor in self._encoders:
+                self._first[key.sensor], changed = key, True
+        return changed
+
+    def anew(self) -> "EncoderStart":
+        """The same without any sample."""
+        return EncoderStart(*self._given)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the joints whose encoders have had no sample."""
+        pairs = zip(self._robot.coordinates, self._encoders, strict=True)
+        return tuple(joint for joint, i in pairs if i not in self._first)
+
+    @property
+    def stamp(self) -> int:
+        """The earliest stamp of the first samples, ns."""
+        return min(self._first[i].stamp for i in self._encoders)
+
+    @property
+    def state(self) -> Vector:
+        """The robot at rest at the first samples, shape (2n,)."""
+        values = [self._first[i].sample[0] for i in self._encoders]
+        q = np.subtract(values, [each.offset for each in self._sensors])
+        return np.concatenate([q, np.zeros_like(q)])
+
+    def deviation(self, options: Options) -> Vector:
+        """Deviations of this state, shape (2n,).
+
+        Positions have the deviations of the encoders, velocities those of ``options``, or a tenth
+        of the limits of the URDF.
+
+        Raises:
+            UsageError: the deviations of ``options`` are not as expected.
+        """
+        known = [each.deviation for each in self._sensors]
+        q = [_LEARNED if each is None else each for each in known]
+        u = deviation_of(options.initial_deviation, self._robot)[self._robot.n :].tolist()
+        if options.initial_deviation == Options.initial_deviation:
+            limits = self._robot.fastest.tolist()
+            u = [_SHARE * each if math.isfinite(each) else _UNLIMITED for each in limits]
+        return np.array([*q, *u])

@@ -16,6 +16,7 @@ from impact_observer.model import Model, System
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
@@ -62,9 +63,10 @@ def make_observer(
         linear, live = connected(model.system)
         unknowns = unknowns or _unknown_parameters(linear, options, model)
         system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
+    encoders = encoder_start(options, system, measurements)
     return Observer(
         system,
-        law(cast(System, system), declared_by(options, system, known)),
+        law(cast(System, system), declared_by(options, system, known, encoders)),
         *initial_state(options.initial_state, system, options.initial_deviation),
         epoch=options.epoch,
         history=options.history,
@@ -73,14 +75,33 @@ def make_observer(
         agreed=options.agreed,
         live=live,
         measurements=measurements,
+        encoders=encoders,
     )
+
+
+def encoder_start(
+    options: Options, system: System | Robot | None, measurements: Sequence[Measurement]
+) -> EncoderStart | None:
+    """Where a robot starts whose ``options`` name no initial state; None of other systems.
+
+    Raises:
+        UsageError: a joint of the robot has no encoder among the ``measurements``.
+    """
+    if not isinstance(system, Robot) or options.initial_state != Options.initial_state:
+        return None
+    return EncoderStart(system, measurements)
 
 
 def _model_error(options: Options, system: System | Robot) -> float | None:
     """White accelerations, m/s^1.5; None if they are learned: a robot has white torques."""
-    if isinstance(system, Robot):
-        return 0.0
-    return None if options.model_error < 0 else options.model_error
+    if not isinstance(system, Robot):
+        return None if options.model_error < 0 else options.model_error
+    if options.model_error > 0:
+        raise UsageError(
+            f"model_error: {options.model_error:g} found; expected torque_deviation in the model"
+            f" of the robot {system.name} instead"
+        )
+    return 0.0
 
 
 def _check_robot_options(
@@ -90,11 +111,6 @@ def _check_robot_options(
     if not (law.has_covariance and law.uses_measurements):
         raise UsageError(
             f"law {law.name}: takes no robot, as {name} is; expected minimum-variance"
-        )
-    if options.model_error > 0:
-        raise UsageError(
-            f"model_error: {options.model_error:g} found; expected torque_deviation in the model"
-            f" of the robot {name} instead"
         )
     if options.estimate_parameters:
         raise UsageError(
@@ -118,15 +134,25 @@ def _considered_restitutions(robot: Robot, model: Model) -> UnknownParameters | 
     return UnknownParameters(family, np.diag(variances), 0.0, (True,) * family.size)
 
 
-def declared_by(options: Options, system: System | Robot, before: Uncertainty) -> Uncertainty:
+def declared_by(
+    options: Options,
+    system: System | Robot,
+    before: Uncertainty,
+    encoders: EncoderStart | None = None,
+) -> Uncertainty:
     """The uncertainty that ``options`` declare; parameters and model errors are as ``before``.
 
+    That of the initial state is that of the ``encoders``, where a robot starts at them.
+
     Raises:
-        UsageError: the deviations do not suit the ``system``.
+        UsageError: the deviations or the model error do not suit the ``system``.
     """
+    deviation = deviation_of(options.initial_deviation, system)
+    if encoders is not None:
+        deviation = encoders.deviation(options)
     return replace(
         before,
-        deviation=deviation_of(options.initial_deviation, system),
+        deviation=deviation,
         clock_error=None if options.clock_error < 0 else options.clock_error,
         clock_offset_error=options.clock_offset_error,
         model_error=_model_error(options, system),

@@ -28,6 +28,7 @@ from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.observer.deviation_sources import DeviationSources
+from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
@@ -83,7 +84,8 @@ class Observer:
     indicates the observer's own error. The estimate does not depend on them.
 
     The initial state holds at the epoch. When the observer joins later, so that the lowest
-    sequence number it receives is not 1, it holds at the first stamp received.
+    sequence number it receives is not 1, it holds at the first stamp received. A robot may start
+    at the first samples of its encoders instead, whose stamp is its epoch if nothing says it.
 
     Attributes:
         system: the system that plant and replica share.
@@ -93,6 +95,7 @@ class Observer:
         remarks: how often the stream of events was irregular, by kind.
         live: signals to which samples may be added at any time; None where the system has none.
         robot: the robot; None of a linear system.
+        encoders: where the next run of a robot starts; None for its initial state.
         samples: samples of the sensors beside the impacts, and verdicts on samples.
         restarts: how often a new episode or epoch has restarted the replica.
     """
@@ -111,6 +114,7 @@ class Observer:
         agreed: float = Options.agreed,
         live: LiveSignals | None = None,
         measurements: Sequence[Measurement] = (),
+        encoders: EncoderStart | None = None,
     ) -> None:
         """Make an observer that has received nothing yet.
 
@@ -126,6 +130,7 @@ class Observer:
             agreed: V distance at which they count as synchronized, relative to the energy.
             live: the signals of ``system``, where it has live ones.
             measurements: what is measured beside the impacts.
+            encoders: their first samples take the place of ``position`` and ``velocity``.
 
         Raises:
             UsageError: no system or law, a wrong state, or a number that is not positive.
@@ -143,6 +148,7 @@ class Observer:
             refused(cast(System, system), "an observer without signals")
         self.live = live
         self.robot = system if isinstance(system, Robot) else None
+        self.encoders = encoders
         self.samples = SampleStream(sensors_of(measurements, system))
         self._revised: list[Verdict] = []
         self._is_inserting = False
@@ -171,7 +177,7 @@ class Observer:
         self._runs = SenderRuns(self.given_epoch)
         self._aside: tuple[SenderRun, RunHistory] | None = None
         self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
-        self._first_pulse = 0
+        self._assumed_epoch = 0
         self.samples.clear()
         self._begin_run(self.given_epoch)
 
@@ -180,18 +186,19 @@ class Observer:
 
         The first pulse is the epoch unless the events or the caller give the epoch.
         """
-        self._first_pulse = self._first_pulse or stamp
+        self._assumed_epoch = self._assumed_epoch or stamp
         if not self.epoch:
-            self._run.update.epoch = self._first_pulse
+            self._run.update.epoch = self._assumed_epoch
 
     def _begin_run(self, epoch: int) -> None:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
-        epoch = epoch or self._first_pulse
+        epoch = epoch or self._assumed_epoch
         update = EventUpdate(self.law, self._test, epoch, self.samples.sensors)
-        self._run = RunHistory(update, self._first_entry, self._history)
+        encoders = None if self.encoders is None else self.encoders.anew()
+        self._run = RunHistory(update, self._first_entry, self._history, encoders)
         if self.live is not None and epoch:
             self.live.follow(epoch)
-        if self.given_epoch and epoch == self.given_epoch:
+        if self.given_epoch and epoch == self.given_epoch and self.encoders is None:
             self._run.begin(epoch)
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
@@ -227,7 +234,7 @@ class Observer:
         if weighed.replaces or weighed.previous is not None:
             self.samples.again(self.epoch or event.stamp)
         released = weighed.released
-        if self._without_epoch and self.epoch:
+        if self._without_epoch and self.epoch and not self.lacking:
             released = (*self._without_epoch, *released)
             self._without_epoch.clear()
         if released:
@@ -235,12 +242,17 @@ class Observer:
         return self._receive(event, waiting)
 
     def _adopt(self, epoch: int) -> None:
-        """Take the ``epoch`` (ns) of the run in use, if no epoch is known but by a pulse."""
-        is_by_pulse = self.epoch == self._first_pulse and not self.given_epoch
-        if not epoch or epoch == self.epoch or not is_by_pulse:
+        """Take the ``epoch`` (ns) of the run in use, if the epoch is unknown or assumed.
+
+        A robot that started at its encoders after the epoch needs no other one.
+        """
+        is_assumed = self.epoch == self._assumed_epoch and not self.given_epoch
+        is_fine = epoch <= self.epoch if self._run.encoders is not None else epoch == self.epoch
+        if not epoch or is_fine or not is_assumed:
             return
         if self.epoch and self._run.timeline is not None:
             self._begin_run(epoch)
+            self.samples.again(epoch)
         else:
             self._run.update.epoch = epoch
 
@@ -262,12 +274,13 @@ class Observer:
 
     def _receive(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
         """``_take`` an event of the run in use."""
+        self._follow()
         try:
+            self.require_start()
             self._run.require_epoch()
         except UsageError:
             self._without_epoch.append(event)
             raise
-        self._follow()
         verdicts, switches = self._resolve_contacts(event)
         if self._run.is_repeated(event, switches):
             reason = "this sequence number was seen"
@@ -342,18 +355,48 @@ class Observer:
         """Use the samples received, except while events are inserted."""
         if self._is_inserting:
             return
+        waiting = self.samples.waiting
+        if waiting and self.robot is not None:
+            self._start_at(waiting)
         if self.live is not None and self.epoch:
             changed = self.live.follow(self.epoch)
             if changed is not None:
                 self._run.rerun(changed - self._lasts)
-        waiting = self.samples.waiting
-        if waiting and (self.epoch or not self.system.depends_on_time):
+        if waiting and not self.lacking and (self.epoch or not self.system.depends_on_time):
             outcomes, revised = self._run.measure(waiting)
             waiting.clear()
             for each in outcomes:
                 self.samples.judge(*each)
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in revised)
             self._revised += revised
+            if self.live is not None and (timeline := self._run.timeline) is not None:
+                self.live.forget_before(timeline.start.stamp)
+
+    def _start_at(self, waiting: Sequence[EventKey]) -> None:
+        """Find where a robot starts, and an epoch if none is known, by samples that wait."""
+        first, encoders = waiting[0].stamp, self._run.encoders
+        if encoders is not None:
+            changed = encoders.note(each for each in waiting if each.stamp >= self.epoch)
+            if encoders.lacking:
+                return
+            first = encoders.stamp
+            if changed:
+                self._run.rerun(0)
+        if not self.epoch:
+            self._assumed_epoch = self._run.update.epoch = first
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the joints of a robot by whose encoders the start is not known yet."""
+        return () if self._run.encoders is None else self._run.encoders.lacking
+
+    def require_start(self) -> None:
+        """Raise UsageError if the start is not known yet."""
+        if lacking := self.lacking:
+            raise UsageError(
+                f"initial state: no sample of an encoder of the joint {lacking[0]!r} found;"
+                " expected one first, or an initial state"
+            )
 
     def measure(self, samples: Iterable[SensorSample]) -> tuple[Verdict, ...]:
         """Use samples of sensors, each at its own stamp, whenever they arrive.
@@ -550,6 +593,7 @@ class Observer:
         self._follow()
         if (timeline := self._run.timeline) is None:
             self._initial, self._root = x, root
+            self.encoders = self._run.encoders = None
         else:
             stamp = max(whole_stamp(stamp), timeline.start.stamp)
             now = timeline.entry_at(stamp)
@@ -558,7 +602,12 @@ class Observer:
             self._run.restart(first)
 
     def redeclare(
-        self, law: Law, position: ArrayLike, velocity: ArrayLike, stamp: int
+        self,
+        law: Law,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        stamp: int,
+        encoders: EncoderStart | None = None,
     ) -> int | None:
         """Go on with another declared uncertainty, that of ``law``, and another initial state.
 
@@ -572,6 +621,7 @@ class Observer:
             position: initial coordinates, shape (n,).
             velocity: initial velocities, shape (n,).
             stamp: at which an estimate can be made, unless there is none yet.
+            encoders: as of a new observer.
 
         Returns:
             The stamp from which the uncertainty acts, ns; None if that is the next start.
@@ -587,7 +637,7 @@ class Observer:
         goes_on = law.uncertainty.differs_only_at_start(self.law.uncertainty)
         if has_events and law.has_covariance and not goes_on:
             known = self.estimate(max(stamp, self.start or 0))
-        self.law, self._initial, self._root = law, x, root
+        self.law, self._initial, self._root, self.encoders = law, x, root, encoders
         if known is None and has_events:
             return None
         self._run.use(law)
@@ -649,10 +699,12 @@ class Observer:
         return self._run.numbers.missing
 
     def _first_entry(self, stamp: int) -> Entry:
+        encoders = self._run.encoders
+        initial = self._initial if encoders is None else encoders.state
         if self._others is None:
-            replicas = spread(self._initial, self._root, self.ensemble)
+            replicas = spread(initial, self._root, self.ensemble)
         else:
-            replicas = np.vstack([self._initial, self._others])
+            replicas = np.vstack([initial, self._others])
         return self._entry_of(replicas, self._root, stamp)
 
     def _entry_of(

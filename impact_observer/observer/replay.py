@@ -173,5 +173,7 @@ def _was_sent_before(event: ImpactEvent, other: ImpactEvent) -> bool:
 def _due(pending: _Pending, observer: Observer) -> int:
     """The stamp from which an event matters, ns: its own, or a new epoch."""
     epoch = pending.event.epoch
-    known = epoch in {0, observer.epoch} or pending.why.reason
+    known = epoch in {0, observer.epoch} or bool(pending.why.reason)
+    if observer.encoders is not None:  # an earlier epoch changes nothing
+        known = epoch <= observer.epoch or not observer.epoch
     return pending.needed if known else min(pending.needed, epoch)

@@ -11,6 +11,7 @@ from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdic
 from impact_observer.filter.readings import SampleOutcome
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.deviation_sources import VariancePart, variance_parts
+from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.event_update import EventUpdate
@@ -46,10 +47,15 @@ class RunHistory:
         update: makes the beliefs after events.
         timeline: the events with their beliefs; None before the first event or a given epoch.
         numbers: the sequence numbers of the events.
+        encoders: where a robot starts; None for the epoch or the first stamp.
     """
 
     def __init__(
-        self, update: EventUpdate, first_entry: Callable[[int], Entry], history: int
+        self,
+        update: EventUpdate,
+        first_entry: Callable[[int], Entry],
+        history: int,
+        encoders: EncoderStart | None = None,
     ) -> None:
         """Start with no event.
 
@@ -57,8 +63,9 @@ class RunHistory:
             update: makes the beliefs; has the epoch of the run, or 0.
             first_entry: the initial state at a stamp (ns), before any event.
             history: how late an event may be and still be applied, ns.
+            encoders: as the attribute.
         """
-        self.update = update
+        self.update, self.encoders = update, encoders
         self.timeline: Timeline | None = None
         self.numbers = SequenceNumbers()
         self._first_entry, self._history = first_entry, history
@@ -159,6 +166,8 @@ class RunHistory:
         epoch = self.update.epoch
         is_first_received = self.numbers.first <= 1
         start = epoch if epoch and is_first_received else self._earliest
+        if self.encoders is not None:
+            start = self.encoders.stamp
         timeline = self.timeline
         if timeline is None:
             timeline = self.timeline = Timeline(self._first_entry(start), self.update.apply)

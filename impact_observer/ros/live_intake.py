@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of a node to the live forces and grounds of its model, and to a drive."""
+"""Subscriptions of a node to live forces, efforts and grounds of its model, and to a drive."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -41,6 +41,7 @@ class LiveIntake:
         on_problem: Callable[[str], None],
         on_samples: Callable[[int], None],
         on_pulse: Callable[[int], None] | None = None,
+        efforts: Interface | None = None,
     ) -> None:
         """Subscribe to the topics of ``live``, and to a drive if there is ``on_pulse``.
 
@@ -53,6 +54,7 @@ class LiveIntake:
             on_samples: called after new samples with the stamp from which on they change what is
                 known, ns.
             on_pulse: called with the stamp of each pulse of a drive, ns.
+            efforts: topic of the forces, which may have others too; None for ``FORCING``.
         """
         self._live = live
         self._now, self._future = now, from_seconds(future)
@@ -60,7 +62,7 @@ class LiveIntake:
         self.counts: Counter[str] = Counter()
         self._ahead = AheadOfClock[tuple[Interface, AnyMessage]](_MOST_AHEAD)
         for interface, is_needed in (
-            (interfaces.FORCING, live is not None and live.inputs),
+            (efforts or interfaces.FORCING, live is not None and live.inputs),
             (interfaces.GROUND_MOTION, live is not None and live.grounds),
             (interfaces.PHASE_REFERENCE, on_pulse or (live is not None and live.drive)),
         ):

@@ -203,9 +203,11 @@ class ObserverDiagnostics:
         observer = self._observer
         if not now:
             return "use_sim_time is set, but no /clock has come"
+        if lacking := observer.lacking:
+            return f"no sample of an encoder of {', '.join(lacking)} has come yet"
         if observer.start is None:
             return "no impact has come yet"
-        silence = now - max(observer.last_event, observer.start)
+        silence = now - max(observer.last_event, observer.start, *observer.samples.newest)
         if silence <= _STALE:
             return ""
         ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"

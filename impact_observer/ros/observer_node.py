@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
@@ -23,11 +23,13 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
+from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import LARGEST_INNOVATION, Law, initial_state, make_observer
-from impact_observer.observer.make_observer import declared_by
+from impact_observer.observer.encoder_start import EncoderStart
+from impact_observer.observer.make_observer import declared_by, encoder_start
 from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
@@ -38,6 +40,7 @@ from impact_observer.ros.log_lines import without_numbers
 from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
+from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.ros.sensor_intake import SensorIntake
 from impact_observer.ros.subscribing import subscribe, waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -54,6 +57,14 @@ _OF_THE_LAW = {
 """Parameters by which a law and its initial state are made."""
 _LONGEST = 100
 """Characters of a reason that are logged; the published verdict has all of them."""
+
+
+class _NewStart(NamedTuple):
+    """What parameters say that were set while the node runs."""
+
+    law: Law
+    initial: tuple[Vector, Vector]
+    encoders: EncoderStart | None
 
 
 class ObserverNode(ManagedNode):
@@ -76,11 +87,11 @@ class ObserverNode(ManagedNode):
         """Implement ``ManagedNode``."""
         values, options = self.values, self.values.options()
         _check_lag(options, {"lag": values.number("lag")})
-        model = read_model(values.text("model"))
-        system = model.system
+        model = with_urdf_of_topic(self, read_model(values.text("model")))
+        self._declared_sensors = read_measurements(values.text("measurements"))
+        self.observer = make_observer(model, options, measurements=self._declared_sensors)
+        system = self.observer.system
         self._initial = initial_state(options.initial_state, system, options.initial_deviation)
-        sensors = read_measurements(values.text("measurements"))
-        self.observer = make_observer(model, options, measurements=sensors)
         self._names = system.coordinates
         self._restarts = 0
         self._lag = from_seconds(values.number("lag"))
@@ -103,7 +114,7 @@ class ObserverNode(ManagedNode):
         self._go_on = self.create_guard_condition(self._apply_events)
         self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
         self._is_turn = self._went_back = False
-        self._declared: tuple[Law, tuple[Vector, Vector]] | None = None
+        self._declared: _NewStart | None = None
         self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
         self.serve(SetState, "~/set_state", self._on_set_state)
@@ -134,7 +145,9 @@ class ObserverNode(ManagedNode):
 
     def _live_intake(self, options: Options) -> LiveIntake:
         """The subscriptions to live forces and grounds, and to a drive that says the epoch."""
-        needs_epoch = self.observer.system.depends_on_time and not options.epoch
+        robot = self.observer.robot
+        needs_epoch = self.observer.system.depends_on_time and not (options.epoch or robot)
+        forces = None if robot is None else robot.description.forces
         return LiveIntake(
             self,
             self.observer.live,
@@ -143,6 +156,7 @@ class ObserverNode(ManagedNode):
             on_problem=self.lines.error,
             on_samples=self._correct_from,
             on_pulse=self.observer.take_pulse if needs_epoch else None,
+            efforts=None if forces is None else efforts_on(forces[0]),
         )
 
     def _sensor_intake(self, options: Options) -> SensorIntake:
@@ -212,10 +226,10 @@ class ObserverNode(ManagedNode):
         self._declared = None
         if self.is_configured and names & _OF_THE_LAW:
             law, system = self.observer.law, self.observer.system
-            self._declared = (
-                type(law)(system, declared_by(options, system, law.uncertainty)),
-                initial_state(options.initial_state, system, options.initial_deviation),
-            )
+            encoders = encoder_start(options, self.observer.robot, self._declared_sensors)
+            known = declared_by(options, system, law.uncertainty, encoders)
+            initial = initial_state(options.initial_state, system, options.initial_deviation)
+            self._declared = _NewStart(type(law)(system, known), initial, encoders)
 
     def _change(self, values: Mapping[str, Value]) -> None:
         """Use parameters that were set while the node runs; stamps never go back."""
@@ -232,8 +246,8 @@ class ObserverNode(ManagedNode):
         since: int | None = None
         if self._declared is not None:
             self._apply(self.intake.finish())
-            law, self._initial = self._declared
-            since = self.observer.redeclare(law, *self._initial, self._last_stamp)
+            law, self._initial, encoders = self._declared
+            since = self.observer.redeclare(law, *self._initial, self._last_stamp, encoders)
         for name, value in values.items():
             when = "now"
             if name in _OF_THE_LAW:
@@ -414,8 +428,14 @@ class ObserverNode(ManagedNode):
         self._counts["clock_jumps"] += 1
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Set the initial state, at the last estimate."""
-        response.success, response.message = self._set_state(*self._initial)
+        """Set the initial state, at the last estimate; a robot may start at its encoders again."""
+        if self.observer.encoders is None:
+            response.success, response.message = self._set_state(*self._initial)
+            return response
+        self._apply(self.intake.finish())
+        self.observer.restart("a reset was asked for")
+        self._forget_estimates()
+        response.success, response.message = True, "holds at the next samples of the encoders"
         return response
 
     def _on_set_state(

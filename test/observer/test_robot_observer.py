@@ -21,11 +21,10 @@ from benchmarks.robot_filter import (
     without_contacts,
 )
 from impact_observer.errors import UsageError
-from impact_observer.events import Kind
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import read_model
 from impact_observer.model.forcing import Forcing
 from impact_observer.observer import make_observer
-from impact_observer.observer.encoder_start import started
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
 from impact_observer.robots import Robot
@@ -89,22 +88,55 @@ def test_turns_of_a_continuous_joint_do_not_count() -> None:
     """The encoder of the shoulder says 2 pi more: the innovation is the same."""
     recording = recorded(seed=3, rate=200.0, seconds=0.05)
     observer = observer_of(declared(), recording)
+    observer.measure(recording.samples[:2])
     first, second = recording.samples[2:4]
     observer.measure([first._replace(value=first.value + 2 * np.pi), second])
-    assert observer.samples.counts[0]["accepted"] == 1
+    assert observer.samples.counts[0]["accepted"] == 2
     assert abs(observer.estimate(first.stamp).q[0] - recording.run.states[1, 0]) < 0.005
 
 
 def test_observer_starts_at_the_first_samples_with_their_deviations() -> None:
     """Velocities may be a tenth of the limits of the URDF."""
-    robot = declared().robot
-    assert robot is not None
-    samples = [SensorSample(1, EPOCH, 0.25), SensorSample(0, EPOCH, -0.5)]
-    found = started(Options(), robot, encoders(), samples)
-    assert found.initial_state == "-0.5,0.25,0.0,0.0"
-    assert found.initial_deviation == "0.001,0.001,2.0,2.5"
-    with pytest.raises(UsageError, match=r"no sample of an encoder of the joint 'elbow'"):
-        started(Options(), robot, encoders(), samples[1:])
+    observer = make_observer("hammer_arm", replace(DECLARED, epoch=0), measurements=encoders())
+    observer.measure([SensorSample(0, EPOCH, -0.5)])
+    assert observer.lacking == ("elbow",)
+    early, late = (
+        ImpactEvent(EPOCH + k * 10**7, (Switch("wall"),), 6 + k, epoch=EPOCH - 10**9)
+        for k in (1, 2)
+    )
+    with pytest.raises(UsageError, match=r"no sample of an encoder of the joint 'elbow' found"):
+        observer.receive(early)
+    observer.measure([SensorSample(1, EPOCH + 10**6, 0.25)])
+    observer.measure([SensorSample(1, EPOCH, 0.2)])
+    assert observer.start == EPOCH
+    first = observer.estimate(EPOCH)
+    np.testing.assert_allclose([*first.q, *first.u], [-0.5, 0.2, 0.0, 0.0], atol=1e-9)
+    deviations = np.sqrt(np.diag(first.covariance))
+    np.testing.assert_allclose(deviations, [7e-4, 7e-4, 2.0, 2.5], rtol=0.02)
+    assert [each.sequence for each in observer.receive(late)] == [8, 7]
+
+
+def test_a_robot_starts_at_its_encoders_after_every_restart() -> None:
+    """A reset, and a new episode of the plant: at rest where the encoders are then."""
+    observer = make_observer("hammer_arm", replace(DECLARED, epoch=0), measurements=encoders())
+
+    def measured(stamp: int, *values: float) -> None:
+        observer.measure([SensorSample(i, stamp, value) for i, value in enumerate(values)])
+
+    measured(EPOCH, 0.1, 0.2)
+    measured(EPOCH + 10**9, 0.3, 0.4)
+    observer.restart("a reset was asked for")
+    assert observer.lacking == ("shoulder", "elbow")
+    measured(EPOCH + 2 * 10**9, 0.5, 0.6)
+    assert observer.start == EPOCH + 2 * 10**9
+    np.testing.assert_allclose(observer.estimate(observer.start).q, [0.5, 0.6], atol=1e-9)
+    moved = EPOCH + 3 * 10**9
+    measured(moved, 0.7, 0.8)
+    for k in (1, 2):
+        hit = ImpactEvent(moved + k * 10**6, (Switch("wall"),), k, epoch=moved, episode=1)
+        observer.receive(hit)
+    assert observer.start == observer.epoch == moved
+    np.testing.assert_allclose(observer.estimate(moved).q, [0.7, 0.8], atol=1e-9)
 
 
 @pytest.mark.parametrize(

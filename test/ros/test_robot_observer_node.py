@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The observer node of a robot: velocities through hits from encoders and efforts on topics."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+pytest.importorskip("pinocchio", reason="not installed: extra robots")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
+from impact_observer_msgs.srv import SetState
+from processes import Spinner, refusal, ros_arguments, running_node, spinning
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from systems import EPOCH
+
+from impact_observer.cli.main import main
+from impact_observer.errors import UsageError
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Interface, Quality
+from impact_observer.io.messages import read_estimate
+from impact_observer.io.reader import BagReader
+from impact_observer.io.writer import BagWriter
+from impact_observer.model import read_model
+from impact_observer.model.measurements_file import read_measurements
+from impact_observer.observer import Options, make_observer
+from impact_observer.resources import shared
+from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.observer_node import ObserverNode
+from impact_observer.ros.qos import qos_profile
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate
+
+pytestmark = pytest.mark.ros
+
+MANY = qos_profile(Quality(depth=2000))
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+ENCODERS = Interface("/joint_states", interfaces.JOINT_STATE, interfaces.SENSORS)
+OBSERVED = {
+    "model": "hammer_arm",
+    "law": "minimum-variance",
+    "measurements": "hammer_arm",
+    "clock_error": 0.0002,
+    "use_sim_time": True,
+}
+
+
+def stamp_of(message: JointState | ImpactEvent) -> int:
+    """The stamp in a header, ns."""
+    return int(message.header.stamp.sec) * NS_PER_S + int(message.header.stamp.nanosec)
+
+
+def test_velocities_through_hits_are_those_of_the_plant_and_of_observe(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Two processes over DDS; equal bits behind a lag, from what was on the topics."""
+    plant = {
+        "model": "hammer_arm",
+        "measurements": "hammer_arm",
+        "measurement_rate": 50.0,
+        "sensor.jitter": 0.0002,
+        "publish_clock": True,
+        "epoch": EPOCH,
+        "duration": 3.65,
+        "wait_for_subscribers": 1,
+    }
+    observer = ros_arguments({**OBSERVED, "rate": 50.0, "lag": 1.0})
+    states, topics = (
+        list[ObserverState](),
+        (
+            interfaces.IMPACTS,
+            interfaces.PLANT_JOINT_STATES,
+            ENCODERS,
+        ),
+    )
+    received: dict[str, list[JointState]] = {each.topic: [] for each in topics}
+    with running_node("observer", observer, ros_environment) as process, spinning() as spinner:
+        probe = spinner.probe
+        probe.create_subscription(ObserverState, "observer/state", states.append, MANY)
+        for each in topics:
+            quality = qos_profile(Quality(reliable=each.quality.reliable, depth=2000))
+            kind, take = message_class(each.type), received[each.topic].append
+            probe.create_subscription(kind, each.topic, take, quality)
+        spinner.until(lambda: probe.count_publishers("observer/state"))
+        with running_node("plant", ros_arguments(plant), ros_environment) as other:
+            spinner.until(lambda: other.poll() is not None)
+            assert other.returncode == 0, other.communicate()
+        spinner.settle()
+        assert process.poll() is None
+    bag, output = tmp_path / "bag", tmp_path / "output"
+    with BagWriter(bag) as writer:
+        for each in topics:
+            writer.declare(each.topic, type_name=each.type, quality=each.quality)
+        for stamp, topic, data in sorted(
+            (stamp_of(message), topic, serialize_message(message))
+            for topic, messages in received.items()
+            for message in messages
+        ):
+            writer.write_raw(topic, stamp, data)
+    given = ["--model", "hammer_arm", "--measurements", "hammer_arm", "--clock-error", "0.0002"]
+    law = ["--law", "minimum-variance", "--rate", "50"]
+    assert main(["observe", str(bag), *given, *law, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        offline = reader.observer_states("/observer/state")
+    found = {each.stamp: each for each in (read_estimate(message)[1] for message in states)}
+    where = [i for i, stamp in enumerate(offline.stamps.tolist()) if stamp in found]
+    assert len(where) > 60
+    for i in where:
+        estimate = found[int(offline.stamps[i])]
+        np.testing.assert_array_equal(estimate.q, offline.q[i])
+        np.testing.assert_array_equal(estimate.u, offline.u[i])
+    hits = [stamp_of(each) for each in received["/impacts"]]
+    truth = {stamp_of(each): each.velocity for each in received["/plant/joint_states"]}
+    errors = [
+        np.abs(each.u - truth[stamp]).max()
+        for stamp, each in found.items()
+        if stamp in truth and any(2e6 < stamp - hit < 2e8 for hit in hits)
+    ]
+    assert len(hits) == 2
+    assert len(errors) > 10
+    assert np.sqrt(np.mean(np.square(errors))) < 0.2
+
+
+@dataclass
+class Rig:
+    """A running observer node of a robot, publishers of its inputs, and what it publishes."""
+
+    spinner: Spinner
+    node: ObserverNode
+    clock: Publisher
+    encoders: Publisher
+    states: list[ObserverState] = field(default_factory=list)
+    verdicts: list[EventVerdict] = field(default_factory=list)
+    diagnostics: list[DiagnosticStatus] = field(default_factory=list)
+
+    def go_to(self, stamp: int, *position: float) -> None:
+        """Let encoders measure ``position`` at ``stamp``, ns; then set the clock."""
+        if position:
+            message = JointState(name=["shoulder", "elbow"], position=position, effort=[0.0, 0.0])
+            message.header.stamp = ros_messages().time(stamp)
+            self.encoders.publish(message)
+            self.spinner.settle()
+        self.clock.publish(ros_messages().clock(stamp))
+        self.spinner.until(lambda: self.node.stamp_now() == stamp)
+        self.spinner.settle()
+
+    @property
+    def last(self) -> Estimate:
+        """The estimate published last."""
+        return read_estimate(self.states[-1])[1]
+
+    def status(self) -> str:
+        """The message of the next diagnostics of the events."""
+        self.diagnostics.clear()
+        self.spinner.until(lambda: any(each.name.endswith("impacts") for each in self.diagnostics))
+        messages = (e.message for e in self.diagnostics if e.name.endswith("impacts"))
+        return str(next(messages))
+
+
+@pytest.fixture
+def rig(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Rig]:
+    """A rig whose URDF comes from a topic."""
+    assert ros_environment
+    sample = read_model("hammer_arm")
+    assert sample.robot is not None
+    text = shared("config/hammer_arm.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "hammer_arm.yaml"
+    path.write_text(text.replace("urdf: hammer_arm.urdf", "urdf: {topic: robot_description}"))
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with spinning(ros_arguments({**OBSERVED, "model": path, "rate": 10.0})) as spinner:
+        probe = spinner.probe
+        urdf = probe.create_publisher(String, "robot_description", latched)
+        urdf.publish(String(data=sample.robot.known_urdf.text))
+        encoders = probe.create_publisher(
+            JointState, ENCODERS.topic, qos_profile(ENCODERS.quality)
+        )
+        clock = probe.create_publisher(Clock, "/clock", MANY)
+        node = ObserverNode()
+        spinner.add(node)
+        made = Rig(spinner, node, clock, encoders)
+        probe.create_subscription(ObserverState, "observer/state", made.states.append, MANY)
+        probe.create_subscription(EventVerdict, "observer/verdicts", made.verdicts.append, MANY)
+        probe.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda a: made.diagnostics.extend(a.status), MANY
+        )
+        # One of the encoders, one of the efforts.
+        spinner.until(lambda: encoders.get_subscription_count() == 2)
+        spinner.until(lambda: clock.get_subscription_count() == 1)
+        yield made
+
+
+def test_a_robot_starts_and_is_reset_where_its_encoders_are(rig: Rig) -> None:
+    """The state is at rest at the first samples, whatever the epoch; diagnostics wait for them."""
+    rig.go_to(EPOCH)
+    assert rig.status() == "no sample of an encoder of shoulder, elbow has come yet"
+    assert not rig.states
+    rig.go_to(EPOCH + NS_PER_S, 0.25, 0.5)
+    assert rig.last.stamp == EPOCH + NS_PER_S
+    np.testing.assert_allclose([*rig.last.q, *rig.last.u], [0.25, 0.5, 0.0, 0.0], atol=1e-9)
+    assert rig.status() == "0 impacts applied"
+    answer = rig.spinner.call(Trigger, "observer/reset")
+    assert (answer.success, answer.message) == (True, "holds at the next samples of the encoders")
+    rig.go_to(EPOCH + 2 * NS_PER_S, 0.75, 1.0)
+    np.testing.assert_allclose([*rig.last.q, *rig.last.u], [0.75, 1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_a_state_and_parameters_of_a_robot_can_be_set(rig: Rig) -> None:
+    """Before the encoders have said where it is, and while it is estimated."""
+    rig.go_to(EPOCH)
+    given = [0.1, 0.2], [0.3, -0.4]
+    answer = rig.spinner.call(SetState, "observer/set_state", position=given[0], velocity=given[1])
+    assert (answer.success, answer.message) == (True, "holds at the start")
+    rig.go_to(EPOCH + NS_PER_S, 0.1, 0.2)
+    np.testing.assert_allclose(rig.last.u, given[1], atol=1e-9)
+    deviations = np.sqrt(np.diag(rig.last.covariance))
+    np.testing.assert_allclose(deviations[2:], [2.0, 2.5], rtol=0.02)
+    assert rig.node.set_parameters([Parameter("clock_error", value=0.001)])[0].successful
+    assert rig.node.set_parameters([Parameter("initial_deviation", value="0.5")])[0].successful
+    rig.go_to(EPOCH + NS_PER_S + 10**8, 0.12, 0.17)
+    assert np.abs(rig.last.q - [0.12, 0.17]).max() < 0.05
+    refused = rig.node.set_parameters([Parameter("model_error", value=0.1)])[0]
+    assert not refused.successful
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"law": "geometric"},
+        {"model_error": 0.1},
+        {"estimate_parameters": ("restitution",)},
+        {"measurements": ""},
+        {"measurements": "shoulder"},
+    ],
+)
+def test_a_node_refuses_what_the_command_refuses(
+    given: dict[str, str | float | tuple[str, ...]],
+    ros_environment: dict[str, str],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """In the same line, with exit code 2."""
+    assert ros_environment
+    only = tmp_path / "shoulder.yaml"
+    lines = shared("config/measurements/hammer_arm.yaml").read_text("utf-8").splitlines()
+    only.write_text("\n".join(lines[:-1]), encoding="utf-8")
+    options = dict(given)
+    sensors = options.pop("measurements", "hammer_arm")
+    sensors = str(only) if sensors == "shoulder" else str(sensors)
+    law = {"law": "minimum-variance", "clock_error": 0.0002}
+    with pytest.raises(UsageError) as error:
+        make_observer(
+            "hammer_arm",
+            Options(**{**law, **options}),  # type: ignore[arg-type]
+            measurements=read_measurements(sensors),
+        )
+    shown = {
+        key: f"[{', '.join(value)}]" if isinstance(value, tuple) else value
+        for key, value in options.items()
+    }
+    parameters = {**OBSERVED, **shown, "measurements": sensors or "''"}
+    assert refusal("observer", ros_arguments(parameters), capfd).endswith(str(error.value))
