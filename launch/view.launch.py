@@ -6,6 +6,7 @@
 
 An argument beats params_file; one that is left out stays as the file, else the node, has it.
 With the argument model, robot_state_publisher moves a robot by the joint states of each observer.
+A model with a URDF has no markers: RViz shows the robot of the first observer.
 """
 
 from pathlib import Path
@@ -19,7 +20,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.draw.urdf_text import model_urdf
 from impact_observer.io.interfaces import OBSERVER_JOINT_STATES
-from impact_observer.model import read_model
+from impact_observer.model import Model, read_model
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.options import Option
 from impact_observer.ros.parameters import VIEWER
 from impact_observer.ros.wiring import following, local_discovery
@@ -76,6 +78,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
         if given[each.name]
     }
     observers = [each.strip() for each in (given["observers"] or "observer").split(",")]
+    model = read_model(given["model"]) if given["model"] else None
+    robot = None if model is None else model.robot
     viewer = Node(
         package="impact_observer",
         executable="viewer",
@@ -91,7 +95,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         executable=RVIZ,
         name="rviz",
         namespace=given["namespace"],
-        arguments=["-d", given["rviz_config"]],
+        arguments=["-d", given["rviz_config"], *_fixed_frame(robot)],
         remappings=[  # below the namespace
             ("/viewer/markers", "viewer/markers"),
             ("/observer/robot_description", f"{observers[0]}/robot_description"),
@@ -100,21 +104,29 @@ def _nodes(context: LaunchContext) -> list[Node]:
         additional_env=following(),
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
-    return [viewer, *_robots(context, observers), rviz]
+    robots = [] if model is None else _robots(context, model, observers)
+    return [*([viewer] if robot is None else []), *robots, rviz]
 
 
-def _robots(context: LaunchContext, observers: list[str]) -> list[Node]:
-    """One robot_state_publisher for each observer, in the place of its markers."""
-    given = context.launch_configurations
-    if not given["model"]:
-        return []
-    model, kind = read_model(given["model"]), "robot_state_publisher"
+def _fixed_frame(robot: RobotDescription | None) -> list[str]:
+    """Arguments of RViz: the frame of the layout, but of a robot its first link."""
+    return [] if robot is None else ["-f", robot.known_urdf.root_link]
+
+
+def _robots(context: LaunchContext, model: Model, observers: list[str]) -> list[Node]:
+    """One robot_state_publisher for each observer, in the place of its markers.
+
+    A URDF has the same links for all observers, so that frames of all but the first have a prefix.
+    """
+    given, kind = context.launch_configurations, "robot_state_publisher"
     frame, amplitude = given["frame"] or "world", float(given["amplitude"] or 0)
     robots = []
     for row, observer in enumerate(observers, start=1):
         own = observer.rpartition("/")[2]
         text = model_urdf(model, prefix=f"{own}_", frame=frame, row=row, amplitude=amplitude)
         parameters = {"robot_description": ParameterValue(text, value_type=str)}
+        if model.robot is not None and row > 1:
+            parameters["frame_prefix"] = ParameterValue(f"{own}/", value_type=str)
         if given["use_sim_time"]:
             clock = LaunchConfiguration("use_sim_time")
             parameters["use_sim_time"] = ParameterValue(clock, value_type=bool)

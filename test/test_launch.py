@@ -36,6 +36,15 @@ EPOCH = 1_700_000_000_123_456_789
 
 ARGUMENTS = {
     "demo": {"model", "laws", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
+    "robot": {
+        "model",
+        "measurements",
+        "measurement_rate",
+        "clock_error",
+        "rate",
+        "duration",
+        "rviz",
+    },
     "plant": {p.name for p in TABLES["plant"]} | {"use_sim_time", "params_file", "namespace"},
     "detector": {p.name for p in TABLES["detector"]}
     | {"use_sim_time", "params_file", "namespace", "impacts"},
@@ -55,6 +64,7 @@ class Started:
     namespace: str = "/"
     parameters: dict[str, Any] = field(default_factory=dict)
     remappings: dict[str, str] = field(default_factory=dict)
+    options: dict[str, str] = field(default_factory=dict)
 
 
 def started(executable: str, arguments: Sequence[str]) -> Started:
@@ -66,7 +76,8 @@ def started(executable: str, arguments: Sequence[str]) -> Started:
             (parameters,) = load_yaml(Path(value).read_text(encoding="utf-8")).values()
             node.parameters |= parameters["ros__parameters"]
             continue
-        if flag == "-d":  # of RViz
+        if flag in {"-d", "-f"}:  # of RViz
+            node.options[flag] = value
             continue
         left, right = value.split(":=")
         if flag == "-p":
@@ -90,6 +101,7 @@ def described(node: launch_stand_ins.Node, context: launch_stand_ins.LaunchConte
         else:
             made.parameters |= {name: value.evaluate(context) for name, value in each.items()}
     made.remappings = dict(node.remappings)
+    made.options = dict(zip(node.arguments[::2], node.arguments[1::2], strict=True))
     assert node.package == ("impact_observer" if node.executable in TABLES else node.executable)
     return made
 
@@ -429,6 +441,39 @@ def test_view_launch_moves_a_robot_by_the_joint_states_of_each_observer(
         assert all(str(link).startswith(node.name.removesuffix("robot")) for link in links[1:])
     (viewer, _) = launcher.run("view", params_file=str(PARAMETER_FILES[0]))
     assert viewer.executable == "viewer"
+
+
+def test_view_launch_shows_a_robot_without_markers(launcher: Launcher) -> None:
+    """By its own URDF in its own frames, those of further observers with a prefix."""
+    from impact_observer.model import read_model
+
+    given = {"model": "hammer_arm", "observers": "observer,other"}
+    first, second, rviz = launcher.run("view", **given)
+    robot = read_model("hammer_arm").robot
+    assert robot is not None
+    assert [each.name for each in (first, second)] == ["observer_robot", "other_robot"]
+    assert first.parameters == {"robot_description": robot.known_urdf.text}
+    assert second.parameters == {**first.parameters, "frame_prefix": "other/"}
+    assert rviz.remappings["/observer/robot_description"] == "observer/robot_description"
+    (root,) = {*robot.known_urdf.links} - {e.child for e in robot.known_urdf.joints.values()}
+    assert rviz.options["-f"] == root
+
+
+def test_robot_launch_starts_plant_observer_and_robot(launcher: Launcher) -> None:
+    """Plant and observer know the same error of the stamps, and the same encoders."""
+    plant, observer, robot, rviz = launcher.run("robot", rate="50", clock_error="0.001")
+    assert (plant.name, observer.name, rviz.executable) == ("plant", "observer", "rviz2")
+    assert robot.remappings["joint_states"] == "observer/joint_states"
+    assert "use_sim_time" not in robot.parameters
+    both = {"model": "hammer_arm", "measurements": "hammer_arm", "rate": 50.0}
+    assert observer.parameters == {**both, "law": "minimum-variance", "clock_error": 0.001}
+    assert plant.parameters == {
+        **both,
+        "measurement_rate": 100.0,
+        "duration": 0.0,
+        "sensor.jitter": 0.001,
+    }
+    assert "rviz2" not in [each.executable for each in launcher.run("robot", rviz="false")]
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)

@@ -98,6 +98,12 @@ class Urdf:
         object.__setattr__(self, "links", links)
         object.__setattr__(self, "joints", found)
 
+    @property
+    def root_link(self) -> str:
+        """Name of the link that is the child of no joint."""
+        children = {each.child for each in self.joints.values()}
+        return next(link for link in self.links if link not in children)
+
     def root(self) -> ET.Element:
         """The element ``robot``, read anew.
 
