@@ -30,6 +30,7 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
         topic.BENCHMARK,
         live_inputs.BENCHMARK,
         live_inputs.SENSOR,
+        live_inputs.ROBOT,
         *observe_bag.benchmarks(seconds),
         *events.benchmarks(),
         *filter_cost.benchmarks(seconds),

@@ -4,7 +4,9 @@
 The processor time of the node's process while they arrive, less that of the same process without
 them, over the samples. The bare node, which this module is when it is run, subscribes to the same
 topic and does nothing with them. The observer publishes estimates at its usual rate meanwhile. An
-encoder's samples go to the law ``minimum-variance`` as well, with a declared error of the clock.
+encoder's samples go to the law ``minimum-variance`` as well, with a declared error of the clock,
+and so do messages of a robot's joints, two encoders and two efforts in each, at a lower rate.
+There the estimates count, too: without samples each is predicted over all the time since the last.
 """
 
 import os
@@ -17,6 +19,7 @@ from dataclasses import replace
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,7 +35,8 @@ from benchmarks.topic import running, take_domain
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io.interfaces import EVENTS, FORCING, JOINT_STATE, Interface, Quality
 from impact_observer.model import read_model
-from impact_observer.plant import Plant, Run, simulate
+from impact_observer.plant import make_plant, simulate
+from impact_observer.robots.robot import Robot, simulated
 from impact_observer.stamps import NS_PER_S, grid
 
 RATE = 1000.0
@@ -52,6 +56,8 @@ stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
 """
 _BARE = "benchmarks.live_inputs"
 ENCODER = Interface("encoder", JOINT_STATE, Quality(reliable=False, depth=2000))
+JOINTS = Interface("joint_states", JOINT_STATE, Quality(reliable=False, depth=2000))
+JOINTS_RATE = 100.0
 GEOMETRIC = "the same with geometric"
 
 
@@ -84,16 +90,50 @@ def prepare_sensor(_: Path) -> Contest:
     )
 
 
+def prepare_robot(_: Path) -> Contest:
+    """The same for the joints of a robot."""
+    _require_ros()
+    if find_spec("pinocchio") is None:
+        raise SkippedError("no pinocchio here: ./dev setup")
+    observer = (*_OBSERVER, "model:=hammer_arm", "-p", "measurements:=hammer_arm")
+    law = ("-p", "law:=minimum-variance", "-p", "clock_error:=0.001")
+    return Contest(
+        f"two joints at {JOINTS_RATE:g} Hz, {BUSY:g} s, law minimum-variance",
+        partial(_measured, topic=JOINTS, command=(*observer, *law)),
+        {BARE: partial(_measured, topic=JOINTS, command=(_BARE, JOINTS.name))},
+        units={"sample": "s"},
+    )
+
+
 _START = NS_PER_S
 """Epoch of the plant's run, ns."""
 
 
+class _Played(NamedTuple):
+    """A run of a plant as sensors see it: a row of each list is a message."""
+
+    rate: float
+    names: tuple[str, ...]
+    positions: list[list[float]]
+    efforts: list[list[float]]
+    events: list[ImpactEvent]
+
+
 @cache
-def _plant_run() -> Run:
-    """The plant of an encoder, for as long as any round takes."""
-    model, last = read_model("two_mass"), _START + round((PATIENCE + 2 * BUSY) * NS_PER_S)
-    plant = Plant(model.system, *model.initial_state(), epoch=_START)
-    return simulate(plant, grid(_START, last, RATE))
+def _played(topic: Interface) -> _Played:
+    """What is measured on a topic, for as long as any round takes."""
+    is_robot = topic is JOINTS
+    rate, seconds = (JOINTS_RATE if is_robot else RATE), 2 * BUSY + IDLE
+    model = read_model("hammer_arm" if is_robot else "two_mass")
+    system, stamps = simulated(model), grid(_START, _START + round(seconds * NS_PER_S), rate)
+    run = simulate(make_plant(system, *model.initial_state(), epoch=_START), stamps)
+    measured = run.states[:, : system.n if is_robot else 1]
+    noise = 1e-3 * np.random.default_rng(1).normal(size=measured.shape)
+    times, efforts = (stamps - _START) / NS_PER_S, list[list[float]]()
+    if isinstance(system, Robot):
+        efforts = [system.torques(t).tolist() for t in times.tolist()]
+    names = system.coordinates[: measured.shape[1]]
+    return _Played(rate, names, (measured + noise).tolist(), efforts, [*run.events])
 
 
 _OBSERVER = ("impact_observer.ros.entry", "observer", "--ros-args", "-p")
@@ -111,7 +151,11 @@ def _measured(_: Path, topic: Interface, command: tuple[str, ...]) -> Metrics:
 
 
 class _Publisher:
-    """Publishes an event, and samples of an input or a sensor."""
+    """Publishes an event, and samples of an input or a sensor.
+
+    Attributes:
+        counts_estimates: whether a node without samples is one that has not begun to estimate.
+    """
 
     def __init__(self, topic: Interface) -> None:
         from impact_observer_msgs.msg import ImpactEvent as Message  # noqa: PLC0415 (ROS only)
@@ -130,14 +174,14 @@ class _Publisher:
         self._inputs = self._node.create_publisher(JointState, topic.name, quality)
         self._sample = JointState(name=["motor"], effort=[0.0])
         self._make = ros_messages()
-        self._epoch, self._tick, self._truth = 0, 0, list[float]()
+        self.counts_estimates = topic is JOINTS
+        self._epoch, self._tick, self._rate = 0, 0, RATE
+        self._played = None if topic is FORCING else _played(topic)
         self._due = list[ImpactEvent]()
-        if topic is ENCODER:
-            self._sample = JointState(name=["x1"], position=[0.0])
-            run = _plant_run()
-            noise = np.random.default_rng(1).normal(size=run.stamps.size)
-            self._truth = (run.states[:, 0] + 1e-3 * noise).tolist()
-            self._due = [*run.events][::-1]
+        if self._played is not None:
+            self._rate = self._played.rate
+            self._sample.name = [*self._played.names]
+            self._due = self._played.events[::-1]
 
     def meet(self) -> None:
         """Wait for the node, and say where time begins."""
@@ -147,21 +191,22 @@ class _Publisher:
                 raise DisagreementError(f"no subscription within {PATIENCE:g} s")
             time.sleep(0.05)
         self._epoch = time.time_ns() - NS_PER_S // 2
-        if not self._truth:
+        if self._played is None:
             event = ImpactEvent(self._epoch, (Switch("stop"),), 1, epoch=self._epoch)
             self._events.publish(self._make.event(event))
 
     def samples(self, seconds: float) -> int:
         """Publish samples at their rate; how many."""
-        begin, count = time.monotonic(), round(seconds * RATE)
+        begin, count = time.monotonic(), round(seconds * self._rate)
         for k in range(count):
-            time.sleep(max(begin + k / RATE - time.monotonic(), 0.0))
+            time.sleep(max(begin + k / self._rate - time.monotonic(), 0.0))
             now = time.time_ns()
-            if self._truth:
-                tick = int((now - self._epoch) * RATE / NS_PER_S)
+            if self._played is not None:
+                tick = int((now - self._epoch) * self._rate / NS_PER_S)
                 self._tick = tick = max(tick, self._tick + 1)
-                now = self._epoch + round(tick * NS_PER_S / RATE)
-                self._sample.position[0] = self._truth[tick]
+                now = self._epoch + round(tick * NS_PER_S / self._rate)
+                self._sample.position = self._played.positions[tick]
+                self._sample.effort = self._played.efforts[tick] if self._played.efforts else []
                 self._publish_due(now)
             else:
                 self._sample.effort[0] = k % 7 - 3.0
@@ -196,10 +241,13 @@ def _publishing(topic: Interface) -> Iterator[_Publisher]:
 
 def _cost(process: "subprocess.Popen[bytes]", publisher: _Publisher) -> float:
     """Processor time of the process by a sample, s."""
-    publisher.samples(1.0)
+    if not publisher.counts_estimates:
+        publisher.samples(1.0)
     before = _used(process.pid)
     time.sleep(IDLE)
     idle = (_used(process.pid) - before) / IDLE
+    if publisher.counts_estimates:
+        publisher.samples(1.0)
     before, begin = _used(process.pid), time.monotonic()
     count = publisher.samples(BUSY)
     time.sleep(0.2)  # the last ones
@@ -216,7 +264,7 @@ def _used(pid: int) -> float:
 
 def main() -> None:
     """The bare node of a topic."""
-    topic = ENCODER if sys.argv[1:] == [ENCODER.name] else FORCING
+    topic = next(each for each in (FORCING, ENCODER, JOINTS) if each.name == sys.argv[1])
     import rclpy  # noqa: PLC0415 (ROS only)
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     from sensor_msgs.msg import JointState  # noqa: PLC0415
@@ -243,6 +291,14 @@ SENSOR = Benchmark(
     prepare_sensor,
     (Goal(1.6, BARE, "sample"),),
     rounds=5,
+)
+
+ROBOT = Benchmark(
+    "robot_node",
+    "what does a sample of a robot's joints cost a node?",
+    prepare_robot,
+    (Goal(10.0, BARE, "sample"),),
+    rounds=3,
 )
 
 

@@ -416,18 +416,20 @@ class Observer:
         """Bound the memory while samples arrive for long without any event.
 
         Of more than ``MOST_LIVE_SAMPLES`` samples, those before ``now`` (ns) minus the history are
-        forgotten, and the estimate goes on from there. Only a node needs the bound: a recording
-        ends.
+        forgotten, and the estimate goes on from there. That of a robot does so anyway, as each
+        estimate costs the more the longer its encoders are silent. Only a node needs the bound: a
+        recording ends.
         """
-        if self.live is None:
-            return
-        if self._run.timeline is None:
-            self.live.keep_waiting(MOST_LIVE_SAMPLES)
-        if self.live.samples.time.size <= MOST_LIVE_SAMPLES:
+        live = self.live
+        if live is not None and self._run.timeline is None:
+            live.keep_waiting(MOST_LIVE_SAMPLES)
+        is_many = live is not None and live.samples.time.size > MOST_LIVE_SAMPLES
+        if not is_many and self.robot is None:
             return
         self._follow()
-        if not self._is_inserting and self._run.go_on_from(now - self._history):
-            self.live.forget_before(now - self._history)
+        goes_on = not self._is_inserting and self._run.go_on_from(now - self._history)
+        if goes_on and live is not None:
+            live.forget_before(now - self._history)
 
     @contextmanager
     def without_new_samples(self) -> Iterator[None]:
