@@ -28,6 +28,7 @@ from impact_observer.observer import make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
 from impact_observer.robots import Robot
+from impact_observer.stamps import from_seconds
 
 DECLARED = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
 
@@ -164,3 +165,18 @@ def test_considered_restitution_is_named() -> None:
     assert unknowns is not None
     assert unknowns.family.names == ("restitution.wall",)
     assert unknowns.considered == (True,)
+
+
+def test_an_estimate_goes_on_without_encoders_at_a_bounded_cost() -> None:
+    """The estimate is the same once the past is forgotten, and begins at the history's end."""
+    options = replace(DECLARED, epoch=0, history=0.25)
+    observer = make_observer("hammer_arm", options, measurements=encoders())
+    observer.measure([SensorSample(i, EPOCH, 0.0) for i in range(2)])
+    now = EPOCH + 4 * 10**8
+    before = observer.estimate(now)
+    observer.forget_silence(now)
+    after = observer.estimate(now)
+    assert observer.timeline is not None
+    assert observer.timeline.entries[-1].since == now - from_seconds(0.25)
+    np.testing.assert_allclose(after.q, before.q, atol=1e-3)
+    np.testing.assert_allclose(np.diag(after.covariance), np.diag(before.covariance), rtol=0.1)
