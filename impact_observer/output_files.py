@@ -2,7 +2,7 @@
 """Files that commands write: never in place of an input, and never half.
 
 Every command checks its outputs first, by :func:`check_output`, and writes each beside its place,
-by :func:`replacing`.
+by :func:`replacing`. Several outputs of one command appear together (:func:`all_together`).
 """
 
 import errno
@@ -10,13 +10,16 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from impact_observer.errors import ImpactObserverError, OutputError, UsageError
 from impact_observer.input_files import shortened, was_read
 
 _OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
+_NO_TEMPORARY = "No usable temporary directory"
+"""How Python begins to say that no disk takes a file."""
 
 
 def check_output(
@@ -55,6 +58,62 @@ def check_output(
         raise UsageError(f"{path}: exists already; --force replaces it, or choose another name")
 
 
+@dataclass
+class _Together:
+    """Outputs of one block of :func:`all_together`.
+
+    Attributes:
+        folders: with the files that wait.
+        waiting: files that wait, each with its place.
+        bags: bags that are made.
+    """
+
+    folders: ExitStack
+    waiting: list[tuple[Path, Path]] = field(default_factory=list)
+    bags: list[Path] = field(default_factory=list)
+
+
+_together: list[_Together] = []
+"""The blocks that have begun and not ended."""
+
+
+@contextmanager
+def all_together() -> Iterator[None]:
+    """Within the block, files of :func:`replacing` wait for its end; an error leaves none.
+
+    Bags that were made in it are removed after an error; Ctrl-C leaves those that are whole.
+
+    Raises:
+        UsageError: a file may not be written.
+        OutputError: the disk is gone.
+    """
+    with ExitStack() as folders:
+        own = _Together(folders)
+        _together.append(own)
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise
+        except BaseException:
+            for bag in own.bags:
+                shutil.rmtree(bag, ignore_errors=True)
+            raise
+        finally:
+            _together.remove(own)
+        target = Path()
+        try:
+            for temporary, target in own.waiting:
+                temporary.replace(target)
+        except OSError as error:
+            raise unwritable(target, error) from None
+
+
+def note_bag(path: Path) -> None:
+    """Remove the bag at ``path``, which is whole, if the block of :func:`all_together` fails."""
+    if _together:
+        _together[-1].bags.append(path)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that replaces ``path`` if the block raises nothing.
@@ -66,15 +125,20 @@ def replacing(path: Path) -> Iterator[Path]:
     check_output(path, ())
     target = path.resolve()
     try:
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".new") as folder:
-            temporary = Path(folder) / path.name  # whose suffix is the format
+        with ExitStack() as stack:
+            folder = tempfile.TemporaryDirectory(dir=target.parent, prefix=".new")
+            temporary = Path(stack.enter_context(folder)) / path.name  # whose suffix is the format
             yield temporary
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())
             if target.exists():
                 shutil.copymode(target, temporary)
             check_output(path, ())  # what the block has read, too
-            temporary.replace(target)
+            if not _together:
+                temporary.replace(target)
+                return
+            _together[-1].waiting.append((temporary, target))
+            _together[-1].folders.push(stack.pop_all())
     except OSError as error:
         raise unwritable(path, error) from None
 
@@ -93,6 +157,7 @@ def check_outputs(paths: Sequence[Path], *, force: bool) -> None:
 
 def unwritable(path: Path, error: Exception) -> ImpactObserverError:
     """The error for a file that cannot be written: of the disk, or of the name."""
-    reason = getattr(error, "strerror", None) or error
-    kind = OutputError if getattr(error, "errno", None) in _OF_THE_DISK else UsageError
+    reason = str(getattr(error, "strerror", None) or error)
+    is_disk = getattr(error, "errno", None) in _OF_THE_DISK or reason.startswith(_NO_TEMPORARY)
+    kind = OutputError if is_disk else UsageError
     return kind(f"{shortened(path)}: cannot be written: {reason}")

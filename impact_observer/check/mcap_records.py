@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, TypeAlias
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -20,10 +18,13 @@ from mcap.summary import Summary
 
 from impact_observer.draw.reports import counted
 from impact_observer.io.mcap_checksums import index_is_damaged
+from impact_observer.io.mcap_chunks import decompressed, plain
 from impact_observer.stamps import seconds_between, text
 
 _OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+"""Those that a chunk may have."""
 _FRAME = 9
 """Bytes of the opcode and the length before each record."""
 
@@ -147,7 +148,7 @@ class McapFile:
         has_checksum = chunk.uncompressed_crc != 0
         if is_whole or has_checksum:
             try:
-                records = breakup_chunk(chunk, validate_crc=True)
+                records = breakup_chunk(plain(chunk), validate_crc=True)
             except CRCValidationError:
                 if is_whole:
                     self._lose_chunk("does not match its checksum", chunk)
@@ -183,26 +184,31 @@ class McapFile:
         """Returns the whole records of a chunk that was cut short or is damaged."""
         data, records = chunk.data, list[McapRecord]()
         try:
-            if chunk.compression == "zstd":
-                data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-            elif chunk.compression == "lz4":
-                data = lz4.frame.LZ4FrameDecompressor().decompress(data)
+            data = decompressed(data, chunk.compression, chunk.uncompressed_size)
         except Exception as error:  # noqa: BLE001 (decompressors raise anything)
             self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
             return records
-        place = 0
-        while place + _FRAME <= len(data):
+        place, fault, whole = 0, False, max(chunk.uncompressed_size, len(data))
+        while place < len(data) and not fault:
             length = int.from_bytes(data[place + 1 : place + _FRAME], "little")
             end = place + _FRAME + length
-            if end > len(data):
+            fault = data[place] not in _IN_CHUNKS or (len(data) - place >= _FRAME and end > whole)
+            if fault or end > len(data):
                 break
             part = Chunk("", data[place:end], 0, 0, 0, end - place)
             try:
                 records += breakup_chunk(part)
             except Exception:  # noqa: BLE001 (the library raises anything)
-                self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
-                break
+                fault = True
             place = end
+        if fault:  # bytes are missing, perhaps of the record before
+            records = records[:-1]
+            self.losses.append(f"the chunk at byte {self.at} is damaged near its byte {place}")
+        if count := sum(isinstance(each, Message) for each in records):
+            self.losses.append(
+                f"{counted(count, 'message')} of the chunk at byte {self.at} cannot be checked, as"
+                " the chunk is not whole"
+            )
         return records
 
     def _noted(self, records: list[McapRecord], *, checked: bool = False) -> Iterator[McapMessage]:

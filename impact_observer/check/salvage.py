@@ -146,7 +146,7 @@ class Salvage:
             with BagReader(plain) as reader:
                 for topic, info in reader.topics.items():
                     self.topics.setdefault(topic, replace(info, count=0))
-                for done, raw in enumerate(reader.raw()):
+                for done, raw in enumerate(reader.raw(lose=self._lose)):
                     yield plain.stat().st_size * done // reader.message_count, raw
         except BagError:
             compressed = f"`zstd -d {file}`, then " if file != plain else ""

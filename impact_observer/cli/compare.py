@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.compare.report import write_report
     from impact_observer.draw.pictures import save
-    from impact_observer.output_files import check_output
+    from impact_observer.output_files import all_together, check_output
 
     options = _options(args)
     if args.plot is not None:
@@ -114,12 +114,13 @@ def run(args: argparse.Namespace) -> int:
         say(json.dumps({law: metrics_of(each) for law, each in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
-    if args.csv is not None:
-        write_csv(labelled, args.csv)
-    if args.plot is not None:
-        save(distance_picture(labelled, results), args.plot)
-    if args.report is not None:
-        write_report(args.report, labelled, results)
+    with all_together():
+        if args.csv is not None:
+            write_csv(labelled, args.csv)
+        if args.plot is not None:
+            save(distance_picture(labelled, results), args.plot)
+        if args.report is not None:
+            write_report(args.report, labelled, results)
     for what, path in (("metrics", args.csv), ("picture", args.plot), ("report", args.report)):
         if path is not None and not args.json:
             say(f"{what}: {path}")

@@ -85,14 +85,13 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.io.bag_topics import SIGNAL_FILES
     from impact_observer.model import read_model
+    from impact_observer.output_files import all_together, check_output
 
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
     if args.plot is not None:
-        from impact_observer.output_files import check_output
-
         check_output(args.plot)
     model = None if args.model is None else read_model(args.model)
-    with Progress() as progress:
+    with Progress() as progress, all_together():
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
         each = zip(result.sources, result.counts, result.suppressed, strict=True)
         for source, counts, suppressed in each:

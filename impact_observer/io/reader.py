@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar, cast, final
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
@@ -40,6 +41,7 @@ from impact_observer.io.foreign_files import (
 )
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
+from impact_observer.io.mcap_chunks import bound_rosbags
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
@@ -65,11 +67,13 @@ from impact_observer.resources import read_text
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps
 
+bound_rosbags()
 _Value = TypeVar("_Value")
 
 _SALVAGE = "`impact-observer check --salvage` saves what is left"
 _MOST_NESTED = 1000
 """Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
+_WRONG_KIND = "rows without a whole log time (ns) and bytes"
 _BLOCK = 1024
 """Most states in a block."""
 
@@ -121,22 +125,10 @@ class BagReader:
             self._check_files()
             self._reader = Reader(self.path)
             self._reader.open()
-            self._connections: dict[str, list[Connection]] = {}
-            for topic in sorted(self._reader.topics, key=interfaces.absolute):
-                own = self._connections.setdefault(interfaces.absolute(topic), [])
-                own += self._reader.topics[topic].connections
-            self.topics = {
-                topic: topic_info(topic, connections)
-                for topic, connections in self._connections.items()
-            }
-            # `ros2 bag convert` leaves qualities out of files that metadata.yaml has; rosbags
-            # takes such a topic for another one unless it is given as the files have it, too.
-            files = getattr(self._reader.storage, "storages", ())
-            self._stored: list[Connection] = [each for file in files for each in file.connections]
         try:
             with self._translated():
-                self._check_metadata()
-        except BagError:
+                self._read_topics()
+        except BaseException:
             self.close()
             raise
         if self.topics and not any(map(self._is_here, self.topics)):
@@ -177,10 +169,27 @@ class BagReader:
                         f" match its checksum; {_SALVAGE}"
                     )
 
-    def _check_metadata(self) -> None:
+    def _read_topics(self) -> None:
+        """Read the topics of the bag that is open, and check its metadata."""
+        if self.path.is_dir():
+            self._check_kinds()
+        self._connections: dict[str, list[Connection]] = {}
+        for topic in sorted(self._reader.topics, key=interfaces.absolute):
+            own = self._connections.setdefault(interfaces.absolute(topic), [])
+            own += self._reader.topics[topic].connections
+        self.topics = {
+            topic: topic_info(topic, connections)
+            for topic, connections in self._connections.items()
+        }
+        # `ros2 bag convert` leaves qualities out of files that metadata.yaml has; rosbags
+        # takes such a topic for another one unless it is given as the files have it, too.
+        files = getattr(self._reader.storage, "storages", ())
+        self._stored: list[Connection] = [each for file in files for each in file.connections]
+        if self.path.is_dir():
+            self._check_counts()
+
+    def _check_counts(self) -> None:
         """Check that metadata.yaml has the topics of the files, and no impossible count."""
-        if not self.path.is_dir():
-            return
         in_files = {(each.topic, each.msgtype) for each in self._stored}
         for each in self._reader.connections:
             if each.msgcount < 0:
@@ -190,6 +199,27 @@ class BagReader:
             else:
                 continue
             raise BagError(f"{self.path}: its metadata.yaml has {fault}; {_SALVAGE}")
+
+    def _check_kinds(self) -> None:
+        """Check that metadata.yaml has a list of files, and whole numbers of ns and messages."""
+        storage = cast("DirectoryReader", self._reader.storage)
+        found = dict[str, object](storage.metadata._asdict())
+        faults = [
+            f"{key}: {found[key]!r}; expected a whole number"
+            for key in ("message_count", "start_time", "duration")
+            if type(found[key]) is not int
+        ]
+        counts = (each.msgcount for each in self._reader.connections)
+        faults += [
+            f"message_count: {each!r}; expected a whole number"
+            for each in counts
+            if type(each) is not int
+        ]
+        if not isinstance(cast("object", storage.files), list):
+            faults.append(f"files: {storage.files!r}; expected a list")
+            storage.files = []  # which is cleared at the end
+        if faults:
+            raise BagError(f"{self.path}: its metadata.yaml has {faults[0]}; {_SALVAGE}")
 
     def __enter__(self) -> "BagReader":
         return self
@@ -244,12 +274,18 @@ class BagReader:
         fitting = (topic for topic in here if any(each.fits(topic) for each in own))
         return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
 
-    def raw(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[RawMessage]:
+    def raw(
+        self,
+        topics: Collection[str] | None = None,
+        start: int = 0,
+        lose: Callable[[str], None] | None = None,
+    ) -> Iterator[RawMessage]:
         """The serialized messages, in bag order, for copying and playing.
 
         Args:
             topics: only these absolute names; None for all.
             start: only messages logged at or after this stamp, ns.
+            lose: called with a line for a row of sqlite that is no message; None to raise.
 
         Raises:
             BagError: a topic is missing, or the bag is damaged.
@@ -257,7 +293,7 @@ class BagReader:
         wanted = self.topics if topics is None else topics
         for topic in wanted:
             self._topic(topic)
-        return self._stream([c for topic in wanted for c in self._connections[topic]], start)
+        return self._stream([c for topic in wanted for c in self._connections[topic]], start, lose)
 
     def read_between(self, low: int, high: int, received: Collection[str] = ()) -> None:
         """Leave out, from now on, what is stamped before ``low`` or after ``high``, ns.
@@ -470,7 +506,12 @@ class BagReader:
             )
         return store
 
-    def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[RawMessage]:
+    def _stream(
+        self,
+        connections: Collection[Connection],
+        start: int = 0,
+        lose: Callable[[str], None] | None = None,
+    ) -> Iterator[RawMessage]:
         """Yields the messages of some connections in bag order; checks that none is missing."""
         if not connections:
             return
@@ -487,6 +528,11 @@ class BagReader:
         with self._translated():
             for own, log_time, data in self._reader.messages(known, start=start or None):
                 count += 1
+                if type(log_time) is not int or type(data) is not bytes:  # of sqlite, any type
+                    if lose is None:
+                        raise BagError(f"{self.path}: {own.topic} has {_WRONG_KIND}; {_SALVAGE}")
+                    lose(f"{names[own.topic]}: {_WRONG_KIND}")
+                    continue
                 raw = RawMessage(names[own.topic], log_time, data)
                 if raw.topic in stamp_of and not low <= stamp_of[raw.topic](raw) <= high:
                     continue

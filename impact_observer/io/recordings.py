@@ -25,6 +25,7 @@ from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.sender_runs import in_order
+from impact_observer.output_files import note_bag
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds
@@ -85,6 +86,7 @@ def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
     try:
         yield writer
         writer.close()
+        note_bag(path)
     except KeyboardInterrupt:  # a signal interrupts once: closing is not interrupted
         writer.close()
         raise KeyboardInterrupt(

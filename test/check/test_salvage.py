@@ -155,8 +155,9 @@ def test_a_flipped_bit_in_our_own_bag_is_noticed(whole: Path) -> None:
     """Reader and check notice the bit by the checksums of the chunks that this package writes."""
     shutil.copytree(whole, "bag")
     file = Path("bag") / "own_0.mcap"
-    begin, *later = chunks(file)  # a slow machine ends a chunk after half a second
-    flip(file, begin + min(3000, (later or [6000])[0] - begin) // 2, mask=1)
+    begin = chunks(file)[0]  # a slow machine ends a chunk early: the first may be small
+    size = int.from_bytes(file.read_bytes()[begin + 9 + 16 : begin + 9 + 24], "little")
+    flip(file, begin + 9 + 40 + size // 2, mask=1)
     with pytest.raises(BagError, match=r"bag: cannot be read as a bag: Chunk checksum mismatch"):
         messages(Path("bag"))
     report = check_bag(Path("bag"))
@@ -240,6 +241,80 @@ def test_metadata_of_other_topics_than_the_files(
     with pytest.raises(BagError, match=re.escape(f"bag: its metadata.yaml has {fault}")):
         BagReader(bag)
     assert salvaged_count(bag, whole) == len(messages(whole))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        (r"  files:\n(    .*\n)*", r"  files: NaN\n", "files: 'NaN'"),
+        (r"\n  message_count: 406", "\n  message_count: .nan", "message_count: nan"),
+        (r"message_count: 400", "message_count: .nan", "message_count: nan"),
+        (r"(nanoseconds_since_epoch): \d+", r"\1: .nan", "start_time: nan"),
+        (r"(nanoseconds): \d+", r"\1: 1.5", "duration: 2.5"),
+        (r"message_count: 400", "message_count: x", "message_count: 'x'"),
+    ],
+)
+def test_metadata_with_other_than_whole_numbers(
+    whole: Path, old: str, new: str, fault: str
+) -> None:
+    """One line, before anything is made of them; salvage needs none of them."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy")
+    metadata = bag / "metadata.yaml"
+    text, count = re.subn(old, new, metadata.read_text("utf-8"))
+    assert count
+    metadata.write_text(text, "utf-8")
+    with pytest.raises(BagError, match=re.escape(f"bag: its metadata.yaml has {fault}; expected")):
+        BagReader(bag)
+    assert salvaged_count(bag, whole) == len(messages(whole))
+
+
+@pytest.mark.parametrize("column", ["timestamp", "data"])
+def test_rows_of_a_database_that_are_no_messages(whole: Path, column: str) -> None:
+    """sqlite3 takes text for a number: reading refuses such a row, salvage leaves it out."""
+    bag = humble_sqlite(whole, Path("bag"))
+    with sqlite3.connect(bare(bag)) as database:
+        database.execute(f"UPDATE messages SET {column} = 'nan' WHERE id = 7")
+    with pytest.raises(BagError, match=r"bag: /plant/joint_states has rows without a whole log"):
+        messages(bag)
+    source = Salvage(bag)
+    assert len(list(source.raw())) == len(messages(whole)) - 1
+    assert source.losses == ["/plant/joint_states: rows without a whole log time (ns) and bytes"]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("has_index", [True, False])
+def test_a_chunk_that_declares_gigabytes_is_not_decompressed(
+    whole: Path, compression: str, *, has_index: bool
+) -> None:
+    """The size in chunk and index is refused in one line, before any memory is taken for it."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", compression=compression, chunk=10_000)
+    file = bare(bag)
+    data, begin = bytearray(file.read_bytes()), chunks(file)[0]
+    size = bytes(data[begin + 9 + 16 : begin + 9 + 24])
+    data = data.replace(size, (2**35).to_bytes(8, "little"))
+    data[-12:-8] = bytes(4)  # the checksum of the index
+    if not has_index:
+        data[-28:-12] = bytes(16)
+    file.write_bytes(data)
+    fault = r"declares 34359738368 bytes without its compression; expected at most 1073741824"
+    with pytest.raises(BagError, match=fault):
+        messages(bag)
+    assert any(fault in each for each in lines(bag))
+
+
+def test_bytes_that_are_missing_in_a_chunk_without_an_end_alter_no_message(whole: Path) -> None:
+    """What cannot be checked is named, and a message that lost bytes is left out."""
+    bag, draw = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=100_000), random.Random(3)
+    file = bare(bag)
+    data, begin, before = file.read_bytes(), chunks(file)[0], set(messages(whole))
+    size = int.from_bytes(data[begin + 1 : begin + 9], "little")
+    for _ in range(40):
+        first, last = sorted(draw.randrange(begin + 5000, begin + size) for _ in range(2))
+        file.write_bytes(data[:first] + data[last : begin + size])
+        source = Salvage(bag)
+        assert set(source.raw()) <= before
+        unchecked = f"{source.counts.total()} messages of the chunk at byte {begin} cannot be"
+        assert any(unchecked in each for each in source.losses)
 
 
 @pytest.mark.slow
