@@ -155,7 +155,28 @@ class BetweenEvents:
         return TUNING.log_forlorn if self._keeps_exact and h.is_exact else TUNING.log_unlikely
 
     def _dips(self, paths: Sequence[_Path]) -> list[list[Dip]]:
-        """Of each path its dips."""
+        """Of each path its dips; of one that they make impossible, the first dips."""
+        reach = TUNING.first_reach * self.filter.scales.timescale
+        found = self._dips_within(reach, paths)
+        while reach < max(path.left for path in paths):
+            reach *= 4
+            more = [k for k, path in enumerate(paths) if self._goes_on(path, reach / 4, found[k])]
+            if not more:
+                break
+            for k, dips in zip(
+                more, self._dips_within(reach, [paths[k] for k in more]), strict=True
+            ):
+                found[k] = dips
+        return found
+
+    def _goes_on(self, path: _Path, reach: float, dips: Sequence[Dip]) -> bool:
+        """Whether a path of which ``dips`` are known within ``reach`` seconds may be possible."""
+        unlikely = sum(dip.unlikely for dip in dips if dip.over)
+        return reach < path.left and unlikely > _LEAST_SURVIVAL
+
+    def _dips_within(self, reach: float, paths: Sequence[_Path]) -> list[list[Dip]]:
+        """Of each path its dips in the first ``reach`` seconds."""
+        paths = [path._replace(left=min(path.left, reach)) for path in paths]
         by_kernel = self.filter.gaps((), max(path.left for path in paths)) is not None
         free = [path for path in paths if by_kernel and not path.h.state.closed]
         found = iter(dips_of(self.filter, *_flights(free)) or () if free else ())

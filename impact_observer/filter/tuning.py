@@ -159,11 +159,15 @@ class Tuning:
     silent_share: float = 0.5
     """Probability that the plant has stopped and not the sensor, once impacts are silent."""
     most_missed: int = 256
-    """Missed switches that one hypothesis may insert before the next event."""
+    """Missed switches that one hypothesis, or the published estimate, may insert before the next
+    event.
+    """
     most_flights: int = 256
     """Flights of all hypotheses after which none inserts any: a silence may last for hours."""
-    most_predicted: int = 1024
-    """Missed switches that the published estimate inserts in a silence."""
+    first_reach: float = 100.0
+    """Time in which penetrations are searched first, in time scales: in a longer silence they soon
+    make a hypothesis impossible.
+    """
 
     # Settling
     unresolved_flight: float = 4.0

@@ -27,6 +27,8 @@ from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.filter import between_events
+from impact_observer.filter.forecast import dips_of
+from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
@@ -362,7 +364,7 @@ def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronize
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """From then on deviations are as large as the motion, however long it lasts."""
-    monkeypatch.setattr(kalman_predictions, "TUNING", replace(TUNING, most_predicted=5))
+    monkeypatch.setattr(kalman_predictions, "TUNING", replace(TUNING, most_missed=5))
     model, start, whole = truth("two_mass", 30.0)
     watcher, size = (
         watching(model, start, EXACT, ensemble=10),
@@ -376,6 +378,36 @@ def test_a_silence_with_more_missed_impacts_than_are_inserted_is_not_synchronize
         assert not now.synchronized
         assert np.all(np.sqrt(np.diag(now.covariance)) > size / 2)
         assert "covariance too wide" in watcher.obstacle(now.stamp)
+
+
+def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The estimate inserts no more than a hypothesis may; of the hour some minutes are searched.
+
+    Each of 256 flights would be searched to the end of the hour, again and again.
+    """
+    inserted, searched = list[float](), list[float]()
+
+    def counted(*given: Any) -> Any:  # noqa: ANN401 (as insert_switch)
+        inserted.append(given[1])
+        return insert_switch(*given)
+
+    def timed(*given: Any) -> Any:  # noqa: ANN401 (as dips_of)
+        searched.append(float(np.max(given[2])))
+        return dips_of(*given)
+
+    monkeypatch.setattr(kalman_predictions, "insert_switch", counted)
+    monkeypatch.setattr(between_events, "dips_of", timed)
+    watcher, hour = locked(13), 3600.0
+    assert watcher.silence(EPOCH + round(hour * NS_PER_S))
+    assert watcher.estimate(EPOCH + round(hour * NS_PER_S)).misfit
+    assert len(inserted) <= TUNING.most_missed
+    searched.clear()
+    for k in range(3):
+        watcher.receive(event(hour + 2 * k, "stop", sequence=14 + k))
+    assert len(searched) < 2 * TUNING.most_flights
+    assert max(searched) < 60
 
 
 def test_estimates_do_not_depend_on_the_stamps_of_earlier_estimates() -> None:

@@ -258,7 +258,7 @@ class MissedSwitchPrediction(MixturePrediction):
 
     def _search(self) -> None:
         """Search to a missed switch or the end of the window, which then doubles."""
-        if len(self._stretches) > TUNING.most_predicted:
+        if len(self._stretches) > TUNING.most_missed:
             self._give_up()
             return
         _, start, forecast, _, spread, largest, silent, _ = self._stretches[-1]
