@@ -285,6 +285,12 @@ def _in_radians(text: str, source: str) -> str:
         raise error.in_file(source) from None
 
 
+_MASSES = re.compile(r"\bmass *:")
+"""What each body of a model file has, to be counted before the file is read as YAML."""
+_MOST_BODIES = 10_000
+"""As many have matrices of 100 million numbers; YAML takes a minute for ten times as many."""
+
+
 def read_model(source: str | Path) -> Model:
     """Read a model file, or a sample model by its name, such as ``two_mass``.
 
@@ -302,6 +308,8 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and the expected value.
     """
     try:
+        if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
+            raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
         return replace(_model(load_yaml(_in_radians(text, source)), folder), source=source)
     except ModelError as error:
         raise error.in_file(source) from None

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pinocchio model of a robot whose joints have one coordinate each."""
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
@@ -42,11 +46,17 @@ def pinocchio_model(robot: RobotDescription) -> Pinocchio:
         ModelError: pinocchio does not take the URDF.
     """
     pin, urdf = imported_pinocchio(), robot.known_urdf
+    said, reasons, whole = list[str](), list[str](), None
     try:
-        whole = pin.buildModelFromXML(_plain_text(robot))
+        with _stderr_kept(said):
+            whole = pin.buildModelFromXML(_plain_text(robot))
     except (ValueError, RuntimeError) as error:
-        words = " ".join(str(error).split()) or "no reason given"
-        raise urdf.wrong(f"pinocchio cannot read it: {words}") from None
+        reasons = [str(error) or "no reason given"]
+    # Where a number is none, the library prints so, and goes on without the inertia.
+    reasons = [each.removeprefix("Error:") for each in said if each.startswith("Error:")] + reasons
+    if whole is None or reasons:
+        words = "; ".join(" ".join(each.split()) for each in reasons)
+        raise urdf.wrong(f"pinocchio cannot read it: {words}")
     held = {name: value for name, value in robot.holds.items() if whole.existJointName(name)}
     position = pin.neutral(whole)
     for name, value in held.items():
@@ -57,6 +67,22 @@ def pinocchio_model(robot: RobotDescription) -> Pinocchio:
     for name, inertia in zip(robot.joints, robot.rotor_inertia.tolist(), strict=True):
         model.armature[model.joints[model.getJointId(name)].idx_v] = inertia
     return model
+
+
+@contextmanager
+def _stderr_kept(lines: list[str]) -> Iterator[None]:
+    """Within the block, standard error goes to ``lines``: libraries print their own."""
+    sys.stderr.flush()
+    before = os.dup(2)
+    with os.fdopen(os.memfd_create("stderr"), "w+b") as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            file.seek(0)
+            lines += file.read().decode(errors="replace").splitlines()
 
 
 def _plain_text(robot: RobotDescription) -> str:

@@ -352,6 +352,13 @@ def test_a_file_that_takes_minutes_to_parse_is_refused_at_once(tmp_path: Path) -
         parse_model(large.read_text(), "model")
 
 
+def test_more_bodies_than_a_matrix_can_have_are_counted_before_they_are_read() -> None:
+    """YAML would take a minute for the first of them."""
+    text = "name: x\nbodies:\n" + "  - {name: b, mass: 1}\n" * 10_001 + "springs: ["
+    with pytest.raises(ModelError, match="model: bodies: 10001 found; expected at most 10000"):
+        parse_model(text, "model")
+
+
 def test_aliases_without_an_end_are_refused_at_once() -> None:
     """A list of lists that repeat each other ten times over, and lists that contain themselves."""
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]

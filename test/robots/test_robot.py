@@ -306,6 +306,25 @@ def test_a_link_without_mass_is_an_error_that_names_its_joint() -> None:
         Robot(described(model_of(text, "one, two")))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('ixx="', 'ixx="q', "inertia element ixx is not a valid double"),
+        ('<mass value="', '<mass value="q', r"mass \[q1\.0\] is not a float"),
+        ('xyz="', 'xyz="1 ', "Parser found 4 elements but 3 expected"),
+    ],
+)
+def test_what_the_parser_of_a_urdf_prints_is_the_error(
+    old: str, new: str, fault: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One line, nothing of its own beside; the parser would go on without the inertia."""
+    model = model_of(PENDULUM.replace(old, new, 1), "hinge")
+    with pytest.raises(ModelError, match=f"pinocchio cannot read it: .*{fault}") as found:
+        Robot(described(model))
+    assert "\n" not in str(found.value)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_start_inside_a_plane_is_an_error() -> None:
     """The line names the contact and the gap."""
     robot = Robot(described(model_of(PENDULUM, "hinge", contacts=wall())))
