@@ -17,7 +17,6 @@ import numpy as np
 
 from impact_observer import Options, grid, make_observer, read_model, simulate
 from impact_observer.model.measurements_file import read_measurements
-from impact_observer.observer.encoder_start import started
 from impact_observer.observer.replay import replay_batches
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import SensorModel, make_plant, simulate_sensor
@@ -89,7 +88,6 @@ def swing(seconds: float, seed: int = 1) -> Velocities:
 
     measurements = read_measurements("hammer_arm")
     options = Options("minimum-variance", epoch=epoch, clock_error=JITTER)
-    options = started(options, model.robot, measurements, samples)
     observer = make_observer(model, options, measurements=measurements)
     assert observer.live is not None, "efforts are measured"
     for stamp in stamps.tolist():
