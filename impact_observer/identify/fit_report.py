@@ -27,7 +27,7 @@ from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
 from impact_observer.identify.sensor_fit import SensorFit
-from impact_observer.identify.unreported import has_rows
+from impact_observer.identify.unreported import dead_time_of, has_rows
 from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
@@ -327,7 +327,10 @@ def _about_dead_time(fitted: Identification) -> str:
     """What to do where the sensor reports only the first edges of rows of bounces, or may."""
     recording, family = fitted.recording, fitted.family
     if not has_rows(recording, family.system):
-        return " If the sensor has a dead time (is debounced), declare it as --dead-time."
+        return (
+            " If the sensor is debounced, bounces after an event are not reported: declare for how"
+            " long as --dead-time."
+        )
     names = [each.name for each in family.parameters if is_observed(each.name)]
     learned = f" --estimate-parameters {','.join(names)}" if names else ""
     return (
@@ -451,10 +454,17 @@ def _about_rows(fitted: Identification) -> Iterator[ReportLine]:
     if hits:
         where = " inside its dead time"
         if closings:
-            where = f" of rows of bounces, of which {counted(closings, 'CLOSE')} report the first"
+            kind = "IMPACT" if fitted.recording.is_debounced else "CLOSE"
+            where = f" of rows of bounces, of which {counted(closings, kind)} report the first"
         bounces = counted(hits, "impact")
         yield ReportLine("note", f"{bounces}{where} follow from the motion; none is an outlier.")
-    if openings:
+    if fitted.recording.is_debounced and (lasts := dead_time_of(fitted.recording)):
+        yield ReportLine(
+            "note",
+            f"The sensor is debounced: bounces up to {lasts:.2g} s after an event are not"
+            " reported; observe and smooth need a --dead-time that is a little longer.",
+        )
+    elif openings:
         text = f"{counted(openings, 'OPEN')} not reported: the contact opens where its load ends."
         yield ReportLine("note", text)
 

@@ -48,7 +48,14 @@ from impact_observer.identify.search import (
 from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
 from impact_observer.identify.sensor_rows import used_samples
 from impact_observer.identify.smoothed_start import is_crowded, smoothed_start
-from impact_observer.identify.unreported import has_rows, is_same, opened, with_rows
+from impact_observer.identify.unreported import (
+    as_closings,
+    dead_time_of,
+    has_rows,
+    is_same,
+    opened,
+    with_rows,
+)
 from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside
 from impact_observer.model.live_signals import refused
@@ -323,10 +330,16 @@ class _Search(NamedTuple):
 
     def _from_events(self) -> _Fitted:
         """The fit that begins at the events, by the first way that leads to one."""
-        family = self.family
-        if has_rows(self.whole, family.system) and (rowed := self._with_rows()):
-            return rowed
-        return self._replace(whole=opened(self.whole)).fit_as_reported()
+        whole, closings = self.whole, as_closings(self.whole, self.family.system)
+        if has_rows(whole, self.family.system):
+            begins = (whole, closings) if whole.dead_time else (whole,)
+            if rowed := next(filter(None, map(self._with_rows, begins)), None):
+                return rowed
+        fitted = self._replace(whole=opened(whole)).fit_as_reported()
+        if fitted.identification.converged or whole.dead_time or not self.is_grown:
+            return fitted
+        rowed = self._with_rows(closings) if closings.is_debounced else None
+        return rowed if rowed and dead_time_of(rowed.identification.recording) else fitted
 
     def fit_as_reported(self) -> _Fitted:
         """The fit without bounces that the sensor does not report."""
@@ -351,7 +364,7 @@ class _Search(NamedTuple):
         own = replace(fitted.identification, reached=reached if is_part else None)
         return fitted._replace(identification=own)
 
-    def _with_rows(self) -> _Fitted | None:
+    def _with_rows(self, recording: Recording) -> _Fitted | None:
         """The fit with the bounces that the sensor does not report; None if it explains nothing.
 
         The search begins without bounces: a contact that closes rests, until it hits again where
@@ -359,7 +372,7 @@ class _Search(NamedTuple):
         """
         self.report.stage("bounces that are not reported")
         try:
-            fitted = self._rowed(self.whole)
+            fitted = self._rowed(recording)
         except (IdentificationError, DynamicsError, ModelError, linalg.LinAlgError):
             return None
         is_one = fitted.identification.recording.rows and self._explains(*fitted[1:])

@@ -46,6 +46,7 @@ class Recording:
         rows: switches that follow from the motion and that the sensor does not report: those of
             rows of bounces, of which it has reported the first edge, and openings.
         bouncing: closings that are such a first edge, and so impacts.
+        is_debounced: whether closings are impacts of the sensor, taken as such first edges.
         mislabelled: probability that an event names another contact.
         named: contacts that events name, by the hit of another contact for which the event counts.
     """
@@ -63,6 +64,7 @@ class Recording:
     dead_time: float = 0.0
     rows: tuple[EventKey, ...] = ()
     bouncing: frozenset[Hit] = field(default=frozenset())
+    is_debounced: bool = False
     mislabelled: float = Options.mislabelled
     named: Mapping[Hit, int] = field(default_factory=dict)
 

@@ -47,6 +47,50 @@ def opened(recording: Recording) -> Recording:
     return replace(recording, rows=tuple(_openings(recording)))
 
 
+def as_closings(recording: Recording, system: System) -> Recording:
+    """The recording in which each impact of a contact that may bounce is a closing.
+
+    So a debounced switch that reports no closings reports as one that reports the first edge of a
+    row as the closing. A row of bounces is nearer to a rest than to a single impact.
+    """
+    keys = [
+        key._replace(
+            switches=tuple(
+                (i, Kind.CLOSE if kind is Kind.IMPACT and _may_bounce(system, i) else kind)
+                for i, kind in key.switches
+            )
+        )
+        for key in recording.episode.keys
+    ]
+    return replace(
+        recording,
+        episode=recording.episode._replace(keys=keys),
+        is_debounced=keys != recording.episode.keys,
+    )
+
+
+def dead_time_of(recording: Recording) -> float:
+    """How long after an event its row of bounces lasts at most, s.
+
+    0 without rows, and if no dead time hides these: another event follows one as soon.
+    """
+    hits = {
+        (key.stamp, i)
+        for key in recording.episode.keys
+        for i, kind in key.switches
+        if kind is not Kind.OPEN
+    }
+    last, longest, shortest = dict[int, int](), 0, np.inf
+    for stamp, i in sorted(hits | recording.row_hits):
+        since = stamp - last.setdefault(i, stamp)
+        if (stamp, i) not in hits:
+            longest = max(longest, since)
+        else:
+            shortest = min(shortest, since or np.inf)
+            last[i] = stamp
+    return longest * 1e-9 if longest < shortest else 0.0
+
+
 def _openings(recording: Recording) -> Iterator[EventKey]:
     """Openings that are not reported, where each contact is about to hit again, in order."""
     closed = dict[int, int]()

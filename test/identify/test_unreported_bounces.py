@@ -69,6 +69,30 @@ def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     assert not fitted.recording.outliers
 
 
+@pytest.mark.parametrize("dead_time", [0.25, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_impacts_alone_may_be_first_edges_of_rows(
+    dead_time: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A switch that reports no closings gives the restitution; the length of rows is named."""
+    hits = hits_of(press(), -0.2, 14.0)
+    reported = [(stamp, Kind.IMPACT) for stamp, kind in first_edges(hits) if kind is not Kind.OPEN]
+    last = {stamp: stamp for stamp, _ in reported}
+    for stamp, kind in hits:
+        if kind is not Kind.OPEN:
+            last[max(first for first in last if first <= stamp)] = stamp
+    longest = max(end - first for first, end in last.items()) * 1e-9
+    guess = press(restitution=0.35)
+    family = parametric_family(guess.system, ("restitution",), guess.elements)
+    fitted = identify(family, events(reported), clock=CLOCK, dead_time=dead_time)
+    assert check_fit(fitted).fits
+    assert fitted.values[0] == pytest.approx(0.3, abs=4 * fitted.errors[0])
+    assert not fitted.recording.outliers
+    fit_report.print_parameters(fitted, check_fit(fitted))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "IMPACTs report the first" in said
+    assert f"debounced: bounces up to {longest:.2g} s after an event are not reported" in said
+
+
 def test_a_check_takes_a_dead_time_beside_closings() -> None:
     """The right model fits first edges of a switch whose dead time is declared."""
     family = parametric_family(press().system, (), press().elements)
