@@ -9,6 +9,7 @@ from itertools import count
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from impact_observer.identify.problem import LEAST, Problem
@@ -29,6 +30,8 @@ _START_WEIGHT = 1e-6
 """Weight of a start of zero, m for 1 m or m/s: what moves no gap stays small."""
 _FAR = 3.0
 """Distance of a model's own impacts from the stamps, in times between two, that is too far."""
+_PART = 1e-6
+"""Least part of an undetermined direction that is no rounding."""
 _FIRST = 8
 """Moments that the second try begins with."""
 
@@ -163,11 +166,19 @@ class Directions(NamedTuple):
         determined: directions that move the gaps, as columns, shape (2n + p, rank).
         undetermined: directions that move no gap, shape (2n + p, 2n + p - rank).
         singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
+        units: of initial state and parameters, shape (2n + p,).
     """
 
     determined: Matrix
     undetermined: Matrix
     singular: Vector
+    units: Vector
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Which of initial state and parameters no gap determines, shape (2n + p,)."""
+        parts = np.abs(self.undetermined) / self.units[:, None]
+        return np.asarray(np.max(parts, axis=1, initial=0.0) > _PART)
 
 
 def directions(problem: Problem, shot: Shot) -> Directions:
@@ -193,4 +204,4 @@ def directions(problem: Problem, shot: Shot) -> Directions:
     singular[: values.size] = values
     rank = int(np.count_nonzero(singular > RANK * singular[0]))
     basis = units[:, None] * right.T
-    return Directions(basis[:, :rank], basis[:, rank:], singular)
+    return Directions(basis[:, :rank], basis[:, rank:], singular, units)

@@ -121,7 +121,14 @@ def _turning_point(fitted: Identification) -> _TurningPoint | None:
     system = family.system_at(fitted.values)
     own, moves = system.own_forcing, system.frame is not None
     forced = own.depends_on_time or system.guides or system.live is not None
-    if n > 1 or forced or system.K.any() or system.C.any() or not own.constant.any():
+    if (
+        n > 1
+        or forced
+        or fitted.lost.any()
+        or system.K.any()
+        or system.C.any()
+        or not own.constant.any()
+    ):
         return None
     first, hit = next(each for each in recording.hits() if each[1])
     (name,), contact = system.coordinates, system.contact_names[hit[0]]
@@ -189,10 +196,17 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "unknown": list(fitted.undetermined),
         "singular_values": fitted.singular.tolist(),
         "initial_state": _initial_state(fitted).tolist(),
-        "initial_state_error": _initial_errors(fitted).tolist() if fitted.converged else None,
+        "initial_state_error": (
+            [
+                None if lost else error
+                for lost, error in zip(fitted.lost, _initial_errors(fitted).tolist(), strict=True)
+            ]
+            if fitted.converged
+            else None
+        ),
         "initial_state_covariance": (
             fitted.covariance[: fitted.start.size, : fitted.start.size].tolist()
-            if fitted.converged
+            if fitted.converged and not fitted.lost.any()
             else None
         ),
         "initial_state_seconds": recording.start,
@@ -371,9 +385,10 @@ def _parameter_table(fitted: Identification) -> TextTable:
     system = fitted.family.system
     names = [(f"{name} at the start", system.unit) for name in system.coordinates]
     names += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
-    states = zip(names, _initial_state(fitted), _initial_errors(fitted), strict=True)
-    for (name, unit), value, error in states:
-        rows.append((name, "", f"{value:.10g}", f"{error:.2g}" if fitted.converged else "", unit))
+    states = zip(names, _initial_state(fitted), _initial_errors(fitted), fitted.lost, strict=True)
+    for (name, unit), value, error, lost in states:
+        shown, spread = f"{value:.10g}", f"{error:.2g}" if fitted.converged else ""
+        rows.append((name, "", *(("not determined", "") if lost else (shown, spread)), unit))
     if fitted.converged and (turn := _turning_point(fitted)):
         rows.append((turn.name, "", f"{turn.value:.10g}", f"{turn.error:.2g}", system.unit))
     headings = ("parameter", "given", "identified", "standard error", "unit")
@@ -626,7 +641,7 @@ def why_useless(fitted: Identification) -> str:
 def write_model(
     fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool
 ) -> str:
-    """Write :func:`model_text`; the initial state only where it is outside all stops.
+    """Write :func:`model_text`; the initial state only if determined and outside all stops.
 
     Returns:
         A phrase that names the part that was left out; empty if the file is complete.
@@ -635,11 +650,12 @@ def write_model(
         UsageError: the file may not be written.
         OutputError: the disk is full or gone.
     """
-    inside = initial and bool(_inside(fitted))
-    text = model_text(fitted, given, bag, output, initial=initial and not inside)
+    wrong = "is inside a stop" if _inside(fitted) else ""
+    wrong = "these impacts do not determine" if fitted.lost.any() else wrong
+    text = model_text(fitted, given, bag, output, initial=initial and not wrong)
     with replacing(output) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return "without the initial state, which is inside a stop" if inside else ""
+    return f"without the initial state, which {wrong}" if initial and wrong else ""
 
 
 def model_text(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.errors import (
@@ -115,6 +116,8 @@ class Identification:
         contacts: names of the contacts of each of these impacts.
         singular: singular values of the gaps with respect to the unknowns, each in its unit, over
             the largest, shape (2n + p,).
+        lost: which of ``start`` the impacts do not determine, as where a contact rests after the
+            first of them, shape (2n,); ``covariance`` says nothing of these.
         undetermined: combinations of parameters that the impacts do not determine: the change
             of each by name, in its unit.
         converged: whether the fit converged to a motion that explains the stamps.
@@ -146,6 +149,7 @@ class Identification:
     shifts: Vector
     contacts: tuple[tuple[str, ...], ...]
     singular: Vector
+    lost: NDArray[np.bool_]
     undetermined: tuple[dict[str, float], ...]
     converged: bool
     held_back: HeldBack | None = None
@@ -648,6 +652,7 @@ def _identification(
         shifts=frozen(solution.shifts),
         contacts=tuple(tuple(names[i] for i in hits[k][1]) for k in solution.counted),
         singular=frozen(span.singular / span.singular[0]),
+        lost=span.lost[: 2 * n],
         undetermined=combinations_of(problem, np.hstack([span.undetermined, weak])),
         converged=solution.converged
         and solution.is_outside

@@ -62,10 +62,12 @@ def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     assert check_fit(fitted).fits
     assert fitted.values[0] == pytest.approx(0.3, abs=4 * fitted.errors[0])
     assert fitted.errors[0] < 0.01
+    assert fitted.lost.all()  # a rest takes away a body's speed
     fit_report.print_parameters(fitted, check_fit(fitted))
     said = " ".join(capsys.readouterr().out.split())
     assert "of rows of bounces, of which" in said
     assert ("OPENs not reported" in said) is not opens
+    assert "ram at the start not determined m" in said
     assert not fitted.recording.outliers
 
 
