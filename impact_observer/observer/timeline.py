@@ -238,16 +238,18 @@ class Timeline:
         last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
         self.entries = [last]
 
-    def rerun(self, stamp: int) -> None:
+    def rerun(self, stamp: int, without: Callable[[int], bool] = lambda _: False) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces.
 
-        An event that cannot be applied any more is left out.
+        An event that cannot be applied any more is left out, and so are events ``without`` whose
+        stamps (ns) the others are.
         """
         first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
-        events = [entry.key for entry in self.entries[first:]]
+        later = self.entries[first:]
+        events = [e.key for e in later if not (e.is_event and without(e.key.stamp))]
         entries = list[Entry]()
         for i, event in enumerate(events):
             with suppress(ImpactObserverError):

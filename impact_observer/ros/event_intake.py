@@ -4,7 +4,7 @@
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from typing import Any, NamedTuple, TypeAlias
 
@@ -92,9 +92,11 @@ class EventIntake:
         self._batch: list[WaitingEvent] = []
         self._batch_size, self._begun = _FIRST_BATCH, 0
         self._batch_work, self._batch_begun_with = 0, 1
-        self._flood, self._shed_at, self._is_flooded = FloodRule(), -math.inf, False
+        self._flood, self._is_flooded = FloodRule(), False
+        self._shed_at = self._held_at = -math.inf
         self._ahead = AheadOfClock[ImpactEvent](MOST_WAITING)
         self._refused: deque[Judged] = deque()
+        self._applied: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
         self._work: Iterator[Judged | None] | None = None
 
     @property
@@ -113,7 +115,7 @@ class EventIntake:
         """Whether what waits is held for a moment, as it may be of a flood that goes on."""
         now = time.monotonic_ns()
         since = self._waiting[0].since if self._waiting else now
-        return now - self._shed_at < _CALM and now - since < _HELD
+        return now - self._held_at < _CALM and now - since < _HELD
 
     def backlog(self) -> tuple[int, float]:
         """Number of events that are not applied yet, and waiting time of the oldest, s."""
@@ -141,9 +143,9 @@ class EventIntake:
         except MessageError as error:
             self.counts["invalid"] += 1
             return str(error)
-        self._flood.note_event(event.stamp)
+        self._flood.note_event(event.stamp, self._now(), time.monotonic_ns())
         if self._flood.sheds(event.stamp):
-            self._note_shed()
+            self._note_shed([event])
         elif reason := self._reason_to_wait(event):
             self.counts["future"] += 1
             self._refuse(event, reason)
@@ -160,6 +162,8 @@ class EventIntake:
         """Forget all events that wait, as after a jump of the clock."""
         self._waiting.clear()
         self._ahead.clear()
+        self._applied.clear()
+        self._flood = FloodRule()
         self._work = None
 
     def finish(self) -> Iterator[Judged]:
@@ -177,6 +181,7 @@ class EventIntake:
             yield self._refused.popleft()
         while time.monotonic_ns() < end:
             if self._work is None:
+                self._withdraw()
                 if not self._waiting or self._holds:
                     return
                 self._work = self._timed(self._begin_batch())
@@ -184,10 +189,13 @@ class EventIntake:
                 if item is not None:
                     yield self._finished(*item)
                 if self._is_flooded:
-                    self._abandon_batch()
-                    return
+                    break
                 if time.monotonic_ns() >= end:
                     return
+            if self._is_flooded:
+                self._abandon_batch()
+                self._withdraw()
+                return
             self._work = None
             self._flood.note_cost(self._batch_work // self._batch_begun_with)
             quick = time.monotonic_ns() - self._begun < _QUICK
@@ -218,28 +226,58 @@ class EventIntake:
         batch = len(self._batch) if self._work is not None else 0
         cost = self._batch_work // self._batch_begun_with
         if self._flood.looks_for_floods(batch + len(self._waiting), cost):
-            kept = [each for each in self._waiting if not self._flood.sheds(each.event.stamp)]
-            self._note_shed(len(self._waiting) - len(kept))
-            self._waiting = deque(kept)
-            self._is_flooded = any(self._flood.sheds(each.event.stamp) for each in self._batch)
+            self._waiting = self._shed_of(self._waiting)
+            flooded = chain((each.event for each in self._batch), self._applied)
+            self._is_flooded = any(self._flood.is_dense(each.stamp) for each in flooded) or any(
+                self._flood.sheds(each.event.stamp) for each in self._batch
+            )
 
-    def _note_shed(self, count: int = 1) -> None:
-        """Count events that are shed."""
-        self.counts["shed"] += count
-        self._shed_at = time.monotonic_ns()
+    def _note_shed(self, events: Iterable[ImpactEvent]) -> None:
+        """Count events that are shed; what waits beside those of a flooded period is held."""
+        for event in events:
+            self.counts["shed"] += 1
+            self._shed_at = time.monotonic_ns()
+            if self._flood.is_dense(event.stamp):
+                self._held_at = self._shed_at
+
+    def _shed_of(self, waiting: Iterable[WaitingEvent]) -> deque[WaitingEvent]:
+        """Shed the flooded ones of ``waiting`` events, and return the others."""
+        kept, shed = deque[WaitingEvent](), list[ImpactEvent]()
+        for each in waiting:
+            if self._flood.sheds(each.event.stamp):
+                shed.append(each.event)
+            else:
+                kept.append(each)
+        self._note_shed(shed)
+        return kept
 
     def _abandon_batch(self) -> None:
         """Let the events of a batch wait again that are not applied, and shed flooded ones."""
-        self._work, self._is_flooded = None, False
-        kept = [each for each in self._batch if not self._flood.sheds(each.event.stamp)]
-        self._note_shed(len(self._batch) - len(kept))
-        self._waiting.extendleft(reversed(kept))
+        self._work = None
+        self._waiting.extendleft(reversed(self._shed_of(self._batch)))
+
+    def _withdraw(self) -> None:
+        """Withdraw the events of flooded periods that have been applied."""
+        if not self._is_flooded:
+            return
+        self._is_flooded = False
+        flooded = [each for each in self._applied if self._flood.is_dense(each.stamp)]
+        if not flooded:
+            return
+        self._observer.withdraw(self._flood.is_dense)
+        self._applied = deque(
+            (each for each in self._applied if not self._flood.is_dense(each.stamp)), MOST_WAITING
+        )
+        self._note_shed(flooded)
+        for event in flooded:
+            self._refuse(event, f"{REVISED}of a flood", revises=True)
 
     def _finished(self, event: ImpactEvent, verdicts: tuple[Verdict, ...]) -> Judged:
         """Remove an applied event from the batch.
 
         The verdict on an event that was ahead of the clock says that it revises an earlier one.
         """
+        self._applied.append(event)
         for i, each in enumerate(self._batch):
             if each.event is event:
                 del self._batch[i]
@@ -258,9 +296,11 @@ class EventIntake:
             limit = f"waited for more than {PATIENCE // NS_PER_S} s"
             self._refuse(self._waiting.popleft().event, f"{limit}: the observer cannot keep up")
 
-    def _refuse(self, event: ImpactEvent, reason: str) -> None:
+    def _refuse(self, event: ImpactEvent, reason: str, *, revises: bool = False) -> None:
         """Keep a rejection, to be returned by the next slice of work."""
-        verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
+        verdict = Verdict(
+            event.stamp, Ruling.REJECTED, event.sequence, reason=reason, revises=revises
+        )
         self._refused.append((event, (verdict,)))
 
     def _take_what_was_ahead(self) -> None:
@@ -270,7 +310,7 @@ class EventIntake:
             if (event := self._ahead.take_next(latest)) is None:
                 return
             if self._flood.sheds(event.stamp):
-                self._note_shed()
+                self._note_shed([event])
                 continue
             self._waiting.append(WaitingEvent(event, time.monotonic_ns(), was_ahead=True))
 

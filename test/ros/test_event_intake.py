@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The intake of an observer node that receives more events than it can apply."""
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+import random
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import pytest
@@ -12,7 +13,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.events import REVISED, ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
@@ -36,18 +37,25 @@ class SlowObserver:
         seconds: for each event, s.
         batches: how many events were given together.
         now: the monotonic clock, ns.
+        applied: the events that are applied.
     """
 
     seconds: float
     batches: list[int] = field(default_factory=list)
     now: int = NS_PER_S
+    applied: list[ImpactEvent] = field(default_factory=list)
 
     def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
         """Apply events as ``Observer.receiving`` does."""
         self.batches.append(len(events))
         for each in events:
             self.now += round(self.seconds * NS_PER_S)
+            self.applied.append(each)
             yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
+
+    def withdraw(self, is_withdrawn: Callable[[int], bool]) -> None:
+        """Forget events, as ``Observer.withdraw`` does."""
+        self.applied = [each for each in self.applied if not is_withdrawn(each.stamp)]
 
     def monotonic_ns(self) -> int:
         """Time of this clock, as of ``time.monotonic_ns``."""
@@ -123,6 +131,62 @@ def test_of_a_flood_only_few_events_are_applied(monkeypatch: pytest.MonkeyPatch)
     assert any(event.sequence == 7 for event, _ in found)
     slow.now += NS_PER_S
     assert not intake.is_behind
+
+
+def test_a_flooded_quarter_of_a_second_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of its events that were applied before the flood was seen are withdrawn, in words."""
+    slow = SlowObserver(seconds=0.1)
+    intake = intake_of(slow, monkeypatch)
+    found = list[Item]()
+    intake.take_message(message(1))
+    for number in range(300, 340):  # in 0.2 s, of which each takes half of that
+        intake.take_message(message(number, apart=5_000_000))
+        if number % 10 == 9:
+            found += intake.apply_waiting()
+    slow.now += NS_PER_S
+    intake.take_message(message(7))
+    found += taken(intake)
+    assert [each.sequence for each in slow.applied] == [1, 7]
+    withdrawn = [v for _, verdicts in found for v in verdicts if v.ruling is Ruling.REJECTED]
+    applied = {e.sequence for e, verdicts in found if verdicts[0].ruling is Ruling.APPLIED}
+    assert {each.sequence for each in withdrawn} == applied - {1, 7}
+    assert withdrawn
+    assert all(v.revises and v.reason == f"{REVISED}of a flood" for v in withdrawn)
+    assert intake.counts["shed"] == 40
+
+
+def test_late_events_that_keep_coming_do_not_keep_the_others_waiting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """40 a second, of any stamp of the last 9 s; each takes as long as three need to come."""
+    slow, draw = SlowObserver(seconds=0.08), random.Random(1)
+    intake, start, waited = intake_of(slow, monkeypatch), slow.now, dict[int, float]()
+    coming = deque(
+        (25 * k, 25 * k - (draw.randrange(300, 9000) if k % 20 else 0)) for k in range(200)
+    )
+    while coming or intake.is_busy:
+        while coming and slow.now - start >= coming[0][0] * 1_000_000:
+            intake.take_message(message(20_000 + coming.popleft()[1], apart=1_000_000))
+        for event, _ in intake.apply_waiting():
+            waited[event.sequence - 20_000] = (slow.now - start) / NS_PER_S
+        slow.now += 1_000_000
+    for k in range(0, 200, 20):
+        assert waited[25 * k] - k / 40 < 2.0
+    assert intake.counts["shed"] > 100
+    slow.now += NS_PER_S
+    intake.take_message(message(20_000, apart=1_000_000))
+    assert len(taken(intake)) == 1  # one that is late, with no flood, is applied
+
+
+def test_a_past_that_comes_at_once_is_applied_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two senders, one after the other: the second one's events are all late."""
+    slow = SlowObserver(seconds=0.05)
+    intake = intake_of(slow, monkeypatch)
+    for _ in range(2):
+        for number in range(1, 51):
+            intake.take_message(message(number))
+    assert len(taken(intake)) == 100
+    assert not intake.counts["shed"]
 
 
 def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:
