@@ -197,12 +197,13 @@ class Detector:
         lines = []
         if dead.suppressed and source.kind == PEAK:
             nearest = seconds_between(0, dead.nearest)
-            remedy = "a shorter dead time (--dead-time) finds them"
+            remedy = "a shorter dead time (--dead-time) finds such peaks"
             if dead.loud_ends:
                 remedy = "the signal rings as long as hits are apart, so raise the threshold first"
             lines.append(
-                f"{dead.suppressed} peaks higher than the ringing lay in the {length},"
-                f" {nearest:.3g} s or more after an impact, and are left out; {remedy}"
+                f"{dead.suppressed} {'peak' if dead.suppressed == 1 else 'peaks'} higher than the"
+                f" ringing lay in the {length}, {nearest:.3g} s or more after an impact, left out;"
+                f" {remedy}"
             )
         if dead.loud_ends:
             remedy = (

@@ -37,6 +37,7 @@ from impact_observer.identify.residuals import (
     UNDECLARED,
     HeldBack,
     explained,
+    probability_of_size,
     widening,
 )
 from impact_observer.identify.search import (
@@ -515,9 +516,17 @@ class _Search(NamedTuple):
         return replace(own, others=others, covariance=covariance, widened=widened)
 
     def _explains(self, problem: Problem, solution: Solution) -> bool:
-        """Whether a fit is good enough to need no search for outliers."""
-        is_one = solution.converged and solution.is_outside
-        return is_one and solution.rms <= self._least(problem)
+        """Whether a fit is good enough to need no search for outliers.
+
+        Of a few shifts the declared clock error often gives a larger rms than of many.
+        """
+        if not (solution.converged and solution.is_outside):
+            return False
+        size = 0.0
+        if self.clock is not None:
+            clock = max(self.clock, ROUNDED)
+            size = probability_of_size(solution.shifts, clock, solution.freedom)
+        return solution.rms <= self._least(problem) or size >= DOUBTED
 
     @property
     def _is_often_mislabelled(self) -> bool:

@@ -95,11 +95,12 @@ def test_impacts_alone_may_be_first_edges_of_rows(
     assert f"debounced: bounces up to {longest:.2g} s after an event are not reported" in said
 
 
-def test_a_check_takes_a_dead_time_beside_closings() -> None:
-    """The right model fits first edges of a switch whose dead time is declared."""
+@pytest.mark.parametrize(("seconds", "dead_time"), [(12.0, 0.02), (10.3, 0.0), (10.3, 0.25)])
+def test_a_check_takes_a_dead_time_beside_closings(seconds: float, dead_time: float) -> None:
+    """The right model fits first edges with and without the dead time, five closings too."""
     family = parametric_family(press().system, (), press().elements)
-    reported = first_edges(hits_of(press(), -0.2, 12.0))
-    fitted = identify(family, events(reported), clock=CLOCK, dead_time=0.02)
+    reported = first_edges(hits_of(press(), -0.2, seconds))
+    fitted = identify(family, events(reported), clock=CLOCK, dead_time=dead_time)
     assert check_fit(fitted).fits
     assert fitted.recording.bouncing
     assert not fitted.recording.outliers
