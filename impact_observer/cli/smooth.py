@@ -58,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
         times = first_times(reader, chosen.epoch)
-        for line in doubts(args.bag, times, read.system, has_covariance=True):
+        for line in doubts(args.bag, times, read.subject, has_covariance=True):
             progress.line(f"warning: {line}")
-        for line in considered_lines(read, make_observer(read, chosen).law.uncertainty.unknowns):
+        law = make_observer(read, chosen, measurements=sensors).law
+        for line in considered_lines(read, law.uncertainty.unknowns):
             progress.line(line)
         smoothed = smooth_bag(
             reader,
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {smoothed.estimates} estimates, verdicts: {verdicts}")
         for line in smoothed.problems:
             progress.line(f"warning: {line}")
-        unit = read.system.unit
+        unit = read.system.unit if read.robot is None else read.robot.units[0]
         for each in smoothed.runs:
             for line in fitted_lines(read, (m.change.stamp for m in each.account.moments)):
                 progress.line(line)

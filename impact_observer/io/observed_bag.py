@@ -29,6 +29,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import System
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.sender_runs import placed
@@ -90,13 +91,7 @@ def observe_bag(
     check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
     if rate is None and (line := unseen_events(events, stamps, epoch)):
         warn(line)
-    robot = observer.robot
-    forces = None if robot is None else robot.description.forces
-    if observer.live is not None and forces is not None:
-        given = give_efforts(reader, observer.live, forces[0])
-    else:
-        given = give_recorded(reader, observer.live)
-    for line in given:
+    for line in give_inputs(reader, observer):
         warn(line)
     copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
@@ -211,9 +206,22 @@ def unseen_events(events: Sequence[ImpactEvent], stamps: Stamps, epoch: int) -> 
     )
 
 
+def give_inputs(reader: BagReader, observer: Observer) -> Iterator[str]:
+    """Give an observer all live samples of a bag; a line for each reason why some are left out.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    robot = observer.robot
+    forces = None if robot is None else robot.description.forces
+    if observer.live is not None and forces is not None:
+        return give_efforts(reader, observer.live, forces[0])
+    return give_recorded(reader, observer.live)
+
+
 def check_size(
     reader: BagReader,
-    system: System,
+    system: System | RobotDescription,
     output: Path,
     stamps: Stamps,
     most: int,

@@ -227,6 +227,8 @@ def account_of(
     reported = tuple(_merged([*_moments(traces, {}, epoch)]))
     verdicts = sorted(_explained(verdicts, moments, names), key=lambda v: (v.stamp, v.sequence))
     first = start_of(events, observer.epoch)
+    if observer.encoders is not None and observer.start is not None:
+        first = observer.start + 1  # the first samples of encoders are the start
     used = _samples(observer, law, [each for each in samples if each.stamp >= first], epoch)
     return EventAccount(moments, tuple(verdicts), reported, used)
 

@@ -18,6 +18,7 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.readings import Place, Reading, Row
+from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.filter.sample_update import SampleFilter
 from impact_observer.kernel._kernel import TINY
 from impact_observer.smooth.account import Moment
@@ -112,7 +113,7 @@ class Arc(Linearised):
             prediction = filter_.predict(t, state, level_of(moment, ErrorKind.ACCELERATION))
             prior = prediction.prior(change.t - t)
             x[k], t = followed(prior.x), change.t
-            doubt[k] = self.gap_deviation(k, prior.root)
+            doubt[k] = self.gap_deviation(k, prior.x, prior.root)
             if moment.is_inserted:
                 state = filter_.posterior_of_missed(change, prior)
             else:
@@ -122,6 +123,14 @@ class Arc(Linearised):
                 state = conditioning.after_jump(change, joint, math.inf if moment.until else 0.0)
             followed(state.x)
         return Path(start, early, x, doubt, state.constants)
+
+    @property
+    def is_of_robot(self) -> bool:
+        """Whether torques move the motion away from the path, and encoders tell where to.
+
+        Then the filter alone decides which samples count, and samples after the last moment do.
+        """
+        return isinstance(self._members, RobotMembers)
 
     def beginning(self, count: int) -> "Arc":
         """The arc of the first ``count`` moments; this arc if it has no more."""
@@ -173,16 +182,17 @@ class Arc(Linearised):
                 moments.append(self.moments[k])
                 early.append(float(path.early[k]))
                 states.append(path.x[k])
-            closed, t = self.closed_after(k), self.instant(path, k)
+            closed = self.closed_after(k)
             for at in times.get(k, ()):
                 wanted.append(len(moments))
-                moments.append(
-                    Moment(ContactChange(at, closed, (), closed), 0.0, self.moments[k + 1].error)
-                )
+                error = self.moments[min(k + 1, len(self.moments) - 1)].error
+                moments.append(Moment(ContactChange(at, closed, (), closed), 0.0, error))
                 early.append(0.0)
-                moving = self.system_of(path).moving
-                states.append(moving.moved(t, self._state_after(path, k), at - t, closed)[0])
-        arc = Arc(self.filter, self._t, self._state, moments, self.samples)
+                states.append(self._state_at(path, k, at))
+        used = {i for some in self._flights(*self._places(path)).values() for i in some}
+        others = frozenset(range(len(self.samples.readings))) - used
+        samples = self.samples._replace(rejected=others)
+        arc = Arc(self.filter, self._t, self._state, moments, samples)
         doubt = np.zeros(len(moments))
         own = [k for k in range(len(moments)) if k not in {*wanted}]
         doubt[own], roots = path.doubt, path.roots
@@ -239,7 +249,12 @@ class Arc(Linearised):
         return self._measured[1]
 
     def _margin(self, moment: Moment) -> float:
-        """Largest distance of a sample from a moment that leaves the sample out, s."""
+        """Largest distance of a sample from a moment that leaves the sample out, s.
+
+        Negative without a switch, which leaves no sample out.
+        """
+        if not moment.change.contacts:
+            return -1.0
         return _MARGIN * moment.clock + 2 * moment.change.delay(self.filter.system)
 
     def _places(self, path: Path) -> tuple[Vector, Vector]:
@@ -249,8 +264,9 @@ class Arc(Linearised):
             instants.append(self.instant(path, k))
             margins.append(self._margin(moment))
             if moment.is_inserted and moment.change.hit:
-                n, w = self._size // 2, self.filter.system.W[:, moment.change.hit[0]]
-                margins[k] += _MARGIN * path.doubt[k] / max(abs(float(w @ path.x[k, n:])), TINY)
+                n, near = self._size // 2, self.filter.near(path.x[k])
+                speed = float(near.W[:, moment.change.hit[0]] @ path.x[k, n:])
+                margins[k] += _MARGIN * path.doubt[k] / max(abs(speed), TINY)
         return np.array(instants), np.array(margins)
 
     def _flights(

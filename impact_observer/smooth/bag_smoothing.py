@@ -15,13 +15,13 @@ from impact_observer.events import Ruling
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import assumed_epoch
 from impact_observer.io.estimate_messages import messages_of
-from impact_observer.io.live_inputs import give_recorded
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.observed_bag import (
     MOST_ESTIMATES,
     check_size,
     events_from,
+    give_inputs,
     sample_stamps,
     unseen_events,
 )
@@ -95,16 +95,16 @@ def smooth_bag(
     """
     events = events_from(reader, options.epoch)
     samples = samples_in(reader, measurements)
-    assumed = assumed_epoch(model.system, events, samples.samples, options.epoch)
+    assumed = assumed_epoch(model.subject, events, samples.samples, options.epoch)
     options = replace(options, epoch=options.epoch or assumed.stamp)
     if assumed.note:
         tell(assumed.note)
     stamps = sample_stamps(reader, events, rate, options.epoch)
-    check_size(reader, model.system, output, stamps, most, has_covariance=True)
+    check_size(reader, model.subject, output, stamps, most, has_covariance=True)
     problems = list[str]()
 
     def give(observer: Observer) -> None:
-        problems[:] = give_recorded(reader, observer.live)
+        problems[:] = give_inputs(reader, observer)
 
     try:
         runs = smoothed_runs(
@@ -125,7 +125,7 @@ def smooth_bag(
     with all_or_nothing(output, flush) as writer:
         topics, not_copied = carried_topics(reader, writer, own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
-        estimates = _estimates(writer, model.system.coordinates, runs, stamps, progress)
+        estimates = _estimates(writer, model.subject.coordinates, runs, stamps, progress)
         made = heapq.merge(_decisions(writer, runs), estimates, key=itemgetter(0))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)

@@ -10,12 +10,13 @@ normal error; the instant of an inserted moment is the root of the guard.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
 from impact_observer.filter.error_accounts import ErrorAccounts
@@ -26,6 +27,8 @@ from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.process_noise import ProcessNoise
 from impact_observer.filter.resting import rest_measurement
+from impact_observer.filter.robot_members import RobotMembers
+from impact_observer.filter.robot_motion import RobotMotion
 from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.square_root import triangular
 from impact_observer.kernel._kernel import TINY
@@ -33,6 +36,7 @@ from impact_observer.model.system import LARGEST_STATE
 from impact_observer.smooth.account import Moment
 from impact_observer.smooth.chain import Normal, Step
 from impact_observer.states import Matrix, Vector
+from impact_observer.trajectory.linearised_robot import LinearisedRobot
 from impact_observer.trajectory.linearised_system import FlightEnd, LinearisedSystem, TangentMap
 
 IMPOSSIBLE = -1e4
@@ -97,9 +101,14 @@ class Linearised:
         self._size, self._count = first.x.size, first.constants.size
         self._sizes = filter_.scales.sizes
         self._diffusion = filter_.members.given.moving.diffusion
-        self._errors = ErrorAccounts(filter_, (0.0,))
         self._systems = lru_cache(2)(self._system_at)
+        self._flown: tuple[Path | None, dict[int, Motion]] = (None, {})
         self._latest: tuple[Path | None, int, tuple[TangentMap, Vector] | None] = (None, -1, None)
+
+    @cached_property
+    def _errors(self) -> ErrorAccounts:
+        """Errors of the model, which robots do not learn."""
+        return ErrorAccounts(self.filter, (0.0,))
 
     def instant(self, path: Path, k: int) -> float:
         """The ``k``-th instant of a path, s since the epoch; -1 for the start."""
@@ -113,12 +122,16 @@ class Linearised:
         """Whether contacts are at rest after the ``k``-th moment, which measures their gaps."""
         return bool(self.closed_after(k))
 
-    def system_of(self, path: Path) -> LinearisedSystem:
+    def system_of(self, path: Path) -> LinearisedSystem | LinearisedRobot:
         """The system with the parameters of a path."""
         return self._systems(tuple(path.constants[: self._p].tolist()))
 
-    def _system_at(self, theta: tuple[float, ...]) -> LinearisedSystem:
+    def _system_at(self, theta: tuple[float, ...]) -> LinearisedSystem | LinearisedRobot:
         members = self._members
+        if isinstance(members, RobotMembers):
+            return LinearisedRobot(
+                members.family, np.array(theta), members.motion(np.array(theta))
+            )
         return LinearisedSystem(
             members.family, np.array(theta), None if theta else members.given.moving
         )
@@ -149,13 +162,13 @@ class Linearised:
         closed = self.moments[k].change.before
         return self.system_of(path).moving.moved(self.instant(path, k), x, s, closed)[0]
 
-    def gap_deviation(self, k: int, root: Matrix) -> float:
+    def gap_deviation(self, k: int, x: Vector, root: Matrix) -> float:
         """Standard deviation of the gap of the contact that hits at the ``k``-th moment, m.
 
-        ``root`` is of (q, u, constants). Returns 0 if no contact hits.
+        ``root`` is of (q, u, constants) at the state ``x``. Returns 0 if no contact hits.
         """
         hit, n = self.moments[k].change.hit, self._size // 2
-        return float(np.linalg.norm(self.filter.system.W[:, hit[0]] @ root[:n])) if hit else 0.0
+        return float(np.linalg.norm(self.filter.near(x).W[:, hit[0]] @ root[:n])) if hit else 0.0
 
     def rounding(self, x: Vector) -> Vector:
         """How far state and constants may differ by rounding, shape (2n + c,)."""
@@ -200,7 +213,7 @@ class Linearised:
         new = tuple(i for i in change.closed if i not in change.before)
         new = () if self.moments[k].until else new
         pressing = system.moving.rate_of(self.instant(path, k), x, change.before)
-        short = self.filter.conditioning.short * self.filter.system.contact_speed(
+        short = self.filter.conditioning.short * self.filter.near(x).contact_speed(
             pressing[x.size // 2 :]
         )
         d = self._size + self._count
@@ -290,12 +303,8 @@ class Linearised:
         if about is path and which == k and known is not None:
             return known
         change, x, system = self.moments[k].change, path.x[k], self.system_of(path)
-        pressed = change.hit
-        if change.hit and len(change.active) > 1:
-            gamma = self.filter.system.W[:, list(change.hit)].T @ x[x.size // 2 :]
-            pressed = change.pressed(system.moving.newton, gamma)
         at = system.begin(self.instant(path, k), x)._replace(closed=change.before)
-        end = FlightEnd(at.t, change.hit, pressed, change.closed)
+        end = FlightEnd(at.t, change.hit, system.pressed(change, x), change.closed)
         jump = system.jump(at, end, is_measured=True)
         self._latest = path, k, jump
         return jump
@@ -325,7 +334,13 @@ class Linearised:
         if since is None:
             return x
         t, moving = self.instant(path, k), self.system_of(path).moving
-        return moving.moved(t, x, since - t, self.closed_after(k))[0]
+        if not isinstance(moving, RobotMotion):
+            return moving.moved(t, x, since - t, self.closed_after(k))[0]
+        if self._flown[0] is not path:
+            self._flown = path, {}
+        if k not in self._flown[1]:
+            self._flown[1][k] = moving.motion(t, x, self.closed_after(k))
+        return self._flown[1][k].state(since - t)
 
     def _projection(self, path: Path, k: int) -> Step:
         """From (x, constants) after the rest measurement to closed contacts exactly at rest."""

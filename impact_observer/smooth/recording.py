@@ -16,8 +16,12 @@ from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, initial_state, make_observer
+from impact_observer.observer.encoder_start import EncoderStart
+from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.make_observer import encoder_start
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
+from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.smooth.account import EventAccount, TracedLaw, account_of, start_of
 from impact_observer.smooth.arc import Arc, Node
 from impact_observer.smooth.backward import Retracing
@@ -92,6 +96,8 @@ def smoothed_runs(
             runs.setdefault(each.period, []).append(each.event)
     if not runs:
         raise BagError("it holds no impact")
+    robot = robot_of(model) if isinstance(model, Model) and model.robot is not None else None
+    encoders = encoder_start(options, robot, measurements)
     made = partial(
         make_observer,
         model,
@@ -108,7 +114,17 @@ def smoothed_runs(
         own = [
             each for each in samples if (begin <= each.stamp or not motions) and each.stamp < end
         ]
-        each_run = _Run(run, own, options, made, give, is_fitted=is_fitted, progress=progress)
+        start = None if encoders is None else encoders.anew()
+        each_run = _Run(
+            run,
+            own,
+            options,
+            made,
+            give,
+            encoders=start,
+            is_fitted=is_fitted,
+            progress=progress,
+        )
         motions.append(each_run.motion(thorough=thorough))
     if not any(each.account.moments for each in motions):
         raise BagError("no impact was applied: is it a recording of this model?")
@@ -190,6 +206,7 @@ class _Run:
         make: Callable[[], Observer],
         give: Callable[[Observer], object],
         *,
+        encoders: EncoderStart | None,
         is_fitted: bool,
         progress: Progress,
     ) -> None:
@@ -197,6 +214,11 @@ class _Run:
         self._events, self._samples = events, samples
         self._options, self._progress = options, progress
         self._make, self._give = make, give
+        self._encoders = encoders
+        if encoders is not None:
+            encoders.note(EventKey.measured(s.stamp, s.sensor, s.value) for s in samples)
+            if encoders.lacking:
+                raise BagError(f"it holds no sample of the encoder of {encoders.lacking[0]}")
         self._trials = list[_Trial]()
 
     def motion(self, *, thorough: bool) -> SmoothedMotion:
@@ -210,6 +232,7 @@ class _Run:
         few = self._events[:_SEARCHED]
         best = self._tried(few)
         is_open = thorough or not best.smoothed.is_settled or self._as_motion(best).unexplained
+        is_open = is_open and not isinstance(best.law.system, Robot)  # encoders tell the state
         if is_open and not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)
         doubt = _doubt(best, self._trials)
@@ -219,7 +242,7 @@ class _Run:
         return self._as_motion(best, doubt)
 
     def _as_motion(self, best: "_Trial", doubt: Doubt = NO_DOUBT) -> SmoothedMotion:
-        start = start_of(self._events, best.epoch)
+        start = self._start(best.epoch)
         return SmoothedMotion(
             best.smoothed,
             best.account,
@@ -322,8 +345,12 @@ class _Run:
         """
         system = law.system
         given = self._options
-        x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))
-        (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
+        if self._encoders is not None:
+            x = self._encoders.state
+        else:
+            x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))
+        if system.frame is not None:
+            (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
         prior = law.prior(x, law.uncertainty.root(system.n))
         if not self._is_fitted:
             return prior
@@ -342,8 +369,14 @@ class _Run:
 
     def _begin(self, epoch: int) -> Elapsed:
         """Seconds from the epoch to the start; 0 where the epoch is unknown."""
-        start = start_of(self._events, epoch)
+        start = self._start(epoch)
         return Elapsed(start - (epoch or start))
+
+    def _start(self, epoch: int) -> int:
+        """Stamp of the initial state, ns."""
+        if self._encoders is not None:
+            return self._encoders.stamp
+        return start_of(self._events, epoch)
 
     def _observer(
         self, about: Smoothed | None = None, epoch: int = 0, wider: float = 0.0
@@ -358,11 +391,13 @@ class _Run:
         law = made.law
         assert isinstance(law, TracedLaw), "made with this law"
         if about is not None:
-            start = start_of(self._events, epoch)
+            start = self._start(epoch)
             n, first = law.system.n, about.first
             root = np.hstack([_SURE * first.root[: 2 * n], wider * law.uncertainty.root(n)])
             at = np.array([start - (epoch or start)])
-            (x,) = law.system.from_frame(at, first.mean[None, : 2 * n])
+            x = first.mean[: 2 * n]
+            if law.system.frame is not None:
+                (x,) = law.system.from_frame(at, x[None])
             made.set_state(start, x[:n], x[n:], root @ root.T)
         return made, law
 

@@ -153,14 +153,24 @@ class SmoothedMotion:
         last = len(self.account.moments) - 1
         flown = {k: stamps[flights == k] for k in np.unique(flights).tolist()}
         noisy = {k: here for k, here in flown.items() if k < last and self._is_noisy(k)}
+        after = flown.get(last, stamps[:0])
+        if self.smoothed.arc.is_of_robot:
+            until = int(np.searchsorted(after, self._last_sample, side="right"))
+            noisy[last], after = after[:until], after[until:]
         sampled = self._sampled(noisy)
         for k, here in flown.items():
-            if k == last:
-                yield from self._predicted(k, here)
-            elif k in noisy:
+            if k in noisy:
                 yield from self._given(k, here, sampled)
-            else:
+            elif k < last:
                 yield from self._flown(k, here)
+        if after.size:
+            yield from self._predicted(last, after)
+
+    @property
+    def _last_sample(self) -> int:
+        """Stamp of the last sample of a sensor, ns; 0 without one."""
+        readings = self.account.samples.readings
+        return self._epoch + max((each.instant for each in readings), default=-self._epoch)
 
     def _instant(self, k: int) -> int:
         """The smoothed instant of a moment, ns."""
@@ -227,10 +237,11 @@ class SmoothedMotion:
     ) -> Estimates:
         n, system = self._law.system.n, self.smoothed.arc.filter.system
         last_event, last_sequence = self._last_event(k, stamp)
-        sizes = self._law.moving.phases.scales.sizes(x)
+        sizes = self._law.filter.scales.sizes(x)
         root = np.column_stack([self._widened * root, *self._other_sides(stamp, k)])
         covariance = self._law.uncertainty.published_covariance(root, sizes)
-        (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
+        if system.frame is not None:
+            (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
         warning, until = self.early_doubt
         misfit = self.misfit or (warning if stamp < until else "")

@@ -256,7 +256,8 @@ def _begun(
 
 def _gated(motion: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:
     """The motion with the samples within their gates; the filter has made the first choice."""
-    for _ in range(_MOST_GATES if motion.arc.samples.readings else 0):
+    is_gated = bool(motion.arc.samples.readings) and not motion.arc.is_of_robot
+    for _ in range(_MOST_GATES if is_gated else 0):
         arc = motion.arc.gated(motion.path)
         if arc.samples.rejected == motion.arc.samples.rejected:
             break
@@ -361,7 +362,7 @@ def _improved(
         if node.is_after:
             continue
         k, z = node.moment, known.state(node)
-        doubt[k] = arc.gap_deviation(k, z.root[1:])
+        doubt[k] = arc.gap_deviation(k, z.mean[1:], z.root[1:])
         constants = z.mean[1 + x.shape[1] :]
         farthest = arc.filter.conditioning.farthest(arc.moments[k].change)
         on, back = min(float(room[k + 1]), farthest), min(float(room[k]), farthest)

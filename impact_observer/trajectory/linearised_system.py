@@ -164,6 +164,13 @@ class LinearisedSystem:
         """The start ``x``, shape (2n,), at ``t``, with ``others`` more unknowns; all is open."""
         return TangentState(t, np.array(x), np.eye(x.size, x.size + self.family.size + others))
 
+    def pressed(self, change: ContactChange, x: Vector) -> Contacts:
+        """The contacts that take an impulse at a ``change``, before which the state is ``x``."""
+        if not change.hit or len(change.active) == 1:
+            return change.hit
+        gamma = self.family.system.W[:, list(change.hit)].T @ x[x.size // 2 :]
+        return change.pressed(self.moving.newton, gamma)
+
     def prepare(self, flights: Iterable[tuple[Contacts, float]]) -> None:
         """Make the exponentials of ``flights``, those of a phase at once.
 

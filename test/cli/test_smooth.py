@@ -4,6 +4,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
@@ -12,6 +13,7 @@ from impact_observer.cli.main import main
 from impact_observer.events import Ruling
 from impact_observer.io.messages import read_smoothed_impact
 from impact_observer.io.reader import BagReader
+from impact_observer.io.state_arrays import deviations_in
 from impact_observer.resources import shared
 
 
@@ -139,3 +141,20 @@ def test_hits_of_a_drill_are_smoothed_with_a_restitution_that_is_learned(
     said = capsys.readouterr().out
     assert "out: 300 estimates, verdicts: 3 inserted, 103 applied" in said
     assert "learned: restitution.anvil 0.6" in said or "restitution.anvil 0.59" in said
+
+
+def test_samples_count_at_their_own_stamps_too(tmp_path: Path) -> None:
+    """Deviations at the stamps of an encoder are as small as between them, in a noisy motion."""
+    bag, deviations = tmp_path / "bag", list[float]()
+    given = ["--measurements", "encoder", "--measurement-rate", "50", "-o", str(bag)]
+    assert main(["simulate", "two_mass", "--duration", "3", "--rate", "20", *given]) == 0
+    for rate in ("50", "51"):
+        output = tmp_path / rate
+        noisy = ["--model-error", "0.5", "--clock-error", "1e-6", "--rate", rate]
+        given = ["--measurements", "encoder", *noisy, "-o", str(output)]
+        assert main(["smooth", str(bag), *given]) == 0
+        with BagReader(output) as reader:
+            blocks = reader.blocks(["/smoother/state"], covariance=True)
+            found = np.vstack([deviations_in(block) for _, block in blocks])
+        deviations.append(float(np.median(found[:, 0])))
+    assert deviations[0] == pytest.approx(deviations[1], rel=0.2)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights and jumps of a robot with their derivatives by state, restitutions and instants."""
+
+import numpy as np
+
+from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.robot_family import RobotFamily
+from impact_observer.filter.robot_members import RobotMember
+from impact_observer.filter.robot_motion import RobotMotion
+from impact_observer.states import Vector
+from impact_observer.trajectory.linearised_system import (
+    FlightEnd,
+    Guard,
+    TangentMap,
+    TangentState,
+)
+
+
+class LinearisedRobot:
+    """One robot of a family, in the place of a ``LinearisedSystem``.
+
+    Attributes:
+        family: the robots, which differ by restitutions.
+        moving: their motion between impacts.
+    """
+
+    def __init__(self, family: RobotFamily, theta: Vector, moving: RobotMotion) -> None:
+        """Prepare the robot of ``family`` with the parameters ``theta``, shape (p,)."""
+        self.family, self.moving = family, moving
+        self._robot = family.robot_at(theta) if family.size else family.system
+        self._member = RobotMember(self._robot, theta, moving)
+
+    def begin(self, t: float, x: Vector, others: int = 0) -> TangentState:
+        """As ``LinearisedSystem.begin``."""
+        return TangentState(t, np.array(x), np.eye(x.size, x.size + self.family.size + others))
+
+    def pressed(self, change: ContactChange, x: Vector) -> Contacts:
+        """The contacts that take an impulse at a ``change``, before which the state is ``x``."""
+        return self._member.pressed(change, x)
+
+    def flow(self, t: float, x: Vector, s: float, closed: Contacts) -> TangentMap:
+        """The state ``s`` seconds after, or before, the state ``x`` at ``t``."""
+        moved, Phi = self.moving.moved(t, x, s, closed)
+        return TangentMap(moved, Phi, np.zeros((x.size, self.family.size)))
+
+    def guard(self, at: TangentState, contacts: Contacts, *, hit: bool) -> Guard:
+        """The gaps of ``contacts`` that ``hit``, or the loads of closed ones that open."""
+        measured = self._member.guard(at.closed, contacts, at.t, at.x, hit=hit)
+        rates = self.moving.rates_at(at.t, at.x, at.closed)
+        found = measured.expanded(rates, at.x, self.moving.forces(at.t))
+        return Guard(measured, found.value, measured.c @ at.X, -found.H[:, 0], found.E)
+
+    def impact(self, x: Vector, pressed: Contacts, *, reflects: bool = False) -> TangentMap:
+        """As ``LinearisedSystem.impact``."""
+        mirror = self._member.mirror_about(x, pressed)
+        mirror = mirror if reflects else mirror.soft
+        Gamma = np.zeros((x.size, self.family.size))
+        by_restitution = self._robot.jump_by_restitution(x, pressed)
+        for j, each in enumerate(self.family.parameters):
+            if each.contact in pressed:
+                Gamma[:, j] = by_restitution[:, pressed.index(each.contact)]
+        return TangentMap(mirror.landed(x), mirror.J, Gamma)
+
+    def on_stops(self, x: Vector, closed: Contacts) -> TangentMap:
+        """The state ``x`` with gaps and speeds of ``closed`` contacts zero."""
+        rest = self._member.stopped(x, closed, np.zeros((len(closed), self.family.size)))
+        return TangentMap(rest.x, rest.map_, rest.sensitivity)
+
+    at_rest = on_stops
+
+    def jump(
+        self, at: TangentState, end: FlightEnd, *, is_measured: bool = False
+    ) -> tuple[TangentMap, Vector]:
+        """As ``LinearisedSystem.jump``."""
+        t, x, _, before = at
+        lasts = end.lasts and not before
+        late = float(self._robot.contact_time[end.hit[0]]) / 2 if lasts else 0.0
+        onward = self.flow(t, x, late, before)
+        map_ = self.impact(onward.x, end.pressed, reflects=is_measured and not late)
+        if end.held and not is_measured:
+            map_ = self.at_rest(map_.x, end.held).preceded_by(map_)
+        ahead = self.moving.rate_of(t + late, map_.x, end.held)
+        xi = ahead - map_.Phi.dot(self.moving.rate_of(t + late, onward.x, before))
+        back = self.flow(t + late, map_.x, -late, end.held)
+        return back.preceded_by(map_.preceded_by(onward)), back.Phi @ xi
