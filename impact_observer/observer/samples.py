@@ -38,7 +38,8 @@ class SampleStream:
         sensors: the sensors whose samples are received.
         waiting: samples that are not in the timeline yet.
         counts: counts of each sensor: ``samples``, ``accepted``, ``rejected`` by its gate,
-            ``unused``, ``invalid``, and ``dropped`` as too many were waiting.
+            ``unused``, ``invalid``, ``dropped`` as too many were waiting, and ``shed`` by a node
+            that could not keep up.
         newest: the latest stamp of each sensor, ns; 0 before the first.
         verdicts: verdicts not taken yet.
     """

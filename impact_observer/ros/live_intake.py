@@ -42,6 +42,7 @@ class LiveIntake:
         on_samples: Callable[[int], None],
         on_pulse: Callable[[int], None] | None = None,
         efforts: Interface | None = None,
+        subscribes: bool = True,
     ) -> None:
         """Subscribe to the topics of ``live``, and to a drive if there is ``on_pulse``.
 
@@ -55,14 +56,16 @@ class LiveIntake:
                 known, ns.
             on_pulse: called with the stamp of each pulse of a drive, ns.
             efforts: topic of the forces, which may have others too; None for ``FORCING``.
+            subscribes: whether to subscribe to the topic of ``efforts``; else ``take_efforts``.
         """
+        self._efforts = efforts
         self._live = live
         self._now, self._future = now, from_seconds(future)
         self._on_problem, self._on_samples, self._on_pulse = on_problem, on_samples, on_pulse
         self.counts: Counter[str] = Counter()
         self._ahead = AheadOfClock[tuple[Interface, AnyMessage]](_MOST_AHEAD)
         for interface, is_needed in (
-            (efforts or interfaces.FORCING, live is not None and live.inputs),
+            (efforts or interfaces.FORCING, live is not None and live.inputs and subscribes),
             (interfaces.GROUND_MOTION, live is not None and live.grounds),
             (interfaces.PHASE_REFERENCE, on_pulse or (live is not None and live.drive)),
         ):
@@ -73,6 +76,14 @@ class LiveIntake:
 
     def take_messages(self, interface: Interface, messages: Sequence[AnyMessage]) -> None:
         """Use the samples in ``messages`` of one topic, or keep them until the clock is near."""
+        self._tell_samples(self._use(interface, messages))
+
+    def take_efforts(self, messages: Sequence[AnyMessage]) -> None:
+        """Use the efforts in ``messages`` whose other samples are used next."""
+        if self._live is not None and self._efforts is not None:
+            self._use(self._efforts, messages)
+
+    def _use(self, interface: Interface, messages: Sequence[AnyMessage]) -> int:
         since = self._give_what_was_ahead()
         for message in messages:
             is_pulse = interface is interfaces.PHASE_REFERENCE
@@ -82,7 +93,7 @@ class LiveIntake:
                 self._keep(interface, message, stamp, (stamp - now) / NS_PER_S)
             else:
                 since = min(since, self._give(interface, message, stamp))
-        self._tell_samples(since)
+        return since
 
     def take_what_was_ahead(self) -> None:
         """Use the samples to which the clock has come near."""

@@ -50,7 +50,10 @@ from impact_observer.turns import turns_given_to
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
 _TURN = 0.05
-"""How long an event may take to be applied until predictions are published meanwhile, s."""
+"""How long an event may take to be applied until predictions are published meanwhile, s.
+
+The same processor time is for the predictions that are due together.
+"""
 _OF_THE_LAW = {
     each.name for each in OBSERVER_OPTIONS if each.live in {AT_NEXT_START, FROM_ESTIMATE}
 }
@@ -90,6 +93,9 @@ class ObserverNode(ManagedNode):
         model = with_urdf_of_topic(self, read_model(values.text("model")))
         self._declared_sensors = read_measurements(values.text("measurements"))
         self.observer = make_observer(model, options, measurements=self._declared_sensors)
+        self._sensor_topics = {
+            self.resolve_topic_name(each.topic) for each in self._declared_sensors
+        }
         system = self.observer.system
         self._initial = initial_state(options.initial_state, system, options.initial_deviation)
         self._names = system.coordinates
@@ -147,7 +153,9 @@ class ObserverNode(ManagedNode):
         """The subscriptions to live forces and grounds, and to a drive that says the epoch."""
         robot = self.observer.robot
         needs_epoch = self.observer.system.depends_on_time and not (options.epoch or robot)
-        forces = None if robot is None else robot.description.forces
+        self._efforts = None
+        if robot is not None and robot.description.forces is not None:
+            self._efforts = efforts_on(self.resolve_topic_name(robot.description.forces[0]))
         return LiveIntake(
             self,
             self.observer.live,
@@ -156,7 +164,8 @@ class ObserverNode(ManagedNode):
             on_problem=self.lines.error,
             on_samples=self._correct_from,
             on_pulse=self.observer.take_pulse if needs_epoch else None,
-            efforts=None if forces is None else efforts_on(forces[0]),
+            efforts=self._efforts,
+            subscribes=self._efforts is None or self._efforts.name not in self._sensor_topics,
         )
 
     def _sensor_intake(self, options: Options) -> SensorIntake:
@@ -171,6 +180,9 @@ class ObserverNode(ManagedNode):
             verdicts=self.values.text("measurement_verdicts"),
             on_samples=self._on_samples,
             on_problem=self.lines.error,
+            before={}
+            if self._efforts is None
+            else {self._efforts.name: self._inputs.take_efforts},
         )
         names = ", ".join(each.name for each in self.observer.samples.sensors)
         if names:
@@ -367,6 +379,7 @@ class ObserverNode(ManagedNode):
         """Use inputs that were ahead of the clock, and publish the estimates that are due."""
         self._inputs.take_what_was_ahead()
         self._sensors.take_what_was_ahead()
+        self._sensors.take_arrived()
         self._publish_due()
         if not self.intake.is_empty:
             self._apply_events()
@@ -378,8 +391,12 @@ class ObserverNode(ManagedNode):
             return
         due = self._times.due(self.observer.epoch or start, start, now)
         self._counts["passed_over"] += due.skipped
-        for stamp in due.stamps:
-            self._publish(stamp)
+        end = time.thread_time() + _TURN
+        for i, stamp in enumerate(due.stamps, start=1):
+            if time.thread_time() < end or i in {1, len(due.stamps)}:
+                self._publish(stamp)
+            else:
+                self._counts["passed_over"] += 1
 
     def _publish(self, stamp: int) -> None:
         """Publish the estimate at ``stamp`` (ns)."""

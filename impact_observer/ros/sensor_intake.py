@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions of an observer node to the sensors beside the impacts."""
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Verdict
-from impact_observer.io.interfaces import Quality
+from impact_observer.io.interfaces import JOINT_STATE, Quality
 from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage
 from impact_observer.model.system import unit_of
@@ -19,11 +23,15 @@ from impact_observer.options import AUTO, NONE
 from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import subscribe
+from impact_observer.ros.subscribing import subscribe, waiting_messages
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
+_LONGEST = 0.05
+"""Processor time that the messages of one call may take, s; of more messages some are shed."""
+_TRIED = 3
+"""Messages of a call that are used one by one; the least of their times counts."""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
 
@@ -32,7 +40,9 @@ class SensorIntake:
     """Gives the samples that a node receives to its observer.
 
     A topic is subscribed to once a publisher has given the topic a type. A sample that is too far
-    ahead of the clock is used once the clock is near: perhaps the clock is late.
+    ahead of the clock is used once the clock is near: perhaps the clock is late. Where samples
+    of a robot come faster than they can be used, some are shed, so that the newest are used in
+    time: each costs milliseconds, and the longer the predictions, the more these cost.
 
     Attributes:
         topics: absolute names of the topics.
@@ -51,6 +61,7 @@ class SensorIntake:
         verdicts: str,
         on_samples: Callable[[int, Sequence[Verdict]], None],
         on_problem: Callable[[str], None],
+        before: Mapping[str, Callable[[Sequence[AnyMessage]], None]] = MappingProxyType({}),
     ) -> None:
         """Prepare to receive the samples of the sensors of ``observer``.
 
@@ -65,7 +76,9 @@ class SensorIntake:
             on_samples: called after new samples with the least of their stamps, ns, and with the
                 verdicts on events that have changed.
             on_problem: called with a line on samples that cannot be used.
+            before: called with messages of joint states on a topic, before their samples are used.
         """
+        self._before = before
         self._node, self._observer = node, observer
         self._now, self._past, self._future = now, past, future
         self._quality = Quality(reliable=reliable, depth=_DEPTH)
@@ -76,10 +89,13 @@ class SensorIntake:
         names = [node.resolve_topic_name(each.measurement.topic) for each in self._sensors]
         self.topics = tuple(dict.fromkeys(names))
         self._without_publisher = set(self.topics)
+        self._of_joints = set[str]()
+        self._subscriptions: dict[str, Subscription] = {}
         self._readers: dict[str, list[SensorReader]] = {}
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
         self._dropped = [0] * len(self._sensors)
+        self._shed = [0] * len(self._sensors)
         self._ahead = AheadOfClock[SensorSample](_DEPTH)
 
     def discover(self) -> None:
@@ -90,22 +106,55 @@ class SensorIntake:
                 self._subscribe(topic, publishers[0].topic_type)
 
     def take_messages(self, topic: str, messages: Sequence[AnyMessage]) -> None:
-        """Give the samples in ``messages`` of a topic to the observer."""
-        samples = [*self._no_longer_ahead()]
-        for message in messages:
-            samples += self._read(topic, message)
-        if samples:
-            self._give(samples)
+        """Give the samples in ``messages`` of a topic to the observer; of too many, of some."""
+        if topic in self._of_joints and (before := self._before.get(topic)) is not None:
+            before(messages)
+        since, revised = MAX_STAMP, list[Verdict]()
+        for some in self._in_time(topic, messages):
+            samples = [*self._no_longer_ahead()]
+            for message in some:
+                samples += self._read(topic, message)
+            since = min((since, *(each.stamp for each in samples)))
+            revised += self._measured(samples)
+        if since < MAX_STAMP:
+            self._on_samples(since, revised)
+
+    def _in_time(
+        self, topic: str, messages: Sequence[AnyMessage]
+    ) -> Iterator[Sequence[AnyMessage]]:
+        """Yields ``messages``; of a robot one by one, and then those there is time for."""
+        if self._observer.robot is None:
+            yield messages
+            return
+        costs = list[float]()
+        for message in messages[:_TRIED]:
+            begin = time.thread_time()
+            yield [message]
+            costs.append(time.thread_time() - begin)
+        if rest := messages[_TRIED:]:
+            step = max(math.ceil(len(rest) * min(costs) / _LONGEST), 1)
+            kept = rest[(len(rest) - 1) % step :: step]  # with the newest
+            for reader in self._readers[topic]:
+                counts = self._observer.samples.counts[reader.index]
+                counts["shed"] += len(rest) - len(kept)
+            yield kept
 
     def take_what_was_ahead(self) -> None:
         """Give the samples to the observer to which the clock has come near."""
         if samples := [*self._no_longer_ahead()]:
-            self._give(samples)
+            self._on_samples(min(each.stamp for each in samples), self._measured(samples))
+
+    def take_arrived(self) -> None:
+        """Use all messages of a robot that have arrived."""
+        arrived = self._subscriptions if self._observer.robot is not None else {}
+        for topic, subscription in arrived.items():
+            if messages := [each for each, _ in waiting_messages(subscription, _DEPTH)]:
+                self.take_messages(topic, messages)
 
     def use_waiting(self) -> None:
         """Use the samples that came while the observer inserted events."""
         since = min((s.stamp for s in self._observer.samples.waiting), default=MAX_STAMP)
-        self._measure((), since)
+        self._on_samples(since, self._measured(()))
 
     def clear(self) -> None:
         """Forget the samples that wait for the clock, as after a jump of the clock."""
@@ -148,24 +197,23 @@ class SensorIntake:
         if not readers:
             return
         self._readers[topic] = readers
+        if type_name == JOINT_STATE:
+            self._of_joints.add(topic)
         try:
             kind, take = message_class(type_name), partial(self.take_messages, topic)
-            subscribe(self._node, kind, topic, self._quality, take)
+            made = subscribe(self._node, kind, topic, self._quality, take)
+            self._subscriptions[topic] = made
         except ImpactObserverError as error:
             for each in readers:
                 self._refuse(each.index, str(error))
 
-    def _give(self, samples: Sequence[SensorSample]) -> None:
-        self._measure(samples, min(each.stamp for each in samples))
-
-    def _measure(self, samples: Sequence[SensorSample], since: int) -> None:
-        """Give samples to the observer that change estimates from ``since`` (ns) on."""
+    def _measured(self, samples: Sequence[SensorSample]) -> Sequence[Verdict]:
+        """Give samples to the observer; verdicts on events that have changed."""
         try:
-            revised = self._observer.measure(samples)
+            return self._observer.measure(samples)
         except ImpactObserverError as error:
             self._on_problem(f"samples of sensors: {error}")
-        else:
-            self._on_samples(since, revised)
+            return ()
 
     def _read(self, topic: str, message: AnyMessage) -> list[SensorSample]:
         """The samples in a message that can be used now.
@@ -238,7 +286,7 @@ class SensorIntake:
         values = {
             "topic": topic,
             **{kind: counts[kind] for kind in ("samples", "accepted", "rejected", "unused")},
-            **{kind: counts[kind] for kind in ("invalid", "dropped")},
+            **{kind: counts[kind] for kind in ("invalid", "dropped", "shed")},
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
         }
@@ -268,6 +316,7 @@ class SensorIntake:
             counts["dropped"] - self._dropped[index],
             counts["dropped"],
         )
+        shed, self._shed[index] = counts["shed"] - self._shed[index], counts["shed"]
         if self.problems[index]:
             return self.problems[index]
         if topic in self._without_publisher:
@@ -275,8 +324,9 @@ class SensorIntake:
         if age > declared.timeout:
             silence = f"no sample for {age:.3g} s" if age < float("inf") else "no sample yet"
             return f"{silence}; timeout is {declared.timeout:g} s"
-        if dropped:
-            return f"{dropped} samples were dropped: more than {MOST_KEPT} waited to be used"
+        if dropped or shed:
+            why = f"{dropped} samples were dropped: more than {MOST_KEPT} waited to be used"
+            return why if dropped else f"{shed} samples were shed: the observer cannot keep up"
         if learned and declared.deviation is not None:
             given = f"{declared.deviation:g} is declared"
             unit = unit_of(declared.unit, self._observer.system.unit)

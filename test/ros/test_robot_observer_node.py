@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node of a robot: velocities through hits from encoders and efforts on topics."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from impact_observer.io.writer import BagWriter
 from impact_observer.model import read_model
 from impact_observer.model.measurements_file import read_measurements
 from impact_observer.observer import Options, make_observer
+from impact_observer.observer.samples import SensorSample
 from impact_observer.resources import shared
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_node import ObserverNode
@@ -69,14 +71,16 @@ def test_velocities_through_hits_are_those_of_the_plant_and_of_observe(
     plant = {
         "model": "hammer_arm",
         "measurements": "hammer_arm",
-        "measurement_rate": 50.0,
+        "measurement_rate": 40.0,
+        "rate": 40.0,
         "sensor.jitter": 0.0002,
         "publish_clock": True,
         "epoch": EPOCH,
         "duration": 3.65,
+        "realtime_factor": 0.5,
         "wait_for_subscribers": 1,
     }
-    observer = ros_arguments({**OBSERVED, "rate": 50.0, "lag": 1.0})
+    observer = ros_arguments({**OBSERVED, "rate": 40.0, "lag": 1.0})
     states, topics = (
         list[ObserverState](),
         (
@@ -110,13 +114,13 @@ def test_velocities_through_hits_are_those_of_the_plant_and_of_observe(
         ):
             writer.write_raw(topic, stamp, data)
     given = ["--model", "hammer_arm", "--measurements", "hammer_arm", "--clock-error", "0.0002"]
-    law = ["--law", "minimum-variance", "--rate", "50"]
+    law = ["--law", "minimum-variance", "--rate", "40"]
     assert main(["observe", str(bag), *given, *law, "-o", str(output)]) == 0
     with BagReader(output) as reader:
         offline = reader.observer_states("/observer/state")
     found = {each.stamp: each for each in (read_estimate(message)[1] for message in states)}
     where = [i for i, stamp in enumerate(offline.stamps.tolist()) if stamp in found]
-    assert len(where) > 60
+    assert len(where) > 40
     for i in where:
         estimate = found[int(offline.stamps[i])]
         np.testing.assert_array_equal(estimate.q, offline.q[i])
@@ -148,13 +152,17 @@ class Rig:
     def go_to(self, stamp: int, *position: float) -> None:
         """Let encoders measure ``position`` at ``stamp``, ns; then set the clock."""
         if position:
-            message = JointState(name=["shoulder", "elbow"], position=position, effort=[0.0, 0.0])
-            message.header.stamp = ros_messages().time(stamp)
-            self.encoders.publish(message)
+            self.measure(stamp, *position)
             self.spinner.settle()
         self.clock.publish(ros_messages().clock(stamp))
         self.spinner.until(lambda: self.node.stamp_now() == stamp)
         self.spinner.settle()
+
+    def measure(self, stamp: int, *position: float) -> None:
+        """Publish what encoders measure at ``stamp``, ns, without torque."""
+        message = JointState(name=["shoulder", "elbow"], position=position, effort=[0.0, 0.0])
+        message.header.stamp = ros_messages().time(stamp)
+        self.encoders.publish(message)
 
     @property
     def last(self) -> Estimate:
@@ -195,8 +203,7 @@ def rig(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Rig]:
         probe.create_subscription(
             DiagnosticArray, "/diagnostics", lambda a: made.diagnostics.extend(a.status), MANY
         )
-        # One of the encoders, one of the efforts.
-        spinner.until(lambda: encoders.get_subscription_count() == 2)
+        spinner.until(lambda: encoders.get_subscription_count() == 1)
         spinner.until(lambda: clock.get_subscription_count() == 1)
         yield made
 
@@ -232,6 +239,29 @@ def test_a_state_and_parameters_of_a_robot_can_be_set(rig: Rig) -> None:
     assert np.abs(rig.last.q - [0.12, 0.17]).max() < 0.05
     refused = rig.node.set_parameters([Parameter("model_error", value=0.1)])[0]
     assert not refused.successful
+
+
+def test_samples_that_come_too_fast_are_shed_so_that_the_newest_count(rig: Rig) -> None:
+    """An observer that takes 20 ms of processor time for a sample uses few of a hundred."""
+    observer, use = rig.node.observer, rig.node.observer.measure
+
+    def used_slowly(samples: Sequence[SensorSample]) -> object:
+        end = time.thread_time() + 0.02 * len(samples)
+        while time.thread_time() < end:
+            pass
+        return use(samples)
+
+    rig.go_to(EPOCH + NS_PER_S, 0.1, 0.2)
+    observer.measure = used_slowly  # type: ignore[method-assign,assignment]
+    last = EPOCH + NS_PER_S + 10**8
+    for stamp in range(EPOCH + NS_PER_S + 10**6, last + 1, 10**6):
+        rig.measure(stamp, 0.1, 0.2)
+    rig.spinner.until(lambda: observer.samples.newest[0] == last)
+    counts = observer.samples.counts[0]
+    assert counts["shed"] > 50
+    assert counts["shed"] + counts["samples"] == 101
+    shed = "samples were shed: the observer cannot keep up"
+    rig.spinner.until(lambda: any(shed in each.message for each in rig.diagnostics))
 
 
 @pytest.mark.parametrize(
