@@ -18,6 +18,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
+from impact_observer.stamps import text
 
 _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
 
@@ -63,7 +64,8 @@ class BagDetection:
         if model is not None and model.subject.depends_on_time and not detector.epoch:
             self.doubts.append(
                 f"no epoch, and the forcing of {model.subject.name} depends on time: an observer"
-                " needs it; give --epoch, or record the pulses of the drive on"
+                " needs it; give --epoch in the time of the stamps (the first event has"
+                f" {text(detector.first_event)}), or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
         for k, source in enumerate(self.sources):

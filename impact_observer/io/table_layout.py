@@ -251,13 +251,14 @@ class LayoutSearch:
         return same and unit_named(cells[place]) is not None and above[place].lower() in _AXES
 
     def _units_below(self, k: int) -> TextRow | None:
-        """The row of units below a header, if any."""
+        """The row of units below a header, if any; dates and times of day have none."""
         place = self._time_places(self.rows[k].cells)[0]
         row = self.rows[k + 1] if k + 1 < len(self.rows) else None
         if row is None or place >= len(row.cells):
             return None
         cell = row.cells[place]
-        is_unit = unit_named(cell) is not None or re.fullmatch(r"[\[(].*[\])]", cell)
+        bracketed = [re.fullmatch(r"[\[(].*[\])]", each) for each in row.cells]
+        is_unit = unit_named(cell) is not None or bracketed[place] or (not cell and any(bracketed))
         return row if is_unit else None
 
     def _spelled(self, line: int, names: Sequence[str]) -> list[str]:
@@ -305,7 +306,7 @@ class LayoutSearch:
         given, name = self._form.unit, row.cells[place]
         try:
             unit = unit_in(name)
-            if unit is None and units is not None:
+            if unit is None and units is not None and units.cells[place]:
                 name = units.cells[place]
                 if (unit := unit_named(name)) is None:
                     raise UnknownUnitError(name.strip("()[]"))

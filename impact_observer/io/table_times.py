@@ -32,9 +32,14 @@ _SPELLINGS = {
 _UNIT_OF = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _DOUBTFUL = {"min", "h", "ticks", "jiffies", "cycles", "counts", "samples", "frames"}
 """Last words of a name that may be no unit, or are none of time."""
-_TIME_NAMES = {"times", "timestamp", "time stamp", "stamp", "elapsed", "elapsed time"} | {
-    *("time elapsed", "date", "datetime", "date time", "utc", "utc time")
-}
+_TIME = {"time", "zeit", "uhrzeit", "temps", "heure", "tiempo", "hora"}
+"""The word for time as European instruments and spreadsheets write it."""
+_DAYS = {"date", "day", "datum", "fecha"}
+_TIME_NAMES = (
+    {"times", "timestamp", "time stamp", "stamp", "elapsed", "elapsed time"}
+    | {*("time elapsed", "datetime", "date time", "utc", "utc time", "zeitstempel")}
+    | (_DAYS - {"day"})
+)
 _FRAMES = {"frame", "frames", "sample", "samples", "sequence", "index"}
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _AMOUNT = re.compile(r"(\d+(?:[.,]\d+)?)?\s*([^\W\d_]+)\.?")
@@ -115,7 +120,7 @@ def time_rank(name: str) -> int:
     base = " ".join(words)
     if base == "t" and unit is None:
         return int(name.strip() == "t")  # a capital T alone may be a temperature
-    if base in {"time", "t"}:
+    if base in _TIME | {"t"}:
         return 2
     is_word = unit is not None and name[0].isalpha() and len(name) > len("ms")
     return int(base in _TIME_NAMES or (not base and is_word))
@@ -123,7 +128,8 @@ def time_rank(name: str) -> int:
 
 def is_date(name: str) -> bool:
     """Whether a column may hold the day of times of day."""
-    return _words(name) in (["date"], ["day"], ["datum"])
+    words = _words(name)
+    return len(words) == 1 and words[0] in _DAYS
 
 
 def counts_frames(name: str) -> bool:

@@ -129,12 +129,12 @@ def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
     [
         (table(), [], 2, "no contact named; give --contact NAME, or --model with one contact"),
         (table(), ["--model", "three_mass"], 2, "give --contact NAME, one of right, left"),
-        (table("zeit,az\n"), ["--contact", "stop"], 2, "'zeit' found; expected a header with a"),
+        (table("czas,az\n"), ["--contact", "stop"], 2, "'czas' found; expected a header with a"),
         (
-            table("zeit,az\n"),
+            table("czas,az\n"),
             ["--contact", "stop"],
             2,
-            "a time; remove lines before it (--skip-rows), or name it: --time-column, one of zeit",
+            "a time; remove lines before it (--skip-rows), or name it: --time-column, one of czas",
         ),
         ("time,x\n1700000000000,1", ["--contact", "stop"], 2, "is that its unit? --time-unit ms"),
         ("time,x,y\n0,1,2", ["--contact", "stop"], 2, "columns x, y; name one with --topic"),

@@ -177,11 +177,12 @@ def test_tables_of_instruments_give_their_hits(tmp_path: Path, name: str) -> Non
         ("time,az\n", dated(" ")),
         ("Timestamp,az\n", dated("T")),
         ("Date,Time,az\n", dated(",")),
+        ("Datum,Uhrzeit,az\n,,[g]\n", dated(",")),
     ],
-    ids=["blank", "iso", "two_columns"],
+    ids=["blank", "iso", "two_columns", "german"],
 )
 def test_dates_are_stamps(tmp_path: Path, header: str, row: Row) -> None:
-    """Dates without a zone are in UTC, and their stamps count from 1970."""
+    """Dates without a zone are in UTC, stamps count from 1970, and a row of units is no row."""
     stamps = detected(tmp_path, "dates.csv", table(header, row))
     zero = 1_464_039_980 * SECOND  # date -u -d '2016-05-23 21:46:20' +%s
     np.testing.assert_allclose((stamps - zero) / SECOND, HITS, atol=0.05 * STEP)
@@ -278,8 +279,8 @@ def test_a_column_of_frames_asks_for_its_rate(tmp_path: Path) -> None:
         ("time,timestamp_us,a\n1,2,3\n", ""),
         ("time,time_ms,a\n1,2,3\n", "two columns of time, time, time_ms; expected one"),
         ("stamp,elapsed,a\n1,2,3\n", "two columns of time, stamp, elapsed; expected one"),
-        ("Zeit [s],a\n1,2\n", "--time-column 'Zeit \\[s\\]' names it, if that is the time"),
-        ("Zeit;a\n(ms);(V)\n1;2\n2;3\n", "--time-column 'Zeit' names it, if that"),
+        ("Czas [s],a\n1,2\n", "--time-column 'Czas \\[s\\]' names it, if that is the time"),
+        ("Czas;a\n(ms);(V)\n1;2\n2;3\n", "--time-column 'Czas' names it, if that"),
         ("when,a\n1,2\n", "'when' found; expected a header with a column time"),
         ("Date,Time,a\n5/6/2024,10:00:00.5,1\n", "has '5/6/2024', in which day and month may"),
     ],
