@@ -107,8 +107,12 @@ class LiveSignals:
             *(_Signal(name, True, [], [], []) for name in live.grounds),
         ]
         self._index = {(each.name, each.moves): k for k, each in enumerate(self._signals)}
-        self._responses = _responses(system)
-        drives = np.any(self._responses != 0, axis=(0, 1))
+        responses = _responses(system)
+        drives = np.any(responses != 0, axis=(0, 1))
+        self._responses = [
+            [(order, each[order]) for order in np.flatnonzero(each.any(axis=1)).tolist()]
+            for each in responses
+        ]
         self._base = system.forcing.sampled
         self._causal = causal
         self.drive = Drive(live.nominal) if live.nominal else None
@@ -272,13 +276,12 @@ class LiveSignals:
 
     def _forces(self, at: NDArray[np.int64], epoch: int) -> NDArray[np.float64]:
         """Forces on the coordinates and their derivatives at stamps (ns), (4, samples, n)."""
-        n = self._responses.shape[2]
-        total = np.zeros((JETS, at.size, n))
+        total = np.zeros((JETS, at.size, self.samples.drives.size))
         if self._base is not None:
             total += self._base.derivatives(np.asarray((at - epoch) * _NS), slack=_NS)
         for k, signal in enumerate(self._signals):
             jets = signal.jets(at)[..., None]
-            for order, response in enumerate(self._responses[k]):
+            for order, response in self._responses[k]:
                 total[: JETS - order] += jets[order:] * response
         return total
 
