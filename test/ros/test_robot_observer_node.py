@@ -241,6 +241,25 @@ def test_a_state_and_parameters_of_a_robot_can_be_set(rig: Rig) -> None:
     assert not refused.successful
 
 
+def test_an_inactive_node_goes_on_and_a_cleanup_forgets_the_robot(rig: Rig) -> None:
+    """Samples in a pause count; a node that is configured again starts at its encoders again."""
+    rig.go_to(EPOCH + NS_PER_S, 0.25, 0.5)
+    rig.node.trigger_deactivate()
+    count = len(rig.states)
+    rig.go_to(EPOCH + NS_PER_S + 10**7, 0.25, 0.5)
+    assert len(rig.states) == count
+    rig.node.trigger_activate()
+    assert rig.node.observer.samples.counts[0]["accepted"] == 2
+    rig.node.trigger_deactivate()
+    rig.node.trigger_cleanup()
+    rig.spinner.until(lambda: rig.encoders.get_subscription_count() == 0)
+    rig.node.trigger_configure()
+    rig.node.trigger_activate()
+    rig.spinner.until(lambda: rig.encoders.get_subscription_count() == 1)
+    rig.go_to(EPOCH + 2 * NS_PER_S, 0.75, 1.0)
+    np.testing.assert_allclose([*rig.last.q, *rig.last.u], [0.75, 1.0, 0.0, 0.0], atol=1e-9)
+
+
 def test_samples_that_come_too_fast_are_shed_so_that_the_newest_count(rig: Rig) -> None:
     """An observer that takes 20 ms of processor time for a sample uses few of a hundred."""
     observer, use = rig.node.observer, rig.node.observer.measure
