@@ -16,7 +16,9 @@ from impact_observer.io import BagReader
 from impact_observer.io.live_inputs import first_pulse, give_recorded, read_pulse
 from impact_observer.io.recordings import events_in
 from impact_observer.model.live_signals import connected
+from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.observer.samples import SensorSample
 from impact_observer.resources import shared
 from impact_observer.stamps import NS_PER_S
 
@@ -124,6 +126,31 @@ def test_epoch_of_the_events_replaces_that_of_a_pulse() -> None:
     given = watcher(epoch=EPOCH)
     given.take_pulse(pulses[0])
     assert given.epoch == EPOCH
+
+
+def test_samples_count_that_came_before_the_epoch_of_the_events() -> None:
+    """The estimate is the same, in every bit, as if the epoch had been known from the start."""
+    events, pulses = recorded()
+    sensor = Measurement(
+        "encoder", "/joints", joint="hammer", quantity="position", position=(("hammer", 1.0),)
+    )
+    options = Options("geometric", "random:1", epoch=0, clock_error=0.0)
+    found = []
+    for epoch in (0, EPOCH):
+        observer = make_observer(
+            sample("hammer").system, replace(options, epoch=epoch), measurements=[sensor]
+        )
+        assert observer.live is not None
+        observer.take_pulse(pulses[0])
+        for pulse in pulses:
+            observer.live.add_pulse(pulse)
+        stamps = range(EPOCH + 10**6, events[0].stamp, 10**7)
+        observer.measure([SensorSample(0, stamp, 0.01) for stamp in stamps])
+        for event in events[:5]:
+            observer.receive(event)
+        assert observer.samples.counts[0]["accepted"] == len(stamps) > 3
+        found.append(observer.estimate(events[4].stamp).q.tobytes())
+    assert found[0] == found[1]
 
 
 @pytest.mark.slow
