@@ -90,6 +90,8 @@ _PARTS = 8
 """Most further parts."""
 _ROW_ROUNDS = 60
 """Most fits, each with the bounces of the one before: each may show one row more."""
+_UNDECLARED = 24
+"""Most events for which such bounces are tried without a declared dead time: 40 take 17 s."""
 _FAILURES = 3
 """Such fits in a row that do not converge, after which no more follow."""
 _MINOR = 0.2
@@ -341,7 +343,8 @@ class _Search(NamedTuple):
             if rowed := next(filter(None, map(self._with_rows, begins)), None):
                 return rowed
         fitted = self._replace(whole=opened(whole)).fit_as_reported()
-        if fitted.identification.converged or whole.dead_time or not self.is_grown:
+        is_short = self.is_grown and len(whole.episode.keys) <= _UNDECLARED
+        if fitted.identification.converged or whole.dead_time or not is_short:
             return fitted
         rowed = self._with_rows(closings) if closings.is_debounced else None
         return rowed if rowed and dead_time_of(rowed.identification.recording) else fitted
