@@ -211,6 +211,26 @@ class BetweenEvents:
             after = h._replace(state=state, weight=weight, survival=survival)
             yield chance, after._replace(jump=h.jump.later(s))
 
+    def undisturbed(
+        self, hypotheses: Sequence[Hypothesis], t: float, s: float
+    ) -> Sequence[Hypothesis] | None:
+        """The same as ``predict`` where all contacts stay open; None where one may not.
+
+        It takes a fraction of the time.
+        """
+        if any(h.survival or h.ledger.missed or h.state.closed for h in hypotheses):
+            return None
+        if not s:
+            return hypotheses
+        levels = [h.acceleration_error for h in hypotheses]
+        states = self.filter.priors(t, s, [h.state for h in hypotheses], levels)
+        if not all(self.filter.is_open(state, s) for state in states):
+            return None
+        return [
+            h._replace(state=state, jump=h.jump.later(s))
+            for h, state in zip(hypotheses, states, strict=True)
+        ]
+
     def _priors(self, paths: Sequence[_Path]) -> list[GaussianState]:
         """The states of ``paths`` at their ends."""
         return self.filter.flights(*_flights(paths))

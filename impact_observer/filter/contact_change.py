@@ -20,7 +20,8 @@ class ContactChange(NamedTuple):
         closed: contacts with ``chi = 1`` from now on.
         stamp: of the event, ns; 0 where it is not needed.
         sequence: of the event.
-        flown: seconds since the event before.
+        flown: seconds since the event or the sample before.
+        flight: seconds since the event before, whatever was measured meanwhile.
         disorder: by which its stamp is later than that of an event that came after it, s; 0 where
             stamps are in the order of sequence numbers.
     """
@@ -32,6 +33,7 @@ class ContactChange(NamedTuple):
     stamp: int = 0
     sequence: int = 0
     flown: float = 0.0
+    flight: float = 0.0
     disorder: float = 0.0
 
     @classmethod
@@ -44,6 +46,7 @@ class ContactChange(NamedTuple):
         stamp: int = 0,
         sequence: int = 0,
         flown: float = 0.0,
+        flight: float = 0.0,
         disorder: float = 0.0,
     ) -> "ContactChange":
         """What ``switches`` of contacts at ``t`` mean while the contacts ``before`` are closed.
@@ -54,13 +57,13 @@ class ContactChange(NamedTuple):
         if not before and len(switches) == 1:
             ((contact, kind),) = switches
             if kind is Kind.IMPACT:  # as nearly always
-                return cls(t, before, (contact,), before, stamp, sequence, flown, disorder)
+                return cls(t, before, (contact,), before, stamp, sequence, flown, flight, disorder)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}
         closed = ({*before} - (hit - stay) | stay) - opened
         changed = tuple(sorted(hit)), tuple(sorted(closed))
-        return cls(t, before, *changed, stamp, sequence, flown, disorder)
+        return cls(t, before, *changed, stamp, sequence, flown, flight, disorder)
 
     def from_closed(self, before: Contacts) -> "ContactChange":
         """The same event where other contacts were closed before it."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hypotheses after an event: their states, ledgers and errors of the model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Kind, Ruling
@@ -41,7 +41,7 @@ class Correcting:
                 continue
             state = each.before.state if each.here.is_nothing else next(after)
             if state is not None:
-                found.append(self._accepted(change, each, each.here, state))
+                found += self._accepted(change, each, each.here, state)
         return [h for h in found if h.state.is_finite]
 
     def _states(self, queries: Sequence[EventQuery]) -> Sequence[GaussianState | None]:
@@ -58,7 +58,7 @@ class Correcting:
 
     def _accepted(
         self, change: ContactChange, branch: Branch, here: ContactChange, state: GaussianState
-    ) -> Hypothesis:
+    ) -> Iterator[Hypothesis]:
         """The event was ``here``, and leads to a ``state`` after it."""
         h, likelihood, kind = branch.before, branch.likelihood, Kind.CLOSE
         rest = None
@@ -86,15 +86,17 @@ class Correcting:
             survival=h.survival_without(here.contacts),
             innovation=likelihood.innovation if innovations else None,
             subset=h.subset,
+            jump_error=h.jump_error,
         )
         if branch.is_row or ledger.unreported:
             row = here.hit if branch.is_row else ()
             others = (i for i in ledger.unreported if i not in here.contacts)
             ledger = posterior.ledger._replace(unreported=(*others, *row))
             posterior = posterior._replace(ledger=ledger)
-        if self._errors is None:
-            return posterior
-        return self._errors.after(h, here, likelihood, posterior)
+        if self._errors is not None:
+            posterior = self._errors.after(h, here, likelihood, posterior)
+        jump = self._filter.members.given.jump_root(h.state.x, state.x) if here.hit else None
+        return posterior.with_jump_errors(jump)
 
 
 def _rejected(change: ContactChange, branch: Branch) -> Hypothesis:

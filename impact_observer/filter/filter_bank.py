@@ -131,5 +131,7 @@ def _weighed_beside(
     ruling = (Ruling.APPLIED, "restart: the estimate before it is rejected")
     before = made[0].ledger.without_event(change) if made else Ledger()
     ledger = before._replace(settled={}).with_event(change, ruling, {})
+    jump_error = made[0].jump_error if made else None
     for h in restarts:
-        yield Hypothesis(h.state, h.clock, h.weight + total + TUNING.log_restart, ledger)
+        weight = h.weight + total + TUNING.log_restart
+        yield Hypothesis(h.state, h.clock, weight, ledger, jump_error=jump_error)

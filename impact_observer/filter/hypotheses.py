@@ -2,7 +2,7 @@
 """A hypothesis: what each event was, the state that follows from it, and its probability."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -12,13 +12,14 @@ from scipy import special
 from impact_observer.dynamics import lyapunov
 from impact_observer.events import Contacts
 from impact_observer.filter.gaussian_state import GaussianState
+from impact_observer.filter.jump_error import LEVELS, JumpError
 from impact_observer.filter.ledger import Ledger
 from impact_observer.filter.likelihood import Innovation
 from impact_observer.filter.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.filter.square_root import triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 NOTHING: Mapping[int, float] = MappingProxyType({})
 """The survival where no gap and no load is negative."""
@@ -55,6 +56,7 @@ class Hypothesis(NamedTuple):
             probability that the plant's was not: of no impact in the plant. The weight has it.
         error: of the model.
         jump: the latest jump.
+        jump_error: of a robot: the errors of its jumps; None for other systems.
         innovation: of the last event. None where the event was rejected or measured nothing.
         subset: which of the parameters it estimates, as a number; 0 for all.
     """
@@ -66,6 +68,7 @@ class Hypothesis(NamedTuple):
     survival: Mapping[int, float] = NOTHING
     error: LearnedError = NO_ERROR
     jump: Jump = Jump()
+    jump_error: JumpError | None = None
     innovation: Innovation | None = None
     subset: int = 0
 
@@ -94,6 +97,30 @@ class Hypothesis(NamedTuple):
         if not self.survival:
             return NOTHING
         return {i: each for i, each in self.survival.items() if i not in contacts}
+
+    @property
+    def jump_unexplained(self) -> JumpError | None:
+        """``jump_error`` if samples soon after the latest hit contradict the state."""
+        error = self.jump_error
+        is_soon = self.jump.ago <= TUNING.jump_window
+        return error.unexplained if error is not None and is_soon else error
+
+    def with_jump_errors(self, root: Matrix | None) -> Iterator["Hypothesis"]:
+        """After a hit, with each size of the error of its jump.
+
+        ``root``, shape (2n, n), is that of the covariance of an error as large as the jump; None
+        where jumps have none.
+        """
+        if root is None:
+            yield self
+            return
+        before = self.jump_error or JumpError()
+        for level, size in enumerate(LEVELS):
+            yield self._replace(
+                state=self.state.with_error(size * root),
+                weight=self.weight + before.log_prior(level),
+                jump_error=before.after_hit(level),
+            )
 
     @property
     def acceleration_error(self) -> float:

@@ -140,6 +140,15 @@ class ImpactFilter:
         by_theta = self.members.gap_sensitivity((contact,))[0]
         return found + float(near.q_r[contact] + by_theta @ self.members.change(state))
 
+    def is_open(self, state: GaussianState, s: float) -> bool:
+        """Whether no contact has been closed in the last ``s`` seconds, which are few.
+
+        Speeds may have been ``Tuning.open_speed`` times as large as they are.
+        """
+        near, n = self.near(state.x), self.system.n
+        way = TUNING.open_speed * s * np.abs(near.contact_speed(state.x[n:]))
+        return bool(np.all(near.gap(state.x[:n]) > way))
+
     def since_root(self, contact: int, state: GaussianState) -> float:
         """How long ago a negative gap was zero, to first order, s; 0 for an opening contact."""
         gap, speed = self.gap(contact, state), self.speed(contact, state)

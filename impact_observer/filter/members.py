@@ -138,6 +138,15 @@ class Member:
             return self.mirror(pressed)
         return _mirror_about(self.masses, self._numbers, x, pressed)
 
+    def jump_root(self, before: Vector, after: Vector) -> Matrix | None:
+        """A root of the covariance of an error as large as a jump, shape (2n, n).
+
+        None: no sample tells the errors of the jumps of a linear system. The states ``before`` and
+        ``after`` the hit have shape (2n,).
+        """
+        del before, after
+        return None
+
     def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
         """What the curvature of rebound laws adds to the error of a jump, (2n, k).
 

@@ -35,6 +35,10 @@ STEP = (
     "the sensor's clock has stepped by {:.4g} s: stamps since then are taken for as late; see"
     " docs/misfit.md"
 )
+JUMPS = (
+    "the velocities after hits do not follow from the impact law: the tip rubs, or covers or"
+    " joints are soft; encoders alone tell these velocities; see docs/robots.md"
+)
 EXPLAINED = "the model explains the impacts again"
 """What is said when a misfit has ended."""
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
@@ -78,6 +82,7 @@ class Fit(NamedTuple):
         was_misfit: whether the model did not explain the impacts up to the event before.
         is_misfit: whether the model does not explain the impacts.
         step: by which the sensor's clock has stepped before the first of the events, s.
+        strange_jumps: whether the impact law does not explain the jumps of a robot.
     """
 
     innovations: tuple[float, ...] = ()
@@ -94,6 +99,7 @@ class Fit(NamedTuple):
     was_misfit: bool = False
     is_misfit: bool = False
     step: float = 0.0
+    strange_jumps: bool = False
 
     def after(
         self,
@@ -105,6 +111,7 @@ class Fit(NamedTuple):
         exact: float = 1.0,
         is_trusted: bool = False,
         considered: float = 0.0,
+        strange_jumps: bool = False,
     ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing.
 
@@ -142,6 +149,7 @@ class Fit(NamedTuple):
             (*self.contradictions[-(TUNING.window - 1) :], far),
             was_misfit=self.is_misfit,
             step=self.step if len(self.as_reported) < TUNING.window else 0.0,
+            strange_jumps=strange_jumps,
         )
         return _judged(after)
 
@@ -226,6 +234,8 @@ class Fit(NamedTuple):
         """
         if not self.is_misfit:
             return STEP.format(self.step) if self.step else ""
+        if self.strange_jumps:
+            return JUMPS
         if (far := max(self.contradictions, default=0.0)) and not account:
             return CONTRADICTION.format(far)
         return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))
@@ -288,7 +298,7 @@ def _judged(fit: Fit) -> Fit:
     is_improbable = fit.is_in_error and fit.evidence > TUNING.largest_evidence
     is_contradicted = any(fit.contradictions)
     is_misfit = is_excused or is_correlated or is_improbable or fit.is_refuted or lasts
-    is_misfit = is_misfit or is_contradicted
+    is_misfit = is_misfit or is_contradicted or fit.strange_jumps
     return fit if is_misfit is fit.is_misfit else fit._replace(is_misfit=is_misfit)
 
 

@@ -88,12 +88,23 @@ class Pruning:
                     known[id(note)] = numbers.setdefault(note.decision, len(numbers))
             decisions = [known[id(note)] for note in notes]
             inserted = tuple((each.contact, each.kind) for each in h.ledger.missed)
-            same = (h.clock, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
+            jump = h.jump_error and h.jump_error.latest
+            same = (h.clock, jump, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
             kept = found.setdefault(same, [])
             compares = self._compares_states and h.is_exact
             if not any(not compares or _are_near(h.state, each.state) for each in kept):
                 kept.append(h)
         return likeliest_first(h for kept in found.values() for h in kept)
+
+    def settled_jumps(self, ordered: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The likeliest of those that differ by the size of a jump's error, once it is over."""
+        found, known = list[Hypothesis](), set[tuple[int, float]]()
+        for h in ordered:
+            same = id(h.ledger), h.clock
+            if h.jump_error is None or h.jump.ago <= TUNING.jump_window or same not in known:
+                found.append(h)
+                known.add(same)
+        return found
 
 
 def _are_near(one: GaussianState, other: GaussianState) -> bool:

@@ -290,16 +290,25 @@ class RobotSensor(DeclaredSensor):
         self.is_dynamic = reading.is_dynamic
         turning = itertools.compress(robot.coordinates, robot.turns)
         self.period = math.tau if {*dict(measurement.position)}.intersection(turning) else 0.0
+        zero = np.zeros(robot.n)
+        self._affine = (
+            self._expanded(np.zeros(2 * robot.n), zero, ()) if reading.is_affine else None
+        )
 
     def row(self, moving: MovingSystem, at: Place) -> Row:
         """The measured function of states near a place."""
+        if self._affine is not None:
+            return self._affine
         tau = moving.forces(at.t)[0] if self.is_dynamic else np.zeros(at.x.size // 2)
-        h = self._reading.gradient(at.x, tau, at.closed)
-        return Row(h, self._reading.value(at.x, tau, at.closed) - float(h.dot(at.x)))
+        return self._expanded(at.x, tau, at.closed)
+
+    def _expanded(self, x: Vector, tau: Vector, closed: Contacts) -> Row:
+        h = self._reading.gradient(x, tau, closed)
+        return Row(h, self._reading.value(x, tau, closed) - float(h.dot(x)))
 
     def row_of(self, members: Members, theta: Vector, at: Place) -> Row:
         """``row`` of the member of a family whose parameters are ``theta``, shape (p,)."""
-        return self.row(members.at(theta).moving, at)._replace(of_theta=np.zeros(theta.size))
+        return self.row(members.given.moving, at)._replace(of_theta=np.zeros(theta.size))
 
     def shifts(self, instants: Stamps) -> Vector:
         """What moving grounds add: nothing, shape (samples,)."""

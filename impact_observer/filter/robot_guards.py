@@ -41,7 +41,7 @@ class RobotGuards(Flight):
         """
         if self._closed:
             return False
-        count = math.ceil(duration / self._moving.step)
+        count = math.ceil(duration / self._moving.longest_step)
         states = motion.states(np.linspace(0.0, duration, count + 1))
         gaps = np.array([self._robot.gaps(x[: self._robot.n]) for x in states])
         change = np.array([self._robot.contact_speeds(x) for x in states]) * (duration / count / 3)
@@ -50,7 +50,7 @@ class RobotGuards(Flight):
 
     def instants(self, duration: float) -> Vector:
         """Samples of the next ``duration`` seconds, shape (samples,)."""
-        count = max(math.ceil(duration / self._moving.step), 4)
+        count = max(math.ceil(duration / self._moving.longest_step), 4)
         s = np.linspace(0.0, duration, count + 1)
         return np.concatenate([s[:1], s[1] * _FIRST_SAMPLES, s[1:]])
 

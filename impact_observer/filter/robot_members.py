@@ -5,6 +5,7 @@ A robot is what a linear system is to the filter, but at one state. Restitutions
 members differ by these alone, and share the motion between impacts.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import cast
@@ -47,8 +48,8 @@ class TangentRobot:
         """The ``robot`` at the state ``x``, shape (2n,)."""
         self.n, self.m = robot.n, robot.m
         self._robot, self._q = robot, x[: self.n]
-        self.W = robot.directions(self._q)
-        self.q_r = robot.gaps(self._q) - self._q @ self.W
+        gaps, self.W = robot.gaps_and_directions(self._q)
+        self.q_r = gaps - self._q @ self.W
         self.eps, self.contact_time = robot.eps, robot.contact_time
         self.rebounds: tuple[ReboundLaw, ...] = robot.rebounds
 
@@ -91,8 +92,9 @@ class RobotGaps(Measured):
     def about(cls, robot: Robot, contacts: Contacts, x: Vector) -> "RobotGaps":
         """The gaps of ``contacts`` near ``x``, shape (2n,)."""
         q = x[: robot.n]
-        W = robot.directions(q, contacts).T
-        found = cls(np.hstack([W, np.zeros_like(W)]), robot.gaps(q, contacts) - W @ q)
+        gaps, columns = robot.gaps_and_directions(q, contacts)
+        W = columns.T
+        found = cls(np.hstack([W, np.zeros_like(W)]), gaps - W @ q)
         found.robot, found.contacts = robot, contacts
         return found
 
@@ -176,6 +178,16 @@ class RobotMember(Member):
         J[:n, :n] += kick
         landed[:n] += kick @ np.linalg.lstsq(W.T, self.system.gaps(x[:n], pressed))[0]
         return Mirror(J, landed - J @ x)
+
+    def jump_root(self, before: Vector, after: Vector) -> Matrix:
+        """A root of the covariance of an error as large as a jump, shape (2n, n).
+
+        The error has the kinetic energy of the jump, in all directions alike.
+        """
+        n = self.system.n
+        root, change = np.linalg.cholesky(self.system.mass(before[:n])), (after - before)[n:]
+        size = np.linalg.norm(root.T @ change) / math.sqrt(n)
+        return np.vstack([np.zeros((n, n)), size * np.linalg.inv(root.T)])
 
     def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
         """What the curvature of rebound laws adds to the error of a jump: it is neglected."""

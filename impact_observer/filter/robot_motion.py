@@ -24,6 +24,8 @@ from impact_observer.model.live_samples import LiveSamples
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
+_SAME_INSTANT = 1e-9
+"""Time between two instants that count as one, s: that of a stamp."""
 _LONGEST_STEP = 0.1
 """Longest step, in the inverse of the fastest rate at rest, which is at most 1 s."""
 
@@ -77,7 +79,7 @@ class RobotPath(Motion):
 
     def state(self, s: float) -> Vector:
         """The state ``s`` seconds after the start, shape (2n,)."""
-        step = self._moving.step
+        step = self._moving.longest_step
         while self._nodes[-1][0] + step < s:
             since, x = self._nodes[-1]
             x = self._moving.state_after(self.t + since, x, step, self._closed)
@@ -100,7 +102,7 @@ class RobotMotion(MovingSystem):
         is_plain: the kernel does not know it.
         rate: the fastest rate at rest, 1/s.
         scales: of its motions.
-        step: the longest step, s.
+        longest_step: of Runge and Kutta, s.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -113,7 +115,8 @@ class RobotMotion(MovingSystem):
         self.rate = fastest_rate(A)
         unit, squares = np.eye(robot.n), np.full(robot.n, self.rate**2)
         self.scales = Scales(squares, unit, unit, unit, self.rate, 1.0 / max(self.rate, 1.0))
-        self.step = _LONGEST_STEP * self.scales.timescale
+        self.longest_step = _LONGEST_STEP * self.scales.timescale
+        self._unit = np.eye(2 * robot.n)
         self._noisy = bool(robot.torque_deviation.any())
         self._latest: tuple[_Asked, list[_MappedStep]] | None = None
 
@@ -143,7 +146,7 @@ class RobotMotion(MovingSystem):
 
     def state_after(self, t: float, x: Vector, s: float, closed: Contacts) -> Vector:
         """The state ``s`` seconds after, or before, ``x`` at ``t``, shape (2n,)."""
-        if abs(s) <= self.step:
+        if abs(s) <= self.longest_step:
             return self.moved(t, x, s, closed)[0]  # whose derivative is often asked for next
         for tau, h in self._steps(t, s):
             x = self.system.advanced(x, tau, h, closed)
@@ -151,7 +154,7 @@ class RobotMotion(MovingSystem):
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x`` at ``t``; its derivative by ``x``."""
-        whole = np.eye(x.size)
+        whole = self._unit
         for after, map_, _ in self._mapped(t, x, s, closed):
             x, whole = after, map_ @ whole
         return x, whole
@@ -239,14 +242,15 @@ class RobotMotion(MovingSystem):
             A, _ = self.system.rate_derivatives((x + after) / 2, tau, closed)
             step = h * A
             square = step @ step
-            yield _MappedStep(after, np.eye(x.size) + step + square / 2 + square @ step / 6, h)
+            map_ = self._unit + step + square / 2 + square @ step / 6
+            yield _MappedStep(after, map_, h)
             x = after
 
     def _steps(self, t: float, s: float) -> Iterator[tuple[Vector, float]]:
         """Torques and durations of steps: no torque changes within one of them."""
         for since, until in self._intervals(t, t + s):
             length = until - since
-            count = max(math.ceil(abs(length) / self.step), 1)
+            count = max(math.ceil(abs(length) / self.longest_step), 1)
             tau = self._torques((since + until) / 2)
             for _ in range(count if length else 0):
                 yield tau, length / count
@@ -257,10 +261,10 @@ class RobotMotion(MovingSystem):
         if sampled is None:
             yield since, until
             return
-        low, high = np.searchsorted(sampled.time, sorted((since, until)))
+        ends = min(since, until) + _SAME_INSTANT, max(since, until) - _SAME_INSTANT
+        low, high = np.searchsorted(sampled.time, ends)
         knots = sampled.time[low:high].tolist()
-        ends = [since, *(knots if until > since else knots[::-1]), until]
-        yield from pairwise(ends)
+        yield from pairwise([since, *(knots if until > since else knots[::-1]), until])
 
 
 def motion_of(system: System | Robot) -> MovingSystem:

@@ -214,6 +214,7 @@ class SampleUpdate:
                     survival={},
                     error=NO_ERROR,
                     jump=Jump(),
+                    jump_error=best.jump_unexplained,
                 )
                 hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -229,9 +230,11 @@ class SampleUpdate:
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
         """``after`` of hypotheses that hold ``s`` seconds before it, ``since`` the epoch, s.
 
-        By one call of the kernel. None where anything is in doubt, or not for the kernel: then
-        they are to be predicted first.
+        By one call of the kernel where the system is linear. None where anything is in doubt, or
+        not for the kernel: then they are to be predicted first.
         """
+        if self.bank.filter.members.given.moving.depends_on_state:
+            return self._followed(reading, hypotheses, since, s)
         known = self._sure(reading, hypotheses, s)
         if known is None:
             return None
@@ -260,6 +263,24 @@ class SampleUpdate:
             weighed.append(_Weighed(followed, _judged(innovation, normalized, gate), residual))
         goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
         if goes_on or not all(each.is_finite for each in weighed):
+            return None
+        return self._kept(reading, weighed, known, new=False)
+
+    def _followed(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
+        """The same of a robot, without the kernel."""
+        if reading.closed or reading.known.rejected >= TUNING.rejected_samples or s < 0:
+            return None
+        longest = TUNING.open_flight * self.bank.filter.scales.timescale
+        known = self.one.first(reading, hypotheses[0].state, reading.known)
+        if not 0 < known.variance < math.inf or s > longest:
+            return None
+        predicted = self.bank.between.undisturbed(hypotheses, since, s)
+        if predicted is None:
+            return None
+        weighed = [self._weighed(reading, h, known) for h in predicted]
+        if not all(each.is_finite for each in weighed):
             return None
         return self._kept(reading, weighed, known, new=False)
 
@@ -297,6 +318,7 @@ class SampleUpdate:
         found = sorted([each.hypothesis for each in weighed], key=lambda h: -h.weight)
         found = self.bank.pruning.likely(found)
         found = self.bank.pruning.distinct(found) if new else found
+        found = self.bank.pruning.settled_jumps(found)
         return normalised(found), first.outcome, known
 
     def _branches(
@@ -311,7 +333,11 @@ class SampleUpdate:
             depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
             if depth > reading.sensor.measurement.gate:
                 wider = self.bank.filter.widened(h.state, TUNING.widening * depth, largest)
-                yield h._replace(state=wider, weight=h.weight + TUNING.log_restart)
+                yield h._replace(
+                    state=wider,
+                    weight=h.weight + TUNING.log_restart,
+                    jump_error=h.jump_unexplained,
+                )
 
     def _settled(self, reading: Reading, h: Hypothesis) -> Iterator[Hypothesis]:
         """``h``, and what it is if the impacts have happened that it penetrates.

@@ -196,6 +196,20 @@ class Tuning:
     """
 
     # Error of the model
+    open_flight: float = 0.1
+    """Longest time between two samples in which that is supposed, in the time scale."""
+    open_speed: float = 4.0
+    """Speed of a contact between two samples, over that at the second one, at most."""
+    jump_errors: tuple[float, ...] = (0.05, 0.3, 1.0)
+    """Sizes of errors of a robot's velocity jumps, over the jump. The first is explained."""
+    jump_counts: tuple[float, ...] = (8.0, 1.0, 1.0)
+    """Hits with these errors that are supposed before the first hit."""
+    jump_window: float = 0.05
+    """Time after a hit in which samples tell the size, s."""
+    unexplained_jumps: float = 0.3
+    """Share of the hits with larger errors beyond which the model does not explain the jumps."""
+    jump_hits: int = 6
+    """Least number of hits of which that is a share."""
     unexplained: float = 2.0
     """Gate of the innovation, in deviations: beyond it the model may have begun to err."""
     coarse_clock: float = 10.0

@@ -70,6 +70,7 @@ class EventUpdate:
             stamp=event.stamp,
             sequence=event.sequence,
             flown=s,
+            flight=seconds_between(previous.last[0], event.stamp) if previous.last[0] else s,
             disorder=disorder(event, meaning, previous.latest),
         )
         try:

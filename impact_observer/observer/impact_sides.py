@@ -59,7 +59,7 @@ class ImpactSides:
         ``root`` is one of the covariance of ``x`` on its side; contacts are ``closed``.
         """
         system, found = self._law.near(x), list[Vector]()
-        n, kicks = system.n, self._kicks(system)
+        n = system.n
         clock = near.clock if near.clock > EXACT else 0.0
         gaps, speeds = system.gap(x[:n]).tolist(), system.contact_speed(x[n:]).tolist()
         for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
@@ -70,7 +70,9 @@ class ImpactSides:
                 share = self._hit_before(-gap / speed, -deviation / speed, clock)
                 lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
                 ago = max(gap / speed, 0.0)
-                found.append(self._error((near.t, x), share, -lost * kicks[:, i], ago, closed))
+                found.append(
+                    self._error((near.t, x), share, -lost * self._kicks(system)[:, i], ago, closed)
+                )
         onset = near.onset
         if onset is None or not clock or s - onset.lasts > REACH * clock:
             return found

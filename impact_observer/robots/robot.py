@@ -53,6 +53,8 @@ class Robot:
 
     Attributes:
         description: the model file's contents.
+        n: number of joints.
+        m: number of contacts.
         name: name of the model.
         coordinates: names of the joints, as in ``JointState``.
         contact_names: names of the contacts.
@@ -95,6 +97,7 @@ class Robot:
         self.name = description.name
         self.coordinates = description.joints
         self.contact_names = description.contact_names
+        self.n, self.m = len(self.coordinates), len(self.contact_names)
         self.units = description.units
         self.speed_units = tuple(map(per_second, self.units))
         self.turns = np.array([each.type == "continuous" for each in joints])
@@ -128,16 +131,6 @@ class Robot:
     def __reduce__(self) -> tuple[type["Robot"], tuple[RobotDescription]]:
         """Copies and pickles are made of the description."""
         return Robot, (self.description,)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.coordinates)
-
-    @property
-    def m(self) -> int:
-        """Number of contacts."""
-        return len(self.contact_names)
 
     @property
     def guides(self) -> tuple[()]:
@@ -368,15 +361,13 @@ class Robot:
     def gaps(self, q: Vector, contacts: Sequence[int] | None = None) -> Vector:
         """Gaps ``g`` of ``contacts``, by default of all, shape (k,), m."""
         which = list(self._all if contacts is None else contacts)
-        pin, model, data = self._pin, self._model, self._data
-        pin.forwardKinematics(model, data, q[self._in])
-        points = [pin.updateFramePlacement(model, data, self._frames[i]) for i in which]
-        return np.array(
-            [
-                self._normals[i].dot(point.translation) - self._offsets[i]
-                for i, point in zip(which, points, strict=True)
-            ]
-        )
+        self._pin.forwardKinematics(self._model, self._data, q[self._in])
+        return np.array([self._placed_gap(i) for i in which])
+
+    def _placed_gap(self, contact: int) -> float:
+        """The gap of a contact where the joints are placed already, m."""
+        point = self._pin.updateFramePlacement(self._model, self._data, self._frames[contact])
+        return float(self._normals[contact].dot(point.translation) - self._offsets[contact])
 
     def gaps_at(self, ns: NDArray[np.int64], states: Matrix) -> Matrix:
         """Gaps in ``states`` (q, u), (samples, 2n), at ``ns`` since the epoch, (samples, m)."""
@@ -385,15 +376,21 @@ class Robot:
 
     def directions(self, q: Vector, contacts: Sequence[int] | None = None) -> Matrix:
         """``W(q)``: gradients of the gaps of ``contacts``, by default of all, shape (n, k)."""
+        return self.gaps_and_directions(q, contacts)[1]
+
+    def gaps_and_directions(
+        self, q: Vector, contacts: Sequence[int] | None = None
+    ) -> tuple[Vector, Matrix]:
+        """``gaps``, shape (k,), m, and ``directions``, shape (n, k), in the time of these."""
         which = list(self._all if contacts is None else contacts)
         pin, model, data = self._pin, self._model, self._data
         pin.computeJointJacobians(model, data, q[self._in])
-        W = np.empty((self.n, len(which)))
+        g, W = np.empty(len(which)), np.empty((self.n, len(which)))
         for k, i in enumerate(which):
-            pin.updateFramePlacement(model, data, self._frames[i])
+            g[k] = self._placed_gap(i)
             J = pin.getFrameJacobian(model, data, self._frames[i], self._world)
             W[:, k] = (self._normals[i] @ J.reshape(6, -1)[:3])[self._out]  # a vector for n = 1
-        return W
+        return g, W
 
     def kicks(self, q: Vector, contacts: Sequence[int] | None = None) -> tuple[Matrix, Matrix]:
         """``W`` and ``M^-1 W`` of ``contacts``, by default of all, shape (n, k) each.
@@ -433,10 +430,10 @@ class Robot:
     ) -> tuple[Vector, Vector, Vector]:
         """``g, dg/dt, d2g/dt2`` of ``contacts`` along the flow, shape (k,) each, SI units."""
         q, u = x[: self.n], x[self.n :]
-        W = self.directions(q, contacts)
+        g, W = self.gaps_and_directions(q, contacts)
         acceleration = self.acceleration(q, u, tau, closed)
         rising = W.T @ acceleration + self.bias(q, u, contacts)
-        return self.gaps(q, contacts), W.T @ u, np.asarray(rising)
+        return g, W.T @ u, np.asarray(rising)
 
     def speed_gradients(
         self, q: Vector, u: Vector, contacts: Sequence[int] | None = None

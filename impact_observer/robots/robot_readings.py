@@ -18,6 +18,7 @@ class RobotReading:
         measurement: as it was declared.
         index: among all sensors.
         is_dynamic: whether it measures accelerations, which depend on torques.
+        is_affine: whether it measures positions and velocities of joints alone.
     """
 
     def __init__(self, measurement: Measurement, robot: Robot, index: int = 0) -> None:
@@ -36,6 +37,7 @@ class RobotReading:
         self.is_dynamic = bool(np.any(self._a))
         names = robot.contact_names
         self._contacts = (names.index(measurement.gap),) if measurement.gap else ()
+        self.is_affine = not (self.is_dynamic or self._contacts)
 
     @property
     def name(self) -> str:

@@ -225,8 +225,8 @@ def test_impacts_that_accumulate_count_once() -> None:
     corrected = [Hypothesis(state, law.clocks[0], innovation=Innovation(1.0, 1.0))]
     timescale, fit = bank.filter.scales.timescale, Fit()
     for k in range(30):
-        flown = timescale * (1.0 if k % 10 == 0 else 0.09)
-        change = ContactChange(Elapsed(k), (), (0,), (), flown=flown)
+        flight = timescale * (1.0 if k % 10 == 0 else 0.09)
+        change = ContactChange(Elapsed(k), (), (0,), (), flown=1e-3 * flight, flight=flight)
         fit = fitted(fit, change, state, corrected, bank)
     assert fit.innovations == (1.0, 1.0, 1.0)
     assert len(fit.as_reported) == 3

@@ -23,9 +23,9 @@ def fitted(
 ) -> Fit:
     """The fit after an event, by the hypotheses after it, the likeliest first.
 
-    Errors of a model do not show in brief flights. So impacts that accumulate count once: their
-    innovations would fill the window that is tested. Stamps of a periodic motion are rounded
-    periodically. So an innovation within the rounding counts as zero.
+    Errors of a model do not show in brief flights, whatever is measured meanwhile. So impacts that
+    accumulate count once: their innovations would fill the window that is tested. Stamps of a
+    periodic motion are rounded periodically. So an innovation within the rounding counts as zero.
 
     Args:
         before: the fit before the event.
@@ -34,7 +34,8 @@ def fitted(
         corrected: the hypotheses after the event.
         bank: the bank of the hypotheses.
     """
-    if 0 < change.flown < TUNING.brief_flight * bank.filter.scales.timescale:
+    brief = TUNING.brief_flight * bank.filter.scales.timescale
+    if 0 < change.flight < brief:
         return before
     likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
     normalised = None if innovation is None else innovation.normalised
@@ -46,6 +47,7 @@ def fitted(
     if innovation is not None and change.hit:
         by_considered = bank.filter.considered_deviation(change.hit[0], prior)
         considered = min(by_considered / innovation.deviation, 1.0)
+    jumps = likeliest.jump_error
     return before.after(
         normalised,
         in_error=error_share(corrected) > TUNING.established_error,
@@ -53,5 +55,6 @@ def fitted(
         exact=exact_share(corrected),
         is_trusted=bank.trusts_events,
         considered=considered,
+        strange_jumps=jumps is not None and jumps.is_strange,
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),
     )

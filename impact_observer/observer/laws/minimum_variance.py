@@ -254,7 +254,7 @@ class MinimumVariance(Law):
         """By one call of the kernel, where nothing is in doubt and the model fits."""
         fit = posterior.fit
         fallback, (began, ago) = posterior.fallback, posterior.behind
-        if fallback is None or posterior.account is not None or fit.is_misfit:
+        if fallback is None or posterior.account is not None or fit.is_compared:
             return None
         made = self._samples.followed(reading, posterior.hypotheses, since, s)
         if made is None:
