@@ -270,7 +270,7 @@ def test_the_first_fault_among_many_states_is_named() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_true_state_of_another_day_is_named_before_estimates_fill_the_disk(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

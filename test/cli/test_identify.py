@@ -236,7 +236,7 @@ def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixtur
     assert "repeat import or detect with --epoch" in said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_model_that_does_not_fit_is_named_above_values_without_standard_errors(
     capsys: pytest.CaptureFixture[str],
@@ -286,6 +286,7 @@ def test_the_drop_height_has_the_error_of_least_squares_on_bounce_times(
     assert error == pytest.approx(g * s * of_s, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_model_that_does_not_fit_is_said_first_and_written(
     capsys: pytest.CaptureFixture[str],

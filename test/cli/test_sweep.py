@@ -89,7 +89,7 @@ def test_two_processes_give_the_same_bits_as_one(serial: Path, tmp_path: Path) -
     assert path.read_bytes() == serial.read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Path) -> None:
     """Workers are processes of their own, found by the address of their scheduler."""
     distributed = pytest.importorskip("distributed")

@@ -169,7 +169,7 @@ def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() ->
     assert not is_exact(40, 40, 1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exact_model_is_as_probable_as_a_share_of_the_hypotheses() -> None:
     """It stays probable beside a faulty sensor, and is refuted by a plant of other restitution."""
     model = sample("two_mass").system

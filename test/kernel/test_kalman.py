@@ -119,7 +119,7 @@ def test_it_agrees_with_the_general_methods(case: Case) -> None:
     assert_near(after.root @ after.root.T, wanted.root @ wanted.root.T, 1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=parametric_cases())
 @examples(80)
 def test_with_parameters_it_agrees_with_the_general_methods(case: Case) -> None:

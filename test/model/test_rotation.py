@@ -139,7 +139,7 @@ def test_a_model_check_prints_units_of_rotation_and_doubts_a_stop_at_three_radia
     assert "eff. mass [kg m^2]" in printed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lines_of_an_observer_have_units_of_rotation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -109,7 +109,7 @@ def test_the_end_of_a_rest_is_as_unreported_as_its_beginning() -> None:
     assert here.dead(seen, 0, Kind.OPEN, 3.1) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("jitter", [0.0, 1e-3])
 def test_hits_in_a_declared_dead_time_are_no_misfit(jitter: float) -> None:
     """All are inserted and none is doubted; undeclared they are warned of."""
@@ -131,7 +131,7 @@ def test_hits_in_a_declared_dead_time_are_no_misfit(jitter: float) -> None:
     assert np.max(np.abs(errors[half:])) < max(0.02 * jitter / 1e-3, 1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_smoothed_recording_knows_the_dead_time() -> None:
     """Every moment that is inserted is one that the sensor could not report."""
     _, events = recorded(1e-3)

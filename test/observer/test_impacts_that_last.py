@@ -171,7 +171,7 @@ def test_a_rest_inside_the_stop_that_is_not_reported_is_no_certainty(restitution
     assert flags[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_filter_learns_how_much_longer_hits_last() -> None:
     """Than the model says, to first order: the parameter is the whole contact time."""
     learn: tuple[str, ...] = ("contact-time=0.001",)

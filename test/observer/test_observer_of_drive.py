@@ -153,7 +153,7 @@ def test_samples_count_that_came_before_the_epoch_of_the_events() -> None:
     assert found[0] == found[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_observe_reads_pulses_and_the_epoch_from_a_bag(tmp_path: Path) -> None:
     """The result has the pulses, too; a bag without an epoch is read from the first pulse on."""
     one, two = tmp_path / "one", tmp_path / "two"

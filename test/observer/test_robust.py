@@ -642,6 +642,7 @@ def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
     assert len(counts) == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_echoes_of_most_hits_do_not_end_synchronization(seed: int) -> None:
     """Seven of ten hits are reported again, 5 to 50 ms later: four in five samples have it."""

@@ -173,7 +173,7 @@ class Rubbed:
             still = [not s or bool(abs(v) < 1e-11) for s, v in zip(signs, speeds, strict=True)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_chain_under_dry_friction_moves_as_by_an_independent_integrator() -> None:
     """Every stick, slip and turn of three guides, to a nanosecond."""
     model = rubbing(

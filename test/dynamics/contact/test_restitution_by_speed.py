@@ -147,7 +147,7 @@ def test_rebound_heights_of_a_ball_follow_the_law_until_it_rests() -> None:
     np.testing.assert_allclose(made.states[-1], 0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_time_stepping_rebounds_by_the_same_law() -> None:
     """Its first impacts are those of the event-driven plant, up to a few steps."""
     model = sample("yielding_stop")
