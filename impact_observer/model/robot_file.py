@@ -108,7 +108,12 @@ def _of_joints(section: Section, key: str, joints: tuple[str, ...]) -> Vector:
 
 def _torque_deviation(section: Section, joints: tuple[str, ...]) -> Vector:
     key = "torque_deviation"
-    if key in section and not isinstance(section.value(key), Mapping):
+    value = section.value(key) if key in section else {}
+    if isinstance(value, list):
+        raise ModelError(
+            key, f"{value} found; expected a number, or numbers by joint: {{{joints[0]}: 0.02}}"
+        )
+    if not isinstance(value, Mapping):
         return np.full(len(joints), section.number(key))
     return _of_joints(section, key, joints)
 

@@ -143,6 +143,12 @@ RUBBING = PENDULUM.replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 0"/><dynamic
         (DOUBLE, "elbow", {"held": "{knee: 1}"}, "held.knee: is no joint that can be held"),
         (DOUBLE, "elbow", {"damping": "{knee: 1}"}, "damping.knee: is none of joints; expected"),
         (DOUBLE, "elbow", {"damping": "{elbow: -1}"}, "damping.elbow: is -1; expected a number"),
+        (
+            DOUBLE,
+            "elbow",
+            {"torque_deviation": "[1]"},
+            r"\[1\] found; .* by joint: \{elbow: 0.02\}",
+        ),
         (DOUBLE, "elbow", {"stiffness": "1"}, "stiffness: is not known here"),
         (
             DOUBLE,
