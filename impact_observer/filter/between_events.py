@@ -21,7 +21,6 @@ from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.settling import rest_after
 from impact_observer.filter.tuning import TUNING
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
 _LEAST_SURVIVAL = -1e3
@@ -110,7 +109,7 @@ class BetweenEvents:
         self._dead_time = dead_time
         self._most = most
         self._keeps_exact = keeps_exact
-        changes = filter_.system.live or isinstance(filter_.system, Robot)
+        changes = filter_.system.live or filter_.is_of_robot
         self._flight = flight_of if changes else lru_cache(_KEPT_FLIGHTS)(flight_of)
 
     def predict(
@@ -214,12 +213,10 @@ class BetweenEvents:
     def undisturbed(
         self, hypotheses: Sequence[Hypothesis], t: float, s: float
     ) -> Sequence[Hypothesis] | None:
-        """The same as ``predict`` where all contacts stay open; None where one may not.
+        """``predict`` of undisturbed ``hypotheses``, in a fraction of the time.
 
-        It takes a fraction of the time.
+        None if a contact may have been closed.
         """
-        if any(h.survival or h.ledger.missed or h.state.closed for h in hypotheses):
-            return None
         if not s:
             return hypotheses
         levels = [h.acceleration_error for h in hypotheses]

@@ -146,6 +146,6 @@ class ClockSteps:
     def _deviation(self, contact: int, prior: GaussianState, clock: float) -> float:
         """Standard deviation of the shift of the stamps, s, well above what the event leaves."""
         speed = abs(self._filter.speed(contact, prior))
-        gap = self._filter.gap_deviation(contact, prior)
+        gap = self._filter.gap_deviation(contact, prior.x, prior.root)
         known = math.hypot(clock, gap / speed) if speed else math.inf
         return min(TUNING.step_deviation * known, TUNING.largest_step)

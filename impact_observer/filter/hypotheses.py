@@ -83,6 +83,11 @@ class Hypothesis(NamedTuple):
         is_over = not last or by_first or events - last >= TUNING.exact_events
         return not self.error.level and is_over
 
+    @property
+    def is_undisturbed(self) -> bool:
+        """Whether no contact is closed, no gap is negative, and no switch was missed just now."""
+        return not (self.survival or self.ledger.missed or self.state.closed)
+
     def weight_without(self, contacts: Contacts) -> float:
         """The logarithm of its probability without the survival of ``contacts``.
 

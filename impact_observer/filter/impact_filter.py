@@ -39,6 +39,15 @@ _LEAST_EXTENT = 1e-9
 """Magnitude of a component of the motion that has been still, relative to the largest."""
 
 
+def gap_deviation_near(near: System, contact: int, root: Matrix) -> float:
+    """The standard deviation of a gap of the system ``near`` a state, m.
+
+    The ``root`` is that of the covariance of the state, shape (2n or more, any).
+    """
+    seen = near.W[:, contact].dot(root[: near.n])
+    return math.sqrt(seen.dot(seen))
+
+
 class EventQuery(NamedTuple):
     """An event under one hypothesis.
 
@@ -154,11 +163,17 @@ class ImpactFilter:
         gap, speed = self.gap(contact, state), self.speed(contact, state)
         return min(gap / speed, self.conditioning.longest) if gap < 0 and speed < 0 else 0.0
 
-    def gap_deviation(self, contact: int, state: GaussianState) -> float:
-        """The standard deviation of a gap by that of the state, m."""
-        near = self.near(state.x)
-        seen = near.W[:, contact].dot(state.root[: near.n])
-        return math.sqrt(seen.dot(seen))
+    @property
+    def is_of_robot(self) -> bool:
+        """Whether the states are those of a robot, which encoders tell."""
+        return isinstance(self.system, Robot)
+
+    def gap_deviation(self, contact: int, x: Vector, root: Matrix) -> float:
+        """The standard deviation of a gap at a state ``x``, shape (2n,), m.
+
+        The ``root`` is that of the covariance, shape (2n or more, any).
+        """
+        return gap_deviation_near(self.near(x), contact, root)
 
     def speed_deviation(self, contact: int, state: GaussianState) -> float:
         """The standard deviation of ``speed``, m/s."""

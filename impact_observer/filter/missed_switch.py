@@ -70,7 +70,7 @@ def _comes_to_rest(
     """
     if filter_.system.rebounds[contact].drives:
         return False
-    deviation = filter_.gap_deviation(contact, state)
+    deviation = filter_.gap_deviation(contact, state.x, state.root)
     brief = TUNING.resting_flight * filter_.scales.timescale
     is_low = speed * flight / 4 <= deviation and flight <= brief
     return is_low or flight <= filter_.conditioning.short

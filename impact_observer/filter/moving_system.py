@@ -21,10 +21,12 @@ from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.events import Contacts
 from impact_observer.filter.process_noise import diffusion, fastest_rate
 from impact_observer.filter.saltation import FreePhase, StateRates
-from impact_observer.kernel._kernel import FreeMotion, Sizes
+from impact_observer.kernel._kernel import FINE, FreeMotion, Sizes
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
+_FIRST_WINDOW = 16 / FINE
+"""First window in which penetrations are searched, in the inverse of the fastest rate."""
 _MANY = 32
 """Coordinates from which on products of matrices are faster than motions one by one."""
 _SMALL = 16
@@ -71,6 +73,11 @@ class MovingSystem:
     def scales(self) -> Scales:
         """Of its motions while nothing is held."""
         return self.phases.scales if self._inverse is None else Scales.of_equations(self.system)
+
+    @cached_property
+    def first_window(self) -> float:
+        """First window after a start in which penetrations are searched, s."""
+        return _FIRST_WINDOW * self.scales.timescale
 
     @cached_property
     def newton(self) -> ImpactLaw:

@@ -103,6 +103,7 @@ class RobotMotion(MovingSystem):
         rate: the fastest rate at rest, 1/s.
         scales: of its motions.
         longest_step: of Runge and Kutta, s.
+        first_window: that step, as encoders come often and a motion is integrated.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -115,7 +116,7 @@ class RobotMotion(MovingSystem):
         self.rate = fastest_rate(A)
         unit, squares = np.eye(robot.n), np.full(robot.n, self.rate**2)
         self.scales = Scales(squares, unit, unit, unit, self.rate, 1.0 / max(self.rate, 1.0))
-        self.longest_step = _LONGEST_STEP * self.scales.timescale
+        self.longest_step = self.first_window = _LONGEST_STEP * self.scales.timescale
         self._unit = np.eye(2 * robot.n)
         self._noisy = bool(robot.torque_deviation.any())
         self._latest: tuple[_Asked, list[_MappedStep]] | None = None

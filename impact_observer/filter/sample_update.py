@@ -233,9 +233,12 @@ class SampleUpdate:
         By one call of the kernel where the system is linear. None where anything is in doubt, or
         not for the kernel: then they are to be predicted first.
         """
-        if self.bank.filter.members.given.moving.depends_on_state:
+        is_doubted = reading.known.rejected >= TUNING.rejected_samples
+        if reading.closed or is_doubted or not all(h.is_undisturbed for h in hypotheses):
+            return None
+        if self.bank.filter.is_of_robot:
             return self._followed(reading, hypotheses, since, s)
-        known = self._sure(reading, hypotheses, s)
+        known = self._sure(reading, s)
         if known is None:
             return None
         row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
@@ -270,11 +273,9 @@ class SampleUpdate:
         self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
     ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
         """The same of a robot, without the kernel."""
-        if reading.closed or reading.known.rejected >= TUNING.rejected_samples or s < 0:
-            return None
-        longest = TUNING.open_flight * self.bank.filter.scales.timescale
         known = self.one.first(reading, hypotheses[0].state, reading.known)
-        if not 0 < known.variance < math.inf or s > longest:
+        longest = self.bank.filter.members.given.moving.first_window
+        if not (0 < known.variance < math.inf and 0 <= s <= longest):
             return None
         predicted = self.bank.between.undisturbed(hypotheses, since, s)
         if predicted is None:
@@ -284,23 +285,16 @@ class SampleUpdate:
             return None
         return self._kept(reading, weighed, known, new=False)
 
-    def _sure(
-        self, reading: Reading, hypotheses: Sequence[Hypothesis], s: float
-    ) -> SensorState | None:
-        """What is known of a sensor where nothing is in doubt, and the kernel can follow."""
+    def _sure(self, reading: Reading, s: float) -> SensorState | None:
+        """What is known of a sensor where the kernel can follow for ``s`` seconds."""
         known, declared = reading.known, reading.sensor.measurement.deviation
         if known.variance < 0 and declared is not None:
             known = known._replace(variance=declared * declared)
-        if known.variance <= 0 or known.rejected >= TUNING.rejected_samples or reading.closed:
-            return None
         filter_ = self.bank.filter
-        if filter_.members.family.size:
+        if known.variance <= 0 or filter_.members.family.size:
             return None
         if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
             return None
-        for h in hypotheses:
-            if h.survival or h.ledger.missed or h.state.closed:
-                return None
         return known
 
     def _kept(

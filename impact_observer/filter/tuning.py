@@ -196,10 +196,6 @@ class Tuning:
     """
 
     # Error of the model
-    open_flight: float = 0.1
-    """Longest time between two samples in which that is supposed, in the time scale."""
-    open_speed: float = 4.0
-    """Speed of a contact between two samples, over that at the second one, at most."""
     jump_errors: tuple[float, ...] = (0.05, 0.3, 1.0)
     """Sizes of errors of a robot's velocity jumps, over the jump. The first is explained."""
     jump_counts: tuple[float, ...] = (8.0, 1.0, 1.0)
@@ -365,6 +361,8 @@ class Tuning:
     """
 
     # Samples
+    open_speed: float = 4.0
+    """Largest speed of an open contact of a robot since the sample before, over that now."""
     rejected_samples: int = 3
     """Samples of a sensor rejected in a row from which on the covariance is doubted."""
     fading: float = 4.0

@@ -14,9 +14,9 @@ from scipy import special
 
 from impact_observer.dynamics import KEPT
 from impact_observer.events import Contacts
+from impact_observer.filter.impact_filter import gap_deviation_near
 from impact_observer.filter.model_error import unit_kicks
 from impact_observer.kernel._kernel import TINY
-from impact_observer.model import System
 from impact_observer.observer.belief import Onset
 from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
@@ -65,7 +65,7 @@ class ImpactSides:
         for i, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
             if speed >= 0 or i in closed:
                 continue
-            deviation = _gap_deviation(system, i, root)
+            deviation = gap_deviation_near(system, i, root)
             if gap < REACH * (deviation - speed * clock):
                 share = self._hit_before(-gap / speed, -deviation / speed, clock)
                 lost = speed + float(system.rebounds[i].rebound(np.array(speed)))
@@ -81,7 +81,7 @@ class ImpactSides:
         if i in closed:
             ago = -clock  # a motion that is stopped does not tell when
         elif not onset.lasts and speeds[i] > 0:
-            away = gaps[i] / max(_gap_deviation(system, i, root), TINY)
+            away = gaps[i] / max(gap_deviation_near(system, i, root), TINY)
             ago = min(gaps[i] / speeds[i], 0.0)
         jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])
         kick, share = self._law.moving.stops(x, onset.hit).dot(jump), float(special.ndtr(-away))
@@ -110,12 +110,6 @@ class ImpactSides:
         waits = (been - seen) / 2 + float(special.owens_t(stamped, clock / deviation))
         waits = (1 - self._missed) * max(waits, 0.0) + self._missed * been
         return float(waits / max(waits + 1 - been, TINY))
-
-
-def _gap_deviation(system: System, i: int, root: Matrix) -> float:
-    """The standard deviation of the gap of a contact, m."""
-    seen = system.W[:, i].dot(root[: system.n])
-    return math.sqrt(seen.dot(seen))
 
 
 def side_error(share: float, kick: Vector) -> Vector:

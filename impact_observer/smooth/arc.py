@@ -18,7 +18,6 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.readings import Place, Reading, Row
-from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.filter.sample_update import SampleFilter
 from impact_observer.kernel._kernel import TINY
 from impact_observer.smooth.account import Moment
@@ -130,7 +129,7 @@ class Arc(Linearised):
 
         Then the filter alone decides which samples count, and samples after the last moment do.
         """
-        return isinstance(self._members, RobotMembers)
+        return self.filter.is_of_robot
 
     def beginning(self, count: int) -> "Arc":
         """The arc of the first ``count`` moments; this arc if it has no more."""

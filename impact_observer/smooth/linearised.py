@@ -167,8 +167,8 @@ class Linearised:
 
         ``root`` is of (q, u, constants) at the state ``x``. Returns 0 if no contact hits.
         """
-        hit, n = self.moments[k].change.hit, self._size // 2
-        return float(np.linalg.norm(self.filter.near(x).W[:, hit[0]] @ root[:n])) if hit else 0.0
+        hit = self.moments[k].change.hit
+        return self.filter.gap_deviation(hit[0], x, root) if hit else 0.0
 
     def rounding(self, x: Vector) -> Vector:
         """How far state and constants may differ by rounding, shape (2n + c,)."""

@@ -17,7 +17,6 @@ from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit
 from impact_observer.filter.model_error import unit_kicks
 from impact_observer.filter.moving_system import transition_of
-from impact_observer.filter.robot_members import RobotMembers
 from impact_observer.filter.square_root import triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.belief import Belief, Fallback, Prediction
@@ -128,8 +127,7 @@ class EstimateReplica(FallbackReplica):
 
 def replica_of(filter_: ImpactFilter) -> FallbackReplica:
     """The replica beside a filter of a linear system or a robot."""
-    is_robot = isinstance(filter_.members, RobotMembers)
-    return EstimateReplica() if is_robot else FallbackReplica(filter_)
+    return EstimateReplica() if filter_.is_of_robot else FallbackReplica(filter_)
 
 
 def nearest(fit: Fit, states: int) -> int:

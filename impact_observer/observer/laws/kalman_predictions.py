@@ -24,15 +24,8 @@ from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.square_root import lengths, triangular
 from impact_observer.filter.tuning import TUNING
-from impact_observer.kernel._kernel import FINE
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
-
-_FIRST_WINDOW = 16 / FINE
-"""First window in which penetrations are searched, in the inverse of the fastest rate."""
-_FIRST_STEP = 0.1
-"""The same of a robot, whose motion is integrated and whose encoders come often."""
 
 
 class MixturePrediction(Prediction):
@@ -197,9 +190,7 @@ class MissedSwitchPrediction(MixturePrediction):
     ) -> None:
         super().__init__(between.filter, t, hypotheses, prior)
         self._between = between
-        is_robot = isinstance(between.filter.system, Robot)
-        window = _FIRST_STEP if is_robot else _FIRST_WINDOW
-        self._first = window * between.filter.scales.timescale
+        self._first = between.filter.members.given.moving.first_window
         self._searched, self._window = 0.0, self._first
 
     def state(self, s: float) -> Vector:

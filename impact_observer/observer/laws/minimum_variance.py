@@ -251,7 +251,7 @@ class MinimumVariance(Law):
     def followed(
         self, reading: Reading, posterior: Belief, since: float, s: float
     ) -> tuple[Belief, SampleOutcome, SensorState] | None:
-        """By one call of the kernel, where nothing is in doubt and the model fits."""
+        """By a short way, where nothing is in doubt and the filter's own estimate is published."""
         fit = posterior.fit
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account is not None or fit.is_compared:
