@@ -43,8 +43,10 @@ class RobotGuards(Flight):
             return False
         count = math.ceil(duration / self._moving.longest_step)
         states = motion.states(np.linspace(0.0, duration, count + 1))
-        gaps = np.array([self._robot.gaps(x[: self._robot.n]) for x in states])
-        change = np.array([self._robot.contact_speeds(x) for x in states]) * (duration / count / 3)
+        n, third = self._robot.n, duration / count / 3
+        placed = [(x[n:], *self._robot.gaps_and_directions(x[:n])) for x in states]
+        gaps = np.array([g for _, g, _ in placed])
+        change = np.array([W.T @ u for u, _, W in placed]) * third
         inner = np.minimum(gaps[:-1] + change[:-1], gaps[1:] - change[1:])
         return bool(np.all(gaps > 0) and np.all(inner > 0))
 

@@ -174,9 +174,10 @@ class RobotMember(Member):
         if not pressed:
             return Mirror(np.eye(2 * n), np.zeros(2 * n))
         J, landed = self.system.jump_derivatives(x, pressed), self.system.jumped(x, pressed)
-        kick, W = J[n:, n:] - np.eye(n), self.system.directions(x[:n], pressed)
+        gaps, W = self.system.gaps_and_directions(x[:n], pressed)
+        kick = J[n:, n:] - np.eye(n)
         J[:n, :n] += kick
-        landed[:n] += kick @ np.linalg.lstsq(W.T, self.system.gaps(x[:n], pressed))[0]
+        landed[:n] += kick @ np.linalg.lstsq(W.T, gaps)[0]
         return Mirror(J, landed - J @ x)
 
     def jump_root(self, before: Vector, after: Vector) -> Matrix:

@@ -5,7 +5,7 @@
 ``g_i(q) = n_i . p_i(q) - o_i >= 0``, ``W_i = J_i' n_i``. States are ``x = (q, u)``, shape (2n,).
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import cast
@@ -274,12 +274,7 @@ class Robot:
     def load_gradients(self, x: Vector, tau: Vector, closed: Sequence[int]) -> Matrix:
         """Derivatives of ``loads`` by the state ``x``, of second order, shape (k, 2n)."""
         n = self.n
-
-        def loads(at: Vector) -> Vector:
-            return self.loads(at[:n], at[n:], tau, closed)
-
-        steps = _STEP * np.eye(2 * n)
-        return np.column_stack([(loads(x + h) - loads(x - h)) / (2 * _STEP) for h in steps])
+        return _differences(lambda at: self.loads(at[:n], at[n:], tau, closed), x)
 
     def acceleration_derivatives(
         self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int] = ()
@@ -288,9 +283,15 @@ class Robot:
 
         Without ``closed`` contacts they are exact; with them, differences of second order.
         """
-        if len(closed):
-            return self._differences(q, u, tau, closed)
-        return self._linearised(q, u, tau)[1:]
+        if not len(closed):
+            return self._linearised(q, u, tau)[1:]
+        n = self.n
+        found = _differences(
+            lambda at: self.acceleration(at[:n], at[n : 2 * n], at[2 * n :], closed),
+            np.concatenate([q, u, tau]),
+        )
+        by_q, by_u, by_tau = np.hsplit(found, 3)
+        return by_q, by_u, by_tau
 
     def _linearised(
         self, q: Vector, u: Vector, tau: Vector
@@ -344,7 +345,7 @@ class Robot:
             q, u = at[:n, 0], at[n:, 0]
             if closed:
                 acceleration = self.acceleration(q, u, tau, closed)
-                by_q, by_u, by_tau = self._differences(q, u, tau, closed)
+                by_q, by_u, by_tau = self.acceleration_derivatives(q, u, tau, closed)
             else:
                 acceleration, by_q, by_u, by_tau = self._linearised(q, u, tau)
             slope[:n] = at[n:]
@@ -688,20 +689,11 @@ class Robot:
             )
         return held, impulses
 
-    def _differences(
-        self, q: Vector, u: Vector, tau: Vector, closed: Sequence[int]
-    ) -> tuple[Matrix, Matrix, Matrix]:
-        """Derivatives of ``acceleration`` with ``closed`` contacts."""
-        found = np.empty((3, self.n, self.n))
-        for kind in range(3):
-            for k in range(self.n):
-                ends = []
-                for sign in (1.0, -1.0):
-                    at = np.array([q, u, tau])
-                    at[kind, k] += sign * _STEP
-                    ends.append(self.acceleration(at[0], at[1], at[2], closed))
-                found[kind, :, k] = (ends[0] - ends[1]) / (2 * _STEP)
-        return found[0], found[1], found[2]
+
+def _differences(function: Callable[[Vector], Vector], at: Vector) -> Matrix:
+    """Derivatives of a ``function`` by central differences, shape (values, arguments)."""
+    steps = _STEP * np.eye(at.size)
+    return np.column_stack([(function(at + h) - function(at - h)) / (2 * _STEP) for h in steps])
 
 
 def _least(G: Matrix, b: Matrix) -> Matrix:
