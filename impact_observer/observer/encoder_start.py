@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from copy import copy
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class EncoderStart:
                     f"initial state: no encoder of the joint {joint!r} found; expected one in"
                     " measurements, or an initial state"
                 )
-        self._given, self._robot = (robot, sensors), robot
+        self._robot = robot
         self._encoders = [by_joint[joint] for joint in robot.coordinates]
         self._sensors = [sensors[i] for i in self._encoders]
         self._first: dict[int, EventKey] = {}
@@ -59,7 +60,9 @@ class EncoderStart:
 
     def anew(self) -> "EncoderStart":
         """The same without any sample."""
-        return EncoderStart(*self._given)
+        found = copy(self)
+        found._first = {}  # noqa: SLF001 (of the same class)
+        return found
 
     @property
     def lacking(self) -> tuple[str, ...]:

@@ -147,8 +147,9 @@ def declared_by(
     Raises:
         UsageError: the deviations or the model error do not suit the ``system``.
     """
-    deviation = deviation_of(options.initial_deviation, system)
-    if encoders is not None:
+    if encoders is None:
+        deviation = deviation_of(options.initial_deviation, system)
+    else:
         deviation = encoders.deviation(options)
     return replace(
         before,
