@@ -30,7 +30,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
@@ -432,18 +432,14 @@ def main(args: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(args)
     table = Table("plant", "hits", *(each.replace("_", " ") for each in Found._fields))
     for name in chosen.cases or CASES:
-        case, truth = CASES[name], _truth(name, chosen.seconds)
+        case = CASES[name]
+        truth = case.truth(chosen.seconds)
         one = delayed(partial(found_by, case, truth, tuned(case, truth)))
         row = row_of(name, truth, Parallel(n_jobs=-1)(one(seed) for seed in range(chosen.seeds)))
         table.add_row(*row)
         print(*row, sep="  ", file=sys.stderr)
     Console(width=120).print(table)
     return 0
-
-
-@cache
-def _truth(name: str, seconds: float) -> Truth:
-    return CASES[name].truth(seconds)
 
 
 if __name__ == "__main__":
