@@ -18,7 +18,9 @@ def juggler() -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
+@pytest.mark.parametrize(
+    "law", ["geometric", pytest.param("minimum-variance", marks=pytest.mark.long)]
+)
 def test_height_is_kept_and_the_observer_can_be_run_again(
     juggler: dict[str, Any], law: str
 ) -> None:

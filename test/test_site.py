@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_site_is_made_without_a_warning(tmp_path: Path) -> None:
     """Every page is in the menus; equations are mathematics, names have their docstrings."""
     pytest.importorskip("sphinx")

@@ -208,7 +208,7 @@ def test_an_epoch_that_the_bag_does_not_say_is_given(capsys: pytest.CaptureFixtu
     assert "0.7" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_value_at_its_bound_is_a_failed_job(capsys: pytest.CaptureFixture[str]) -> None:
     """The bounces of a ball rise higher each time; no model is written."""
@@ -332,7 +332,7 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     assert not Path("ball.yaml").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_check_ends_with_1_where_the_model_does_not_fit(
     model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,6 +17,7 @@ def fitted(innovations: object, **options: bool) -> Fit:
     return fit
 
 
+@pytest.mark.long
 def test_statistic_of_white_innovations_is_that_of_ljung_and_box() -> None:
     """Its mean is the number of lags, and nothing warns."""
     rng = np.random.default_rng(3)

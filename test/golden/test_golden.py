@@ -30,10 +30,17 @@ QUICK = {
     "version 0_2",
     "wrong use",
 }
-GROUPS = [
-    pytest.param(name, id=name, marks=[] if name in QUICK else [pytest.mark.slow])
-    for name in CORPUS
-]
+LONG = {"bag hammer", "bag rubbing_guide", "bag three_mass", "bag yielding_stop"}
+
+
+def marks(group: str) -> list[pytest.MarkDecorator]:
+    """How long the commands of a group take."""
+    if group in LONG:
+        return [pytest.mark.long]
+    return [] if group in QUICK else [pytest.mark.slow]
+
+
+GROUPS = [pytest.param(name, id=name, marks=marks(name)) for name in CORPUS]
 
 
 def full_name(group: str, command: str, field: str) -> str:

@@ -192,6 +192,7 @@ def test_rounding_of_stamps_that_repeats_itself_is_no_error_of_the_model() -> No
     assert independence(1e3 * shifts) < 1e-3
 
 
+@pytest.mark.long
 def test_a_short_recording_of_another_model_does_not_fit() -> None:
     """Rejecting impacts leaves fewer than there are unknowns; a longer one would not help."""
     model = sample("two_mass").system
@@ -260,7 +261,7 @@ def test_a_drift_below_the_declared_clock_error_carries_over() -> None:
     assert carried == [True, False]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_model_that_drifts_does_not_carry_over() -> None:
     """The clock runs faster in the last fifth, as if all springs were weaker."""
     model = sample("two_mass").system
@@ -280,7 +281,7 @@ def test_a_model_that_drifts_does_not_carry_over() -> None:
     assert identify(family, events, clock=1e-4, held_back=0.0).held_back is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_declared_clock_error_that_is_too_small_rejects_much() -> None:
     """The fit of all impacts is kept; its shifts say what the clock is."""
     model = sample("two_mass").system
@@ -394,7 +395,7 @@ def test_the_picture_shows_every_contact() -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_strongly_damped_mode_is_no_obstacle_and_the_smoother_finds_the_same() -> None:
     """It decays at 400 1/s, so no impact depends on its start; hits follow after 17 ms."""
     text = sample("two_mass").text()
@@ -430,7 +431,7 @@ def test_persistent_contacts_are_part_of_the_motion() -> None:
     np.testing.assert_allclose(found.values, [1 / 1.03], rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
     """A ball until it rests: 174 events, the last ones within microseconds."""
     model = sample("bouncing_ball")

@@ -59,7 +59,7 @@ def says_no(found: Identification) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", [1e-3, None])
+@pytest.mark.parametrize("clock", [pytest.param(1e-3, marks=pytest.mark.long), None])
 def test_a_force_that_is_larger_than_the_models_is_named(clock: float | None) -> None:
     """By a tenth. Freed, it explains stamps to their rounding."""
     model = sample("two_mass")

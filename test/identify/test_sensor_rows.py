@@ -222,7 +222,7 @@ def test_a_wrong_model_shows_in_the_samples() -> None:
     assert found.widened > 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_standard_errors_with_samples_are_honest_and_smaller() -> None:
     """The squares of 18 normalised errors; impacts alone leave errors twenty times as large."""
     model = sample("two_mass").system

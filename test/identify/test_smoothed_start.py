@@ -57,7 +57,7 @@ def test_events_are_crowded_where_bounces_settle_within_errors_of_the_clock() ->
     assert not is_crowded(Recording(last_episode(drill(), early)), JITTER)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_parameters_come_from_bounces_that_settle() -> None:
     """Errors are within four deviations, and no hit is lost: used, rejected or left out."""
     events, said = sensed(0.25, jitter=JITTER), list[str]()

@@ -71,7 +71,7 @@ def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     assert not fitted.recording.outliers
 
 
-@pytest.mark.parametrize("dead_time", [0.25, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("dead_time", [pytest.param(0.25, marks=pytest.mark.long), 0.0])
 def test_impacts_alone_may_be_first_edges_of_rows(
     dead_time: float, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -95,7 +95,7 @@ def test_exact_stamps_tell_the_side() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.long)])
 def test_samples_about_jittered_stamps_are_within_three_deviations(name: str) -> None:
     """Nine samples of ten of each component, as observed and smoothed, of six runs."""
     model, within = sample(name), list[tuple[Array, Array]]()

@@ -78,7 +78,7 @@ def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
     assert np.percentile(errors, 95) < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_within_ten() -> None:
     """The plant bounces far higher than declared: the encoders tell the velocities then."""
     model = CASE.model

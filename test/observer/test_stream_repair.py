@@ -419,7 +419,7 @@ def test_events_after_a_set_state_act_on_it(law: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "law", ["open-loop", pytest.param("minimum-variance", marks=pytest.mark.slow)]
+    "law", ["open-loop", pytest.param("minimum-variance", marks=pytest.mark.long)]
 )
 def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
     """Many events, each late by up to four others, every third twice: equal bits."""

@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return one, two
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_smoothed_states_of_a_robot_are_nearer_to_the_truth(
     made: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

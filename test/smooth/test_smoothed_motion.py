@@ -282,7 +282,7 @@ def test_a_rubbing_guide_is_found_from_a_start_that_is_wrong_by_a_decimetre() ->
     assert not motion.misfit
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_motion_with_friction_that_is_nearly_as_likely_is_warned_of() -> None:
     """The start is wrong by 0.3; a motion explains the six stamps, but it is another one."""
     model = sample("rubbing_guide")
@@ -599,7 +599,9 @@ def test_states_are_exact_on_stops_that_move_or_drive_and_while_hits_last(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seconds"), [("two_mass", 30), ("three_mass", 40)])
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("two_mass", 30), pytest.param("three_mass", 40, marks=pytest.mark.long)]
+)
 def test_errors_are_as_large_as_the_covariance_says_in_all_directions(
     name: str, seconds: int
 ) -> None:
