@@ -19,7 +19,7 @@ FASTER = 12.75
 """Speed-up over the sample two_mass."""
 
 
-def fast_model(faster: float = FASTER, size: float = 1.0) -> Model:
+def fast_model(faster: float = FASTER, size: float = 1.0, restitution: float = 0.7) -> Model:
     """``two_mass`` in other units of time and length."""
     s = faster
     text = f"""
@@ -30,7 +30,7 @@ damping: [[{0.2 * s}, {-0.1 * s}], [{-0.1 * s}, {0.1 * s}]]
 stiffness: [[{20 * s**2}, {-10 * s**2}], [{-10 * s**2}, {10 * s**2}]]
 forcing:
   harmonics: [{{frequency: {2.5 * s}, cosine: [0, {4 * s**2 * size}], sine: [0, 0]}}]
-contacts: [{{name: stop, direction: [0, -1], gap: {0.5 * size}, restitution: 0.7}}]
+contacts: [{{name: stop, direction: [0, -1], gap: {0.5 * size}, restitution: {restitution}}}]
 initial_state: {{position: [{0.1 * size}, {-0.2 * size}], velocity: [{0.5 * s * size}, 0]}}
 """
     return parse_model(text, "fast")

@@ -87,11 +87,15 @@ def _seconds_of(model: Model, phases: Phases) -> float:
 
 
 class Recording(NamedTuple):
-    """A recorded rig: its model and the faults of its sensor, as ``simulate`` takes them."""
+    """A recorded rig: its model and the faults of its sensor, as ``simulate`` takes them.
+
+    ``declared`` is the model of the observer; None for that of the rig.
+    """
 
     model: Model
     faults: dict[str, tuple[str, ...]]
     goals: tuple[float, ...]
+    declared: Model | None = None
 
 
 RECORDINGS = {
@@ -99,6 +103,12 @@ RECORDINGS = {
         fast_model(DRILL, 1 / DRILL),
         {"exact": (), "20 % missed, 5 false a second": (*NOISE, "5")},
         (0.03, 0.15),
+    ),
+    "misfit": Recording(
+        fast_model(DRILL, 1 / DRILL, restitution=0.97 * 0.7),
+        {"restitution 3 % off": ()},
+        (0.3,),
+        declared=fast_model(DRILL, 1 / DRILL),
     ),
     "chain_20": Recording(
         chain(20), {"jitter": JITTER, "20 % missed, 2 false a second": (*NOISE, "2")}, (0.15, 0.4)
@@ -109,8 +119,9 @@ RECORDINGS = {
 
 def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contest:
     """Record the rig with each kind of faults, and without an impact."""
-    model = folder / "model.yaml"
+    model, declared = folder / "model.yaml", folder / "declared.yaml"
     model.write_text(recording.model.text(), encoding="utf-8")
+    declared.write_text((recording.declared or recording.model).text(), encoding="utf-8")
     simulated = ("simulate", str(model), "--seed", "1", "--duration")
     _command(*simulated, "0.001", "-o", str(folder / "empty"))
     bags = {name: folder / f"bag_{k}" for k, name in enumerate(recording.faults)}
@@ -118,9 +129,10 @@ def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contes
         _command(*simulated, f"{seconds}", *faults, "-o", str(bags[name]))
 
     def ours(place: Path) -> Metrics:
-        start = _observed(folder / "empty", place / "empty", "--epoch", f"{EPOCH / NS_PER_S}")
+        epoch = ("--epoch", f"{EPOCH / NS_PER_S}")
+        start = _observed(folder / "empty", declared, place / "empty", *epoch)
         return {
-            name: (_observed(bag, place / bag.name) - start) / seconds
+            name: (_observed(bag, declared, place / bag.name) - start) / seconds
             for name, bag in bags.items()
         }
 
@@ -130,10 +142,10 @@ def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contes
     )
 
 
-def _observed(bag: Path, output: Path, *options: str) -> float:
-    """Processor time of observing ``bag``, s."""
-    law = ("--law", "minimum-variance")
-    return _command("observe", str(bag), *law, *options, "-o", str(output))
+def _observed(bag: Path, model: Path, output: Path, *options: str) -> float:
+    """Processor time of observing ``bag`` with a model, s."""
+    given = ("--law", "minimum-variance", "--model", str(model))
+    return _command("observe", str(bag), *given, *options, "-o", str(output))
 
 
 def _command(*arguments: str) -> float:

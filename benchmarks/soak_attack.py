@@ -210,6 +210,21 @@ def _late(rig: Rig) -> Messages:
     return ((0.0, each) for each in data)
 
 
+def _slow_late(rig: Rig) -> Messages:
+    """180 impacts at 40 a second that are up to 9 s late: too few a second for a flood."""
+    draw = random.Random(5)
+    for k in range(180):
+        late = draw.randrange(9 * NS_PER_S)
+        yield k / 40, _serialized(_hit(rig, time.time_ns() - late))
+
+
+def _slow_switch(rig: Rig) -> Messages:
+    """180 events at 45 a second by which the contact closes and opens in turn."""
+    for k in range(180):
+        switches = (Switch("stop", (Kind.CLOSE, Kind.OPEN)[k % 2]),)
+        yield k / 45, _serialized(Event(time.time_ns(), switches, 0, 0, rig.events[0].epoch))
+
+
 def _corrupt(rig: Rig) -> Messages:
     """3000 events of which bytes were changed, in three seconds."""
     draw = random.Random(2)
@@ -268,6 +283,8 @@ ATTACKS: dict[str, Callable[[Rig], Messages]] = {
     "random": _random,
     "burst": _burst,
     "late": _late,
+    "slow-late": _slow_late,
+    "slow-switch": _slow_switch,
     "corrupt": _corrupt,
     "extreme": _extreme,
     "forces": _forces,
@@ -340,7 +357,7 @@ def _run(law: str, names: Sequence[str], model: Path) -> bool:
                 assert process.poll() is None, "the node has ended"
                 held &= silence <= MOST_SILENCE and (recovery <= MOST_RECOVERY or name == JUMP)
                 print(
-                    f"{law:16} {name:8} {count:6} messages in {taken:5.2f} s: longest silence"
+                    f"{law:16} {name:11} {count:6} messages in {taken:5.2f} s: longest silence"
                     f" {silence:.3f} s; of {len(true)} true events {decided} had a verdict; the"
                     f" first one after the attack was applied {recovery:.1f} s after it was due",
                     flush=True,
