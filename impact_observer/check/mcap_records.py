@@ -17,8 +17,8 @@ from mcap.stream_reader import CRCValidationError, breakup_chunk, read_magic
 from mcap.summary import Summary
 
 from impact_observer.draw.reports import counted
+from impact_observer.io.decompression import decompressed, plain
 from impact_observer.io.mcap_checksums import index_is_damaged
-from impact_observer.io.mcap_chunks import decompressed, plain
 from impact_observer.stamps import seconds_between, text
 
 _OPCODES = range(1, 0x10)

@@ -16,12 +16,14 @@ from tempfile import TemporaryDirectory
 from typing import TypeAlias, final
 
 import zstandard
+from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
 from impact_observer.check.mcap_records import McapFile, McapMessage
 from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError, UsageError
 from impact_observer.input_files import open_input
 from impact_observer.io.bag_topics import TopicInfo, recover_command
+from impact_observer.io.decompression import decompressed_message
 from impact_observer.io.foreign_files import ROS_2, foreign_file, foreign_messages
 from impact_observer.io.interfaces import Quality, absolute, usual_quality
 from impact_observer.io.reader import BagReader, RawMessage
@@ -106,9 +108,9 @@ class Salvage:
         if raw.data[:4] != _ZSTD:
             return raw
         try:
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(raw.data)
-        except zstandard.ZstdError:
-            self._lose(f"{raw.topic}: messages whose compression is damaged")
+            data = decompressed_message(raw.data)
+        except ReaderError:
+            self._lose(f"{raw.topic}: messages whose compression is damaged or too large")
             return None
         return RawMessage(raw.topic, raw.log_time, data)
 

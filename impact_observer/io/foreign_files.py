@@ -14,7 +14,7 @@ from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from impact_observer.input_files import open_input
-from impact_observer.io.mcap_chunks import plain
+from impact_observer.io.decompression import plain
 
 ROS_2 = "cdr"
 """Encoding of the messages of ROS 2."""

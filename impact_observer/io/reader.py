@@ -32,6 +32,7 @@ from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.input_files import check_input, open_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
+from impact_observer.io.decompression import bound_rosbags
 from impact_observer.io.foreign_files import (
     ROS_2,
     bag_files,
@@ -41,7 +42,6 @@ from impact_observer.io.foreign_files import (
 )
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
-from impact_observer.io.mcap_chunks import bound_rosbags
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,

@@ -8,6 +8,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+import zstandard
 from faulty_bags import GOOD, MAKE, S, model, state
 from foreign_bags import bare, humble_sqlite, mcap_folder, rewritten
 from hypothesis import HealthCheck, given, settings
@@ -20,7 +21,7 @@ from impact_observer.check.bag_check import check_bag
 from impact_observer.check.salvage import Salvage, salvage
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
-from impact_observer.io import BagReader, BagWriter, interfaces
+from impact_observer.io import BagReader, BagWriter, decompression, interfaces
 from impact_observer.io.mcap_checksums import data_are_damaged
 from impact_observer.io.reader import RawMessage
 from impact_observer.stamps import text
@@ -300,6 +301,26 @@ def test_a_chunk_that_declares_gigabytes_is_not_decompressed(
     with pytest.raises(BagError, match=fault):
         messages(bag)
     assert any(fault in each for each in lines(bag))
+
+
+@pytest.mark.parametrize(
+    ("end", "fault"), [(None, "has more than 100000 without"), (-8, "has no end")]
+)
+def test_a_compressed_message_of_gigabytes_or_without_an_end_is_one_line(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, end: int | None, fault: str
+) -> None:
+    """The message is refused before more memory is taken than the bound, and salvage goes on."""
+    monkeypatch.setattr(decompression, "MOST_BYTES", 100_000)
+    bag = rewritten(whole, Path("bag"), StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
+    bomb = zstandard.compress(bytes(100_001 if end is None else 1000))[:end]
+    with sqlite3.connect(bare(bag)) as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 7", (bomb,))
+    with pytest.raises(BagError, match=fault):
+        messages(bag)
+    source = Salvage(bag)
+    assert len(list(source.raw())) == len(messages(whole)) - 1
+    (loss,) = source.losses
+    assert loss.endswith("messages whose compression is damaged or too large")
 
 
 def test_bytes_that_are_missing_in_a_chunk_without_an_end_alter_no_message(whole: Path) -> None:

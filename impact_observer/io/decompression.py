@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chunks of MCAP files without their compression, of a bounded size."""
+"""Chunks of MCAP files and messages without their compression, of a bounded size."""
 
 from dataclasses import replace
 from io import BytesIO
+from types import SimpleNamespace
 
 import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.records import Chunk
-from rosbags.rosbag2 import ReaderError, storage_mcap
+from rosbags.rosbag2 import ReaderError, reader, storage_mcap
 
+zstd = vars(reader)["zstd"]
+"""The library that rosbags decompresses messages with."""
 MOST_BYTES = 2**30
-"""Largest chunk that is decompressed. Recorders end one after some megabytes."""
+"""Largest chunk or message that is decompressed. Recorders end a chunk after some megabytes."""
 
 
 def decompressed(data: bytes, compression: str, size: int) -> bytes:
@@ -51,8 +54,30 @@ def plain(chunk: Chunk) -> Chunk:
     return replace(chunk, compression="", data=data)
 
 
+def decompressed_message(data: bytes) -> bytes:
+    """The bytes of a message that rosbag2 has compressed by zstd.
+
+    Raises:
+        ReaderError: the message is damaged, or has more than ``MOST_BYTES``.
+    """
+    stream = zstd.ZstdDecompressor()
+    try:
+        found = bytes(stream.decompress(data, MOST_BYTES + 1))
+    except zstd.ZstdError as error:
+        raise ReaderError(f"the compression of a message is damaged: {error}") from error
+    if len(found) > MOST_BYTES:
+        raise ReaderError(
+            f"a message of {len(data)} bytes has more than {MOST_BYTES} without its compression"
+        )
+    if not stream.eof:
+        raise ReaderError(f"the compression of a message of {len(data)} bytes has no end")
+    return found
+
+
 def bound_rosbags() -> None:
-    """Have the library ``rosbags`` decompress chunks by :func:`decompressed`."""
+    """Have the library ``rosbags`` decompress chunks and messages by the functions above."""
+    bounded = SimpleNamespace(open=zstd.open, decompress=decompressed_message)
+    vars(reader).update(zstd=bounded)
     storage_mcap.DECOMPRESSORS.update(
         zstd=lambda data, size: decompressed(data, "zstd", size),
         lz4=lambda data, size: decompressed(data, "lz4", size),
