@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.check.link_inertias import inertia_remarks
 from impact_observer.draw.reports import TextTable, counted, listed, print_facts, print_table
 from impact_observer.model import Model
 from impact_observer.model.robot_description import RobotDescription
@@ -48,10 +49,9 @@ def check_robot(model: Model) -> RobotCheck:
         ModelError: the robot cannot move, or its start is inside a plane.
     """
     robot = robot_of(model)
-    position = np.zeros(robot.n)
-    if model.position is not None and model.velocity is not None:
-        position, _ = robot.checked_start(model.position, model.velocity)
-    return RobotCheck(model, robot, position)
+    return RobotCheck(
+        model, robot, np.zeros(robot.n) if model.position is None else model.position
+    )
 
 
 def robot_json(checked: RobotCheck) -> dict[str, object]:
@@ -177,16 +177,27 @@ def _at(q: Vector, robot: Robot) -> tuple[list[float], list[float]]:
 def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:
     """Kinds and texts of remarks."""
     robot, description = checked.robot, checked.description
-    base = description.known_urdf.base
+    base = description.known_urdf.root_link
     yield "note", f"The root {base} counts as fixed. Contacts have no friction."
-    if held := [f"{name} at {value:g}" for name, value in description.holds.items()]:
-        yield "note", f"Held, as no joint of the state: {listed(held)}."
+    if held := description.held_in_words:
+        yield "note", f"{held[0].upper()}{held[1:]}."
     if turning := [each.name for each in description.urdf_joints if each.type == "continuous"]:
         yield "note", f"Angles count on beyond a turn; encoders of {listed(turning)} need not."
     for i in robot.beyond_limits(checked.position) if checked.has_start else ():
         limits = f"{robot.lower[i]:g} to {robot.upper[i]:g} {robot.units[i]}"
         start = f"The start of {robot.coordinates[i]} is {checked.position[i]:g}"
         yield "warning", f"{start}, outside its limits {limits}, which are no contacts."
+    bounded = np.isfinite(robot.lower) | np.isfinite(robot.upper)
+    if limited := [robot.coordinates[i] for i in np.flatnonzero(bounded)]:
+        limits = f"The URDF has limits of {listed(limited)}, which the model does not use"
+        yield "note", f"{limits}: give a contact where the robot hits one."
+    yield from inertia_remarks(robot, checked.position)
+    driven = robot.forcing.depends_on_time or robot.forcing.constant.any()
+    if driven and description.forces is None:
+        unseen = (
+            "forcing drives the plant, but without forces an observer takes all torques for zero"
+        )
+        yield "warning", f"{unseen}: give forces: {{topic: /joint_states, field: effort}}."
     known = [math.isfinite(speed) and speed > 0 for speed in robot.fastest.tolist()]
     if slow := [
         name for name, is_known in zip(robot.coordinates, known, strict=True) if not is_known

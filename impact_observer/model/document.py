@@ -98,11 +98,14 @@ class Section:
             raise ModelError(self.key(name), f"{_shown(value)} found; expected a list")
         return [(f"{self.key(name)}[{i}]", item) for i, item in enumerate(value)]
 
-    def vector(self, name: str, n: int, *, optional: bool = False) -> Vector:
-        """``n`` numbers, shape (n,); zeros where the key is absent and ``optional``."""
+    def vector(self, name: str, n: int, *, optional: bool = False, meaning: str = "") -> Vector:
+        """``n`` numbers, shape (n,); zeros where the key is absent and ``optional``.
+
+        ``meaning`` follows the expected number of numbers in errors.
+        """
         if optional and name not in self:
             return np.zeros(n)
-        return numbers(self.key(name), self.value(name), n)
+        return numbers(self.key(name), self.value(name), n, meaning)
 
     def matrix(self, name: str, n: int, folder: Path | None) -> Matrix:
         """An ``n`` x ``n`` matrix: rows, or the path of a ``.npy`` or Matrix Market file."""
@@ -130,15 +133,15 @@ def number(key: str, value: Value) -> float:
     return float(value)
 
 
-def numbers(key: str, value: Value, n: int) -> Vector:
-    """``value`` as a vector of ``n`` numbers.
+def numbers(key: str, value: Value, n: int, meaning: str = "") -> Vector:
+    """``value`` as a vector of ``n`` numbers; ``meaning`` follows these words in errors.
 
     Raises:
         ModelError: ``value`` is no list, has another length or a member that is not a number.
     """
     if not isinstance(value, list) or len(value) != n:
         given = f"{len(value)} values" if isinstance(value, list) else _shown(value)
-        raise ModelError(key, f"{given} found; expected a list of {n} numbers")
+        raise ModelError(key, f"{given} found; expected a list of {n} numbers{meaning}")
     return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
 
 

@@ -31,7 +31,7 @@ from impact_observer.model.ground_keys import (
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
-from impact_observer.model.robot_description import RobotDescription
+from impact_observer.model.robot_description import RobotDescription, one_of_each
 from impact_observer.model.robot_deviations import read_robot_uncertainty
 from impact_observer.model.robot_file import ROBOT_KEYS, read_robot
 from impact_observer.model.system import (
@@ -444,7 +444,7 @@ def _robot_model(document: Mapping[str, Value], folder: Path | None) -> Model:
     robot = read_robot(section.text("name"), section, folder)
     return Model(
         None,
-        *_state_parts(section, robot.n),
+        *_state_parts(section, robot.n, one_of_each(robot.joints, robot.urdf)),
         _provenance(section),
         uncertainty=read_robot_uncertainty(section, plain, robot),
         robot=robot,
@@ -566,13 +566,15 @@ def _factors(contact: Section, motions: GroundMotions) -> Vector:
     return factors
 
 
-def _state_parts(section: Section, n: int) -> tuple[Vector | None, Vector | None]:
+def _state_parts(
+    section: Section, n: int, meaning: str = ""
+) -> tuple[Vector | None, Vector | None]:
     """Positions and velocities at the epoch of ``n`` coordinates, shape (n,) each, if any."""
     if "initial_state" not in section:
         return None, None
     state = Section("initial_state", section.value("initial_state"), ("position", "velocity"))
-    position = frozen(state.vector("position", n))
-    velocity = frozen(state.vector("velocity", n))
+    position = frozen(state.vector("position", n, meaning=meaning))
+    velocity = frozen(state.vector("velocity", n, meaning=meaning))
     for name, values in (("position", position), ("velocity", velocity)):
         for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
             raise ModelError(

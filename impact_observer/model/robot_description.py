@@ -150,6 +150,19 @@ class RobotDescription:
             )
         return self.urdf
 
+    @property
+    def held_in_words(self) -> str:
+        """A sentence on the joints that are held; empty for none."""
+        left, origin = self.known_urdf.movable_beside((*self.joints, *self.held)), self.origin
+        shown = [f"{k} at {value:g}" for k, value in self.holds.items() if k not in left]
+        words = [f"held, as no joint of the state: {', '.join(shown)}"] if shown else []
+        if left:
+            words.append(
+                f"held at 0, as joints lacks them: {', '.join(left)} of {origin}; expected in"
+                " joints what moves, in held what rests elsewhere"
+            )
+        return "; ".join(words)
+
     def with_urdf(self, text: str) -> "RobotDescription":
         """The robot with the ``text`` of the URDF that came from the topic.
 
@@ -263,6 +276,13 @@ class RobotDescription:
                     f"is no joint that can be held in {self.origin}; expected a revolute,"
                     " continuous or prismatic joint that is not in joints",
                 )
+
+
+def one_of_each(joints: Sequence[str], urdf: Urdf | None) -> str:
+    """The words for one number of each of the ``joints``, after the number of numbers."""
+    left = [] if urdf is None else urdf.movable_beside(joints)
+    others = f", without {', '.join(left)} of {urdf.source}" if urdf is not None and left else ""
+    return f", one of each in joints: {', '.join(joints)}{others}"
 
 
 def _by_joint(kind: str, joints: Sequence[str], values: Vector) -> dict[str, float]:

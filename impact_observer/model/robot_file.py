@@ -11,7 +11,7 @@ from impact_observer.model.document import Section, Value, file_beside, number
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
-from impact_observer.model.robot_description import PlaneContact, RobotDescription
+from impact_observer.model.robot_description import PlaneContact, RobotDescription, one_of_each
 from impact_observer.model.sampled_files import KEYS as SAMPLED_KEYS
 from impact_observer.model.sampled_files import read_samples, table_of
 from impact_observer.model.urdf_file import Urdf
@@ -37,7 +37,7 @@ def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescrip
     n = len(joints)
     urdf, topic = _urdf(section, folder)
     contacts = [Section(*item, _CONTACT_KEYS) for item in section.items("contacts")]
-    forcing = _forcing(section, joints, folder)
+    forcing = _forcing(section, joints, urdf, folder)
     document = {key: section.value(key) for key in ROBOT_KEYS if key in section}
     if urdf is not None:
         document[_URDF] = urdf.text
@@ -49,11 +49,11 @@ def read_robot(name: str, section: Section, folder: Path | None) -> RobotDescrip
         urdf=urdf,
         topic=topic,
         held=_by_name(section, "held"),
-        own_damping=_of_joints(section, "damping", joints),
-        rotor_inertia=_of_joints(section, "rotor_inertia", joints),
+        own_damping=_of_joints(section, "damping", joints, urdf),
+        rotor_inertia=_of_joints(section, "rotor_inertia", joints, urdf),
         contacts=tuple(map(_contact, contacts)),
         forces=_forces(section),
-        torque_deviation=_torque_deviation(section, joints),
+        torque_deviation=_torque_deviation(section, joints, urdf),
         gravity=section.vector("gravity", 3) if "gravity" in section else np.array(_GRAVITY),
         forcing=forcing if n else Forcing.none(0),
         document=document,
@@ -96,17 +96,19 @@ def _by_name(section: Section, key: str) -> dict[str, float]:
     return {str(k): number(f"{key}.{k}", each) for k, each in value.items()}
 
 
-def _of_joints(section: Section, key: str, joints: tuple[str, ...]) -> Vector:
+def _of_joints(section: Section, key: str, joints: tuple[str, ...], urdf: Urdf | None) -> Vector:
     """A number of each joint, zero where a joint has none, shape (n,)."""
     given = _by_name(section, key)
     for name in given:
         if name not in joints:
-            names = ", ".join(joints)
-            raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {names}")
+            wanted = ", ".join(joints)
+            if urdf is not None and name in urdf.movable_beside(joints):
+                wanted += f", or {name} in joints, without which it is held"
+            raise ModelError(f"{key}.{name}", f"is none of joints; expected some of {wanted}")
     return np.array([given.get(name, 0.0) for name in joints])
 
 
-def _torque_deviation(section: Section, joints: tuple[str, ...]) -> Vector:
+def _torque_deviation(section: Section, joints: tuple[str, ...], urdf: Urdf | None) -> Vector:
     key = "torque_deviation"
     value = section.value(key) if key in section else {}
     if isinstance(value, list):
@@ -115,7 +117,7 @@ def _torque_deviation(section: Section, joints: tuple[str, ...]) -> Vector:
         )
     if not isinstance(value, Mapping):
         return np.full(len(joints), section.number(key))
-    return _of_joints(section, key, joints)
+    return _of_joints(section, key, joints, urdf)
 
 
 def _contact(contact: Section) -> PlaneContact:
@@ -140,9 +142,11 @@ def _forces(section: Section) -> tuple[str, str] | None:
     return forces.text("topic"), name
 
 
-def _forcing(section: Section, joints: tuple[str, ...], folder: Path | None) -> Forcing:
+def _forcing(
+    section: Section, joints: tuple[str, ...], urdf: Urdf | None, folder: Path | None
+) -> Forcing:
     """Torques and forces of the drives of a plant."""
-    n = len(joints)
+    n, each_has = len(joints), one_of_each(joints, urdf)
     if "forcing" not in section:
         return Forcing.none(n)
     forcing = Section(
@@ -151,11 +155,11 @@ def _forcing(section: Section, joints: tuple[str, ...], folder: Path | None) -> 
     harmonics = [Section(*item, _HARMONIC) for item in forcing.items("harmonics")]
 
     def part(name: str) -> Vector:
-        rows = [each.vector(name, n, optional=True) for each in harmonics]
+        rows = [each.vector(name, n, optional=True, meaning=each_has) for each in harmonics]
         return np.reshape(rows, (len(harmonics), n))
 
     return Forcing(
-        constant=forcing.vector("constant", n, optional=True),
+        constant=forcing.vector("constant", n, optional=True, meaning=each_has),
         frequency=np.array([each.positive("frequency") for each in harmonics]),
         cosine=part("cosine"),
         sine=part("sine"),

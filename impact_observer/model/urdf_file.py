@@ -2,7 +2,7 @@
 """What a URDF says of its links and joints; geometry is not read."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from xml.etree import ElementTree as ET
 
@@ -120,11 +120,13 @@ class Urdf:
             raise self.wrong("is xacro; expected a URDF: xacro FILE > robot.urdf makes one")
         return root
 
-    @property
-    def base(self) -> str:
-        """Name of the root link."""
-        children = {each.child for each in self.joints.values()}
-        return next(link for link in self.links if link not in children)
+    def movable_beside(self, joints: Collection[str]) -> list[str]:
+        """Names of the joints that may be part of a state, but are none of ``joints``."""
+        return [
+            each.name
+            for each in self.joints.values()
+            if each.type in UNITS_BY_TYPE and not each.mimics and each.name not in joints
+        ]
 
     def wrong(self, problem: str) -> ModelError:
         """The error that names the file and the ``problem``."""

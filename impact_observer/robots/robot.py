@@ -629,12 +629,19 @@ class Robot:
             UsageError: a wrong number of values, one that is not finite, or a plane penetrated.
         """
         q, u = self.checked_state(position, velocity)
-        for i in self.penetrated(q):
-            raise UsageError(
-                f"{self.name}: position: is inside the plane of {self.contact_names[i]!r} (gap"
-                f" {self.gaps(q)[i]:g} m); expected gap >= 0"
-            )
+        if problem := self.in_plane(q):
+            raise UsageError(f"{self.name}: position: {problem}")
         return q, u
+
+    def in_plane(self, q: Vector) -> str:
+        """In which plane ``q`` is, and the remedy; empty for none."""
+        for i in self.penetrated(q):
+            return (
+                f"is inside the plane of {self.contact_names[i]!r} (gap {self.gaps(q)[i]:g} m);"
+                f" expected gap >= 0: start on its free side, or see normal and offset of"
+                f" contacts[{i}]"
+            )
+        return ""
 
     def beyond_limits(self, q: Vector) -> tuple[int, ...]:
         """Indices of the joints whose limits in the URDF do not contain ``q``."""
@@ -706,13 +713,17 @@ def robot_of(model: Model) -> Robot:
 
     Raises:
         UsageError: pinocchio is not installed, or the URDF has not come from its topic.
-        ModelError: the URDF makes no robot that can move; the error names the model file.
+        ModelError: the URDF makes no robot that can move, or the initial state is inside a plane;
+            the error names the model file.
     """
     assert model.robot is not None, "a robot"
     try:
-        return Robot(model.robot)
+        robot = Robot(model.robot)
+        if model.position is not None and (problem := robot.in_plane(model.position)):
+            raise ModelError("initial_state.position", problem)
     except ModelError as error:
         raise error.in_file(model.source) from None
+    return robot
 
 
 def simulated(model: Model) -> System | Robot:
@@ -744,6 +755,4 @@ def connected_robot(robot: Robot) -> tuple[Robot, LiveSignals | None]:
 
 def held_joints(system: System | Robot) -> str:
     """A line on joints that a robot holds; empty for none, and for linear systems."""
-    holds = system.description.holds if isinstance(system, Robot) else {}
-    shown = ", ".join(f"{name} at {value:g}" for name, value in holds.items())
-    return f"held, as no joint of the state: {shown}" if shown else ""
+    return system.description.held_in_words if isinstance(system, Robot) else ""

@@ -196,3 +196,38 @@ def test_joints_that_follow_held_ones_are_held_too() -> None:
     text = text.replace("</robot>", joint("hip", "c", "d") + link("d", 1, "0 0 1") + "</robot>")
     robot = robot_in(model_of(text, "hip", held="{left: 0.2}"))
     assert robot.holds == {"left": 0.2, "right": pytest.approx(0.3), "lift": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        (
+            {"initial_state": "{position: [0, 1], velocity: [0, 0]}"},
+            (
+                "initial_state.position: 2 values found; expected a list of 1 numbers, one of each in"
+                " joints: shoulder, without elbow of the URDF in the model"
+            ),
+        ),
+        (
+            {"forcing": "{harmonics: [{frequency: 5, sine: [4, 1]}]}"},
+            (
+                "forcing.harmonics[0].sine: 2 values found; expected a list of 1 numbers, one of each"
+                " in joints: shoulder, without elbow of the URDF in the model"
+            ),
+        ),
+        (
+            {"damping": "{elbow: 0.1}"},
+            (
+                "damping.elbow: is none of joints; expected some of shoulder, or elbow in joints,"
+                " without which it is held"
+            ),
+        ),
+    ],
+)
+def test_numbers_of_joints_that_the_model_leaves_out_name_these_joints(
+    keys: dict[str, str], line: str
+) -> None:
+    """The list has the joints that are expected, and those of the URDF that lack."""
+    with pytest.raises(ModelError) as found:
+        model_of(DOUBLE, "shoulder", **keys)
+    assert str(found.value) == f"arm.yaml: {line}"

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What check-model says of a robot: inertias that lack, torques nobody sees, unused limits."""
+
+from pathlib import Path
+
+import pytest
+from arms import DOUBLE, PENDULUM, joint, link, model_of, urdf, wall
+
+pytest.importorskip("pinocchio", reason="not installed: extra robots")
+
+from impact_observer.check.robot_report import check_robot, robot_json
+from impact_observer.cli.main import main
+from impact_observer.errors import ModelError
+from impact_observer.model import Model
+
+LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="5"/>'
+CHAIN = urdf(
+    link("thigh", 2.0, "0 0 -0.2") + '<link name="knee_cap"/>' + link("foot", 0.5, "0 0 -0.1"),
+    joint("hip", "base", "thigh", kind="revolute", more=LIMIT)
+    + joint("screw", "thigh", "knee_cap", kind="fixed")
+    + joint("ankle", "thigh", "foot", xyz="0 0 -0.4"),
+)
+"""A thigh with a frame on it, and a foot; the hip has limits."""
+
+
+def findings(model: Model) -> list[str]:
+    """The remarks on a model, each after its kind."""
+    found = robot_json(check_robot(model))["findings"]
+    assert isinstance(found, list)
+    return [f"{each['kind']} {each['text']}" for each in found]
+
+
+def test_links_without_inertia_are_named_with_the_joint_that_moves_them() -> None:
+    """A frame that is fixed to a body is a note; a body without any mass is a warning."""
+    bare = CHAIN.replace("foot", "toe").replace(
+        link("toe", 0.5, "0 0 -0.1"), '<link name="toe"/>' + link("far", 0.5, "0 0 -0.1")
+    )
+    bare = bare.replace("</robot>", joint("last", "toe", "far", xyz="0.1 0 0") + "</robot>")
+    found = findings(model_of(bare, "hip, ankle, last"))
+    assert "note Without an inertial, so counted as points of others: knee_cap." in found
+    assert (
+        "warning No mass in the URDF in the model: toe, which ankle moves; give an inertial, or"
+        " the motion of ankle is not the robot's." in found
+    )
+    assert not [each for each in findings(model_of(CHAIN, "hip, ankle")) if "No mass" in each]
+
+
+@pytest.mark.parametrize(
+    ("moments", "line"),
+    [
+        ("0.1 0.1 0.3", "warning No body has the inertia of foot in the URDF in the model"),
+        ("0.1 0.1 -0.1", "warning No body has the inertia of foot in the URDF in the model"),
+        ("0 0 0", "note Moments of inertia are zero, so a point mass: foot."),
+        ("0.1 0.1 0.1", ""),
+        ("0.1 0.1 0.2", ""),
+    ],
+)
+def test_moments_of_inertia_that_no_body_has_are_named(moments: str, line: str) -> None:
+    """A moment above the sum of the others, as of mixed axes or units; zeros are a point."""
+    foot = link("foot", 0.5, "0 0 -0.1")
+    text = CHAIN.replace(foot, link("foot", 0.5, "0 0 -0.1", moments))
+    said = [each for each in findings(model_of(text, "hip, ankle")) if "foot" in each]
+    assert [each.startswith(line) for each in said] == [True] * bool(line)
+
+
+def test_a_mass_matrix_that_is_singular_where_the_arm_is_straight_is_a_warning() -> None:
+    """A point mass at the end of two links without mass: one direction has none of it there."""
+    text = urdf(
+        '<link name="near"/>' + link("far", 1.0, "0 0 -0.5", "0 0 0"),
+        joint("one", "base", "near") + joint("two", "near", "far", xyz="0 0 -0.5"),
+    )
+    start = "{position: [0.3, 3.14159265], velocity: [0, 0]}"
+    with pytest.raises(ModelError, match="the mass matrix is singular"):
+        check_robot(model_of(text, "one, two"))  # straight where all coordinates are zero
+    bent = text.replace('<origin xyz="0 0 -0.5" rpy', '<origin xyz="0 0 -0.5" old="" rpy')
+    bent = bent.replace('old="" rpy="0 0 0"', 'rpy="0 1 0"')
+    found = findings(model_of(bent, "one, two", initial_state=start.replace("3.14159265", "-1")))
+    assert [each for each in found if "singular but for rounding at one 0.3, two -1" in each]
+
+
+def test_forcing_that_no_observer_sees_is_a_warning() -> None:
+    """The plant's drives without the topic of their efforts."""
+    forcing = "{harmonics: [{frequency: 5, sine: [1]}]}"
+    unseen = findings(model_of(PENDULUM, "hinge", forcing=forcing))
+    assert [each for each in unseen if each.startswith("warning forcing drives the plant")]
+    seen = model_of(
+        PENDULUM, "hinge", forcing=forcing, forces="{topic: /joint_states, field: effort}"
+    )
+    still = model_of(PENDULUM, "hinge")
+    assert not [each for model in (seen, still) for each in findings(model) if "forcing" in each]
+
+
+def test_limits_of_joints_that_the_model_does_not_use_are_named() -> None:
+    """Nothing stops a joint at its limit; a joint without limits is not named."""
+    found = findings(model_of(CHAIN, "hip, ankle"))
+    assert (
+        "note The URDF has limits of hip, which the model does not use: give a contact where the"
+        " robot hits one." in found
+    )
+
+
+def test_joints_that_the_model_leaves_out_are_named_with_what_is_expected() -> None:
+    """Beside those that are held on purpose."""
+    found = findings(model_of(DOUBLE, "shoulder"))
+    wanted = (
+        "note Held at 0, as joints lacks them: elbow of the URDF in the model; expected in joints"
+        " what moves, in held what rests elsewhere."
+    )
+    assert wanted in found
+    held = findings(model_of(DOUBLE, "shoulder", held="{elbow: 0.1}"))
+    assert "note Held, as no joint of the state: elbow at 0.1." in held
+
+
+@pytest.mark.parametrize("command", ["check-model {}", "simulate {} --duration 1 -o {}.bag"])
+def test_a_start_inside_a_plane_names_file_key_contact_gap_and_remedy(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tip 0.48 m behind the plane."""
+    model = model_of(
+        PENDULUM,
+        "hinge",
+        contacts=wall(),
+        initial_state="{position: [-0.5], velocity: [0]}",
+    )
+    file = tmp_path / "arm.yaml"
+    file.write_text(model.text())
+    assert main(command.replace("{}", str(file)).split()) == 2
+    assert capsys.readouterr().err == (
+        f"impact-observer: {file}: initial_state.position: is inside the plane of 'wall' (gap"
+        " -0.479426 m); expected gap >= 0: start on its free side, or see normal and offset of"
+        " contacts[0]\n"
+    )
