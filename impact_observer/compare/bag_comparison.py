@@ -81,9 +81,11 @@ def compare_bag(
     names = reader.observers() if estimates is None else [f"/{e.strip('/')}" for e in estimates]
     topics = {name: named_states(reader, name) for name in names}
     if not topics and not observers:
-        raise UnfitBagError(
-            f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
+        advice = "make them with observe"
+        advice += (
+            " --measurements FILE" if isinstance(system, Robot) else ", or name laws with --laws"
         )
+        raise UnfitBagError(f"{reader.path}: has no estimates; {advice}")
     events = events_in(reader)
     zero = time_zero(reader)
     begin = 0 if since is None else zero.stamp + from_seconds(since)

@@ -90,8 +90,17 @@ class Comparison:
 
     @property
     def ratio(self) -> float | None:
-        """``V`` at the end over ``V`` at the start; None if plant and estimate start equal."""
-        return float(self.V[-1] / self.V[0]) if self.V[0] > 0 else None
+        """``V`` at the end over ``V`` at the start; None where the start was near the truth."""
+        return None if self.starts_near else float(self.V[-1] / self.V[0])
+
+    @property
+    def starts_near(self) -> bool:
+        """Whether V at the start is so small that ratios to it say nothing.
+
+        Of a robot, which may start at its encoders, it is small beside the largest V.
+        """
+        small = SETTLED * np.max(self.V) if isinstance(self.system, Robot) else 0.0
+        return bool(self.V[0] <= small)
 
     @property
     def events(self) -> int:

@@ -56,7 +56,8 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
         print_table(table)
         say("")
     rounded = [label for label, comparison in labelled.items() if _is_rounding(comparison)]
-    print_facts([*distance_remarks(labelled), *_rounding_remarks(rounded)])
+    near = [label for label, comparison in labelled.items() if comparison.starts_near]
+    print_facts([*distance_remarks(labelled), *_start_remarks(near), *_rounding_remarks(rounded)])
 
 
 def _is_rounding(comparison: Comparison) -> bool:
@@ -70,6 +71,12 @@ def _rounding_remarks(labels: list[str]) -> Iterator[ReportLine]:
         names = listed(labels)
         text = f"V end of {names} is rounding: states have 16 digits, and V is a square"
         yield ReportLine("note", text)
+
+
+def _start_remarks(labels: list[str]) -> Iterator[ReportLine]:
+    if labels:
+        text = f"V0 of {listed(labels)} is about zero, as the start was near the truth"
+        yield ReportLine("note", f"{text}: V/V0, settling and rates say nothing")
 
 
 def distance_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]:

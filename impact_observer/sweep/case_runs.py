@@ -37,7 +37,7 @@ class Outcome:
         settling_time: until V stays below ``settled`` times ``V_start``, s; None for never.
         V_start: V at the start, J.
         V_end: V at the end, J.
-        V_ratio: V at the end over V at the start; None if plant and estimate start equal.
+        V_ratio: V at the end over V at the start; None if V starts at zero.
         V_largest_rise: largest rise of V from one sample to the next, over V at the start.
         rate_per_second: decrease of ln V in a second; None if it did not decrease.
         rate_per_impact: decrease of ln V for each impact used; None if it did not decrease.

@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparing estimates of robots with the truth: V, errors after hits, coverage."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from arms import DOUBLE, SLIDER, model_of, wall
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
+from impact_observer.cli.main import main
+from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.compare.comparison import Comparison, compare_states
 from impact_observer.compare.error_pictures import hits_picture
+from impact_observer.compare.error_tables import print_tables
+from impact_observer.errors import UnfitBagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io.pairing import samples_of
+from impact_observer.io.reader import BagReader
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.robots import Robot
 from impact_observer.stamps import NS_PER_S
@@ -134,3 +141,28 @@ def test_picture_of_hits_has_the_errors_of_each_time_after_them() -> None:
     assert x.size == 40
     np.testing.assert_allclose(y, np.exp(-x / 20), rtol=0.08)
     assert hits_picture({"law": compared(np.zeros((400, 4)), error)}) is None
+
+
+@pytest.mark.parametrize(("first", "is_known"), [(0.0, False), (1e-4, False), (1.0, True)])
+def test_ratio_to_a_start_at_the_truth_is_not_given(
+    first: float, is_known: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where errors begin about zero, and are 0.3 later, V/V0 is undefined, and a note says so."""
+    error = np.full((100, 4), 0.3)
+    error[0] = 0.3 * first
+    found = compared(np.zeros((100, 4)), error)
+    assert (found.ratio is not None) == is_known
+    print_tables({"some law": found})
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("V0 of some law is about zero" in said) != is_known
+    assert ("undefined" in said) != is_known
+
+
+def test_a_bag_of_a_robot_without_estimates_is_told_of_observe_alone(tmp_path: Path) -> None:
+    """Laws cannot be run by compare: a robot's observers need measurements."""
+    bag = str(tmp_path / "bag")
+    assert main(["simulate", "hammer_arm", "--duration", "0.1", "--rate", "100", "-o", bag]) == 0
+    with BagReader(Path(bag)) as reader, pytest.raises(UnfitBagError) as found:
+        compare_bag(reader, ARM)
+    wanted = f"{bag}: has no estimates; make them with observe --measurements FILE"
+    assert str(found.value) == wanted
