@@ -68,8 +68,8 @@ class BagSummary:
             a closing supersedes does not count.
         closings: number of persistent contacts by contact.
         episodes: runs of the sender between resets.
-        model: name, and version, seed, integrator and sensor faults that made the bag; None
-            when the bag has no model.
+        model: name, and version, seed, integrator, sensor faults and drawn parameters that made
+            the bag; None when the bag has no model.
         observers: the law of each observer, by its prefix; empty for an observer without a state.
     """
 
@@ -204,8 +204,9 @@ def _model(reader: BagReader) -> dict[str, object] | None:
         model = parse_model(source, "model")
     except (BagError, ModelError) as error:
         return {"error": str(error)}
-    keys = ("version", "seed", "integrator", "sensor")
-    return {"name": model.subject.name} | {key: model.provenance.get(key) for key in keys}
+    known, drawn = model.provenance, "true_parameters"
+    keys = ("version", "seed", "integrator", "sensor", *([drawn] if drawn in known else []))
+    return {"name": model.subject.name} | {key: known.get(key) for key in keys}
 
 
 def _law(reader: BagReader, prefix: str) -> str:
@@ -251,6 +252,8 @@ def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
         yield "model", _origin(summary.model)
         if isinstance(faults := summary.model.get("sensor"), Mapping):
             yield "sensor", ", ".join(f"{name} {value}" for name, value in faults.items())
+        if isinstance(drawn := summary.model.get("true_parameters"), Mapping):
+            yield "drawn", ", ".join(f"{name} {value:.6g}" for name, value in drawn.items())
     if summary.episodes:
         persistent = {name: f" ({n} of them persistent)" for name, n in summary.closings.items()}
         each = ", ".join(f"{n} at {c}{persistent.get(c, '')}" for c, n in summary.impacts.items())

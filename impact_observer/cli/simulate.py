@@ -171,11 +171,13 @@ def _remarks(
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:
-    """Number of impacts and openings of the contacts, in words."""
+    """Number of impacts and openings of the contacts, in words; ``info`` counts impacts alike."""
     from impact_observer.events import Kind
+    from impact_observer.observer.event_order import impacts_of
 
-    kinds = Counter(switch.kind for event in events for switch in event.switches)
+    kinds = Counter(kind for *_, kind in impacts_of(events))
+    released = sum(switch.kind is Kind.OPEN for each in {*events} for switch in each.switches)
     words = f"{kinds[Kind.IMPACT] + kinds[Kind.CLOSE]} impacts"
-    if kinds[Kind.CLOSE] or kinds[Kind.OPEN]:
-        words += f" ({kinds[Kind.CLOSE]} of them persistent, {kinds[Kind.OPEN]} releases)"
+    if kinds[Kind.CLOSE] or released:
+        words += f" ({kinds[Kind.CLOSE]} of them persistent, {released} releases)"
     return words

@@ -212,7 +212,8 @@ def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Inte
 def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
     """Impacts and closings as applied: stamp (ns), contact and kind, in order of stamps.
 
-    ``events`` are of one sender, in any order; each episode counts by itself.
+    An impact of a contact that is closed, and stays so, is no closing. ``events`` are of one
+    sender, in any order; each episode counts by itself.
     """
 
     def run(event: ImpactEvent) -> tuple[int, int]:
@@ -222,7 +223,7 @@ def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]
         of_run = list(members)
         names = sorted({switch.contact for event in of_run for switch in event.switches})
         keys = keys_of(of_run, {name: i for i, name in enumerate(names)})
-        for key, (_, meaning) in zip(keys, interpretations(keys), strict=True):
+        for key, (closed, meaning) in zip(keys, interpretations(keys), strict=True):
             for contact, kind in meaning.switches:
                 if kind is not Kind.OPEN:
-                    yield key.stamp, names[contact], kind
+                    yield key.stamp, names[contact], Kind.IMPACT if contact in closed else kind

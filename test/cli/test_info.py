@@ -15,6 +15,8 @@ from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import model_of
 
 
 def parsed(*words: str) -> argparse.Namespace:
@@ -146,3 +148,29 @@ def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"no metadata.*; `impact-observer check '.*my bag'` says"):
         info.run(parsed(str(tmp_path / "my bag")))
     assert (absent.value.exit_code, damaged.value.exit_code) == (2, 1)
+
+
+def test_persistent_contacts_and_drawn_parameters_are_those_of_simulate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A row of bounces that jitter reorders about the closing: one persistent contact."""
+    model = tmp_path / "ball.yaml"
+    model.write_text(
+        "name: ball\nbodies: [{name: z, mass: 1}]\nforces: [{body: z, constant: -9.81}]\n"
+        "stops: [{name: floor, body: z, limit: 0, side: below,"
+        " restitution: {value: 0.5, deviation: 0.05}}]\n"
+        "initial_state: {position: [0.1], velocity: [0]}\n"
+    )
+    bag = tmp_path / "bag"
+    command = f"simulate {model} --duration 1 --jitter 0.001 --random-parameters 2 -o {bag}"
+    assert main(command.split()) == 0
+    (words,) = re.findall(r"with jitter: (\d+) impacts \((\d+) of them", capsys.readouterr().out)
+    found = summarize(bag)
+    assert (found.impacts["floor"], found.closings["floor"]) == tuple(map(int, words))
+    assert words[1] == "1"
+    assert main(["info", str(bag)]) == 0
+    with BagReader(bag) as reader:
+        true = model_of(reader).provenance["true_parameters"]
+    assert isinstance(true, dict)
+    value = true["restitution.floor"]
+    assert f"drawn restitution.floor {value:.6g}" in " ".join(capsys.readouterr().out.split())

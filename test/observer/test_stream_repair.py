@@ -193,14 +193,19 @@ def test_chi_is_set_by_the_event_with_the_highest_sequence_number(data: st.DataO
 @examples(20)
 @given(data=st.data())
 def test_impacts_are_listed_as_they_are_applied(data: st.DataObject) -> None:
-    """Each once, in any order of arrival; those of two episodes separately."""
+    """Each once, in any order of arrival; those of two episodes separately.
+
+    A closing is one where the contact was open before.
+    """
     events = data.draw(streams())
-    wanted = [
-        (each.stamp, switch.contact, switch.kind)
-        for each in consistent(events)
-        for switch in each.switches
-        if switch.kind is not Kind.OPEN
-    ]
+    wanted, closed = list[tuple[int, str, Kind]](), set[str]()
+    for each in consistent(events):
+        for contact, kind in [(switch.contact, switch.kind) for switch in each.switches]:
+            if kind is not Kind.OPEN:
+                wanted.append((each.stamp, contact, Kind.IMPACT if contact in closed else kind))
+        for switch in each.switches:
+            closed.discard(switch.contact)
+            closed |= {switch.contact} if switch.kind is Kind.CLOSE else set()
     again = [replace(each, episode=1) for each in events]
     assert list(impacts_of(data.draw(arrivals(events)))) == wanted
     assert list(impacts_of(data.draw(arrivals([*events, *again])))) == [*wanted, *wanted]
