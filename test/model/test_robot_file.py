@@ -204,15 +204,15 @@ def test_joints_that_follow_held_ones_are_held_too() -> None:
         (
             {"initial_state": "{position: [0, 1], velocity: [0, 0]}"},
             (
-                "initial_state.position: 2 values found; expected a list of 1 numbers, one of each in"
-                " joints: shoulder, without elbow of the URDF in the model"
+                "initial_state.position: 2 values found; expected a list of 1 numbers,"
+                " one of each in joints: shoulder, without elbow of the URDF in the model"
             ),
         ),
         (
             {"forcing": "{harmonics: [{frequency: 5, sine: [4, 1]}]}"},
             (
-                "forcing.harmonics[0].sine: 2 values found; expected a list of 1 numbers, one of each"
-                " in joints: shoulder, without elbow of the URDF in the model"
+                "forcing.harmonics[0].sine: 2 values found; expected a list of 1 numbers,"
+                " one of each in joints: shoulder, without elbow of the URDF in the model"
             ),
         ),
         (
