@@ -243,19 +243,19 @@ def _cost(process: "subprocess.Popen[bytes]", publisher: _Publisher) -> float:
     """Processor time of the process by a sample, s."""
     if not publisher.counts_estimates:
         publisher.samples(1.0)
-    before = _used(process.pid)
+    before = processor_time(process.pid)
     time.sleep(IDLE)
-    idle = (_used(process.pid) - before) / IDLE
+    idle = (processor_time(process.pid) - before) / IDLE
     if publisher.counts_estimates:
         publisher.samples(1.0)
-    before, begin = _used(process.pid), time.monotonic()
+    before, begin = processor_time(process.pid), time.monotonic()
     count = publisher.samples(BUSY)
     time.sleep(0.2)  # the last ones
-    busy = _used(process.pid) - before
+    busy = processor_time(process.pid) - before
     return (busy - idle * (time.monotonic() - begin)) / count
 
 
-def _used(pid: int) -> float:
+def processor_time(pid: int) -> float:
     """Processor time of a process so far, s."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
     user, system = text.rpartition(")")[2].split()[11:13]

@@ -21,8 +21,8 @@ STEP = 1e-3
 """Length of a step of Runge and Kutta, s."""
 
 
-def chain(n: int) -> Robot:
-    """Rods of 1 kg and 0.3 m in a row, which turn about y and x, and a plane below the last."""
+def chain_text(n: int) -> str:
+    """Name, URDF and joints of rods of 1 kg and 0.3 m in a row, which turn about y and x."""
     links, joints = '<link name="base"/>', ""
     for k in range(n):
         parent, axis = f"link{k - 1}" if k else "base", "0 1 0" if k % 2 == 0 else "1 0 0"
@@ -35,13 +35,14 @@ def chain(n: int) -> Robot:
             f'<parent link="{parent}"/><child link="link{k}"/><axis xyz="{axis}"/></joint>'
         )
     names = ", ".join(f"joint{k}" for k in range(n))
-    plane = f"{{name: floor, frame: link{n - 1}, normal: [0, 0, 1], offset: -9, restitution: 0.5}}"
     text = f"<robot name='chain'>{links}{joints}</robot>"
-    return Robot(
-        parse_model(
-            f"name: chain\nurdf: |\n  {text}\njoints: [{names}]\ncontacts: [{plane}]\n", "chain"
-        )
-    )
+    return f"name: chain_{n}\nurdf: |\n  {text}\njoints: [{names}]\n"
+
+
+def chain(n: int) -> Robot:
+    """The rods above a plane below the last."""
+    plane = f"{{name: floor, frame: link{n - 1}, normal: [0, 0, 1], offset: -9, restitution: 0.5}}"
+    return Robot(parse_model(f"{chain_text(n)}contacts: [{plane}]\n", "chain"))
 
 
 def microseconds(job: Callable[[], object]) -> float:

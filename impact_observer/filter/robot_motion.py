@@ -79,7 +79,9 @@ class RobotPath(Motion):
 
     def state(self, s: float) -> Vector:
         """The state ``s`` seconds after the start, shape (2n,)."""
-        step = self._moving.longest_step
+        step, start = self._moving.longest_step, self._nodes[0][1]
+        if abs(s) <= step:
+            return self._moving.moved(self.t, start, s, self._closed)[0]  # whose map is asked next
         while self._nodes[-1][0] + step < s:
             since, x = self._nodes[-1]
             x = self._moving.state_after(self.t + since, x, step, self._closed)
@@ -88,8 +90,14 @@ class RobotPath(Motion):
         return self._moving.state_after(self.t + since, x, s - since, self._closed)
 
     def states(self, s: Vector) -> Matrix:
-        """``state`` at each of ``s`` seconds, shape (samples, 2n)."""
-        return np.array([self.state(each) for each in s.tolist()])
+        """``state`` at each of ``s`` seconds in rising order, shape (samples, 2n)."""
+        if s[-1] <= self._moving.longest_step:
+            return np.array([self.state(each) for each in s.tolist()])
+        found = [self.state(float(s[0]))]
+        for since, until in pairwise(s.tolist()):
+            t, x = self.t + since, found[-1]
+            found.append(self._moving.state_after(t, x, until - since, self._closed))
+        return np.array(found)
 
 
 class RobotMotion(MovingSystem):
@@ -147,8 +155,6 @@ class RobotMotion(MovingSystem):
 
     def state_after(self, t: float, x: Vector, s: float, closed: Contacts) -> Vector:
         """The state ``s`` seconds after, or before, ``x`` at ``t``, shape (2n,)."""
-        if abs(s) <= self.longest_step:
-            return self.moved(t, x, s, closed)[0]  # whose derivative is often asked for next
         for tau, h in self._steps(t, s):
             x = self.system.advanced(x, tau, h, closed)
         return x
