@@ -45,6 +45,8 @@ TAIL = 1.5
 """For what is still on its way at the end, s."""
 HIT = 20.0
 """The acceleration at a hit, m/s²; between hits the sensor shows 0."""
+IMPACTS = "/observer: impacts"
+"""The observer's status in the diagnostics."""
 SOURCES = """\
 sources: [{contact: stop, topic: imu, kind: switch, field: linear_acceleration.x, threshold: 10}]
 """
@@ -61,31 +63,44 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-class Rig:
-    """The accelerometer, and what the observer published."""
+class Listener:
+    """A node that keeps what the observer published.
+
+    Attributes:
+        node: the node.
+        states: the estimates.
+        values: the latest values of each status in the diagnostics.
+    """
 
     def __init__(self) -> None:
-        """Make publishers and subscriptions."""
+        """Make the subscriptions."""
         self.node = Node("rig")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.states: list[ObserverState] = []
-        self.values: dict[str, str] = {}
-        many = qos_profile(Quality(depth=1000))
+        self.values: dict[str, dict[str, str]] = {}
+        many = qos_profile(Quality(depth=2000))
         self.node.create_subscription(ObserverState, "observer/state", self.states.append, many)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, many)
-        self.imu = self.node.create_publisher(Imu, "imu", qos_profile(STATES))
-        self.pulses = self.node.create_publisher(Header, "phase_reference", qos_profile(EVENTS))
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.name == "/observer: impacts":
-                self.values.update({each.key: each.value for each in status.values})
+            self.values[status.name] = {each.key: each.value for each in status.values}
 
     def spin_while(self, condition: Callable[[], bool]) -> None:
         """Serve the node while a condition holds."""
         while condition():
             self.executor.spin_once(timeout_sec=0.001)
+
+
+class Rig(Listener):
+    """The accelerometer, and what the observer published."""
+
+    def __init__(self) -> None:
+        """Make publishers and subscriptions."""
+        super().__init__()
+        self.imu = self.node.create_publisher(Imu, "imu", qos_profile(STATES))
+        self.pulses = self.node.create_publisher(Header, "phase_reference", qos_profile(EVENTS))
 
     def send(self, epoch: int, run: Run) -> None:
         """Publish a sample per millisecond, and one at each hit, when its time has come."""
@@ -133,7 +148,7 @@ def observed_on_one_core(model: Model, seconds: float, folder: Path) -> tuple[Ri
                 time.monotonic() < end
                 and not (
                     rig.imu.get_subscription_count()
-                    and rig.values
+                    and IMPACTS in rig.values
                     and rig.pulses.get_subscription_count() == 2
                 )
             )
@@ -164,8 +179,9 @@ def main(args: Sequence[str] | None = None) -> int:
         if (k := round((estimate.stamp - epoch) * RATE / NS_PER_S)) < len(truth.states)
     }
     late = [error for k, error in errors.items() if k > 0.8 * seconds * RATE]
-    applied = int(rig.values["events applied"])
-    print(f"{applied} of {len(truth.events)} hits applied, {rig.values['waiting']} waiting")
+    impacts = rig.values[IMPACTS]
+    applied = int(impacts["events applied"])
+    print(f"{applied} of {len(truth.events)} hits applied, {impacts['waiting']} waiting")
     print(f"{len(errors)} of {len(truth.stamps)} estimates published")
     ratio = np.median(late) / errors[min(errors)]
     print(f"error at the end over error at the beginning: {ratio:.1e}")

@@ -19,16 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from impact_observer_msgs.msg import ImpactEvent, ObserverState
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from impact_observer_msgs.msg import ImpactEvent
 from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
 from benchmarks.live_inputs import processor_time
-from benchmarks.one_core import PATIENCE, TAIL, one_core
+from benchmarks.one_core import IMPACTS, PATIENCE, TAIL, Listener, one_core
 from benchmarks.robots import chain_text
 from benchmarks.topic import running, take_domain
 from impact_observer.io.interfaces import EVENTS, Quality
@@ -98,34 +95,27 @@ def sensors(robot: Robot) -> str:
     return "\n".join(["measurements:", *lines, ""])
 
 
-class Rig:
+class Rig(Listener):
     """The robot's controller, and what the observer published."""
 
     def __init__(self) -> None:
-        """Make publishers and subscriptions."""
-        self.node = Node("rig")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        self.states: list[ObserverState] = []
-        self.values: dict[str, dict[str, str]] = {}
-        many = qos_profile(Quality(depth=2000))
-        self.node.create_subscription(ObserverState, "observer/state", self.states.append, many)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, many)
+        """Make the publishers."""
+        super().__init__()
         fast = qos_profile(Quality(reliable=False, depth=2000))
         self.joints = self.node.create_publisher(JointState, "/joint_states", fast)
         self.impacts = self.node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
 
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            self.values[status.name] = {each.key: each.value for each in status.values}
-
     def meet(self) -> None:
         """Wait for the observer."""
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and not (
-            self.joints.get_subscription_count() and self.impacts.get_subscription_count()
-        ):
-            self.executor.spin_once(timeout_sec=0.01)
+        self.spin_while(
+            lambda: (
+                time.monotonic() < end
+                and not (
+                    self.joints.get_subscription_count() and self.impacts.get_subscription_count()
+                )
+            )
+        )
 
     def send(self, robot: Robot, run: Run) -> int:
         """Publish what is measured as if the plant began in a second; the epoch, ns."""
@@ -145,8 +135,7 @@ class Rig:
             message.position, message.effort = position, effort
             self.joints.publish(message)
         end = time.monotonic() + TAIL
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
+        self.spin_while(lambda: time.monotonic() < end)
         return epoch
 
 
@@ -186,7 +175,7 @@ def measured(case: Case, seconds: float, folder: Path) -> Measured:
         robot.n,
         int(counts["accepted"]),
         int(counts["shed"]),
-        int(rig.values["/observer: impacts"]["events applied"]),
+        int(rig.values[IMPACTS]["events applied"]),
         used / (seconds + TAIL),
         float(np.median(errors)),
     )
