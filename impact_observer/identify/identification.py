@@ -19,6 +19,7 @@ from impact_observer.errors import (
 )
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
+from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.growing import Grown, grown, phases_of, stage_of
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import is_lost, usual_size, weighed
@@ -94,6 +95,12 @@ _UNDECLARED = 24
 """Most events for which such bounces are tried without a declared dead time: 40 take 17 s."""
 _FAILURES = 3
 """Such fits in a row that do not converge, after which no more follow."""
+_MOTIONS = 400
+"""Most motions of all impacts in each kind of search; what succeeds takes up to 200."""
+_OF_ANOTHER = 30
+"""Most of these motions in the fit of a parameter that was not free."""
+_FEW = 64
+"""Impacts of which these motions are at least."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -265,7 +272,7 @@ def identify(
     state = None
     if family.system.guides:
         episode, state = late_start(family.system, episode, events)
-    report = _Report(progress)
+    report = FitProgress(progress)
     whole = Recording(
         episode, state=state, report=report, dead_time=dead_time, mislabelled=mislabelled
     )
@@ -275,22 +282,6 @@ def identify(
     is_checked = identification.converged or trust_events
     checked = last_impacts(problem, solution, held_back) if is_checked else None
     return search.with_others(_Fitted(replace(identification, held_back=checked), *found[1:]))
-
-
-class _Report:
-    """The present step of a fit, and its progress."""
-
-    def __init__(self, progress: Callable[[str], None]) -> None:
-        self._progress, self._stage = progress, ""
-
-    def stage(self, text: str) -> None:
-        """Name the next step by ``text``."""
-        self._stage = text
-        self._progress(text)
-
-    def __call__(self, text: str) -> None:
-        """Report how far the present step is."""
-        self._progress(f"{self._stage}: {text}")
 
 
 class _Fitted(NamedTuple):
@@ -315,7 +306,7 @@ class _Search(NamedTuple):
     trust_events: bool
     measurements: Sequence[Measurement]
     samples: Sequence[SensorSample]
-    report: _Report
+    report: FitProgress
     is_grown: bool = True
 
     def explaining_fit(self) -> _Fitted:
@@ -359,12 +350,12 @@ class _Search(NamedTuple):
         if self._explains(problem, solution) or (self.trust_events and first.converged):
             return plain
         reached: Grown | None = None
-        if phases_of(problem):  # a fit half a turn off rejects what is right
+        if turns := bool(phases_of(problem)):  # a fit half a turn off rejects what is right
             reached, begun = self._grown(problem)
             if begun is not None:
                 return begun
         fitted = plain if self.trust_events else self._searched(plain)
-        if not fitted.identification.converged and self.is_grown and reached is None:
+        if not fitted.identification.converged and self.is_grown and not turns:
             reached, begun = self._grown(problem)
             if begun is not None:
                 return begun
@@ -380,7 +371,8 @@ class _Search(NamedTuple):
         """
         self.report.stage("bounces that are not reported")
         try:
-            fitted = self._rowed(recording)
+            with self.report.at_most(_MOTIONS * self._size):
+                fitted = self._rowed(recording)
         except (IdentificationError, DynamicsError, ModelError, linalg.LinAlgError):
             return None
         is_one = fitted.identification.recording.rows and self._explains(*fitted[1:])
@@ -432,7 +424,8 @@ class _Search(NamedTuple):
             smoothed = self._smoothed(_WRONG * problem.interval)
             if smoothed and smoothed.identification.converged:
                 return smoothed
-        return self._without_outliers(plain)
+        with self.report.at_most(_MOTIONS * self._size):
+            return self._without_outliers(plain)
 
     def _grown(self, problem: Problem) -> tuple[Grown | None, _Fitted | None]:
         """How far fits of more and more impacts come, and the fit of all of them, if one is."""
@@ -442,7 +435,8 @@ class _Search(NamedTuple):
             return solution.converged and solution.is_outside and usual <= self._least(part)
 
         self.report.stage(stage_of(problem))
-        reached = grown(problem, explains, self.report)
+        with self.report.at_most(_MOTIONS * self._size):
+            reached = grown(problem, explains, self.report)
         if reached is None or reached.moments < len(problem.moments):
             return reached, None
         problem, solution = gated(*fit(problem, reached.y))
@@ -450,15 +444,21 @@ class _Search(NamedTuple):
         if not self.trust_events and not self._explains(problem, solution):
             self.report.stage("spurious and missed impacts")
             try:
-                recording, problem, solution = without_outliers(
-                    self.whole, self.family, self.clock, reached.y
-                )
-            except IdentificationError:  # too few impacts are left
+                with self.report.at_most(_MOTIONS * self._size):
+                    recording, problem, solution = without_outliers(
+                        self.whole, self.family, self.clock, reached.y
+                    )
+            except IdentificationError:  # too few impacts are left, or nothing is found in time
                 return reached, None
             problem, solution = gated(problem, solution)
         own = self._accepting(recording, problem, solution)
         own = replace(own, doubted=recording.outliers)
         return reached, _Fitted(own, problem, solution) if own.converged else None
+
+    @property
+    def _size(self) -> int:
+        """Flights of a motion of all impacts, as a search counts them."""
+        return max(len(self.whole.episode.keys), _FEW)
 
     def unexplained(self) -> _Fitted | None:
         """The fit of the first events of a long recording, none of whose parts a motion explains.
@@ -512,7 +512,10 @@ class _Search(NamedTuple):
         if own.converged:
             tried = missed_parameters(*rows, DOUBTED)
         lost = not own.converged
-        others = fits_with_others(tried, problems, solution, self.clock, is_lost=lost)
+        flights = _OF_ANOTHER * self._size
+        others = fits_with_others(
+            tried, problems, solution, self.clock, is_lost=lost, flights=flights
+        )
         moved = [np.abs(each.values - own.values) / own.errors for each in others if own.converged]
         more = max((float(np.max(each, initial=1.0)) for each in moved), default=1.0)
         covariance, widened = frozen(own.covariance * more**2), own.widened * more
@@ -593,14 +596,14 @@ class _Search(NamedTuple):
         fitted, doubted = before._replace(identification=replace(first, converged=False)), 0
         for wrong in (_WRONG * problem.interval, None):
             self.report.stage("searching spurious and missed impacts")
-            recording = outliers_by_observer(system, self.whole, self.events, wrong)
-            doubted = max(doubted, recording.outliers)
-            self.report.stage("spurious and missed impacts")
             try:
+                recording = outliers_by_observer(system, self.whole, self.events, wrong)
+                doubted = max(doubted, recording.outliers)
+                self.report.stage("spurious and missed impacts")
                 recording, again, refit = without_outliers(recording, self.family, clock)
                 again, refit = gated(again, refit)
             except IdentificationError:
-                continue  # too few impacts are left
+                continue  # too few impacts are left, or nothing is found in time
             doubted = max(doubted, recording.outliers)
             fitted = _Fitted(_identification(recording, again, refit, clock), again, refit)
             if fitted.identification.converged:

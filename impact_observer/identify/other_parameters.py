@@ -78,6 +78,7 @@ def fits_with_others(
     clock: float | None,
     *,
     is_lost: bool,
+    flights: int,
 ) -> tuple[OtherParameter, ...]:
     """The fits with each of ``others`` free, those first whose shifts are smallest.
 
@@ -88,10 +89,12 @@ def fits_with_others(
         solution: the fit without these parameters; the fits begin there unless it is lost.
         clock: declared standard deviation of a stamp, s; None if unknown.
         is_lost: whether the solution explains nothing, so that the fits begin with a few moments.
+        flights: most that are computed with each of ``others``.
     """
     found = []
     for each in others:
-        tried = [*_fits(each, problems, solution, clock, is_lost=is_lost)]
+        with problems[0].report.at_most(flights):
+            tried = [*_fits(each, problems, solution, clock, is_lost=is_lost)]
         found += sorted(tried, key=_rank)[:1]
     least = min((each.rms for each in found if each.fits), default=0.0)
     alike = [each._replace(fits=each.fits and each.rms <= _ALIKE * least) for each in found]
@@ -123,7 +126,7 @@ def _fits(
                 near = begun.y
             wider, found = gated(*fit(wider, near))
         except (IdentificationError, ValueError):
-            continue  # too few impacts, or motions that overflow
+            continue  # too few impacts, motions that overflow, or nothing is found in time
         if not found.converged:
             continue
         fits = found.rms < solution.rms and explained(found, clock)

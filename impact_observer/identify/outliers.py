@@ -17,7 +17,8 @@ from impact_observer.identify.least_squares import usual_size
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Hit, Recording
 from impact_observer.model import System
-from impact_observer.observer import Observer, initial_state, law_named, replay
+from impact_observer.observer import Observer, initial_state, replay
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector
 
@@ -37,10 +38,18 @@ _SEARCHED = 0.01
 """Largest distance of a rejected impact from the predicted instant to be accepted again, s."""
 _PRECISION = 1e-7
 """Largest depth of a penetration that is rounding, relative to the motion."""
+_FLIGHTS = 100
+"""Flights of a motion that take as long as the observer's weighing of an event."""
 _SAMPLES = 24
 """Samples of a motion within a period of the fastest mode."""
 _MOST = 2000
 """Most samples between two moments."""
+
+
+class _LawOfOneClock(MinimumVariance):
+    """The law of least variance for a clock that does not step: a fit has one clock, too."""
+
+    tries_steps = False
 
 
 def outliers_by_observer(
@@ -54,8 +63,12 @@ def outliers_by_observer(
         events: the same events, as an observer receives them.
         wrong: error of the model, declared as an error of the stamps, s; None to declare an
             error of the accelerations.
+
+    Raises:
+        IdentificationError: the search may take no more time.
     """
     n = system.n
+    recording.report.spend(_FLIGHTS * len(recording.episode.keys))
     reach = 2 * float(np.max(np.abs(system.q_r), initial=0.0)) or 1.0
     rate = float(np.sqrt(linalg.norm(linalg.solve(system.M, system.K), 2))) or 1.0
     declared = Uncertainty(
@@ -67,7 +80,7 @@ def outliers_by_observer(
     )
     observer = Observer(
         system,
-        law_named("minimum-variance")(system, declared),
+        _LawOfOneClock(system, declared),
         *initial_state("zero", system),
         epoch=recording.episode.epoch,
         history=1.0 + (recording.episode.keys[-1].stamp - recording.episode.start) * 1e-9,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording that a motion is to explain, and the motion that explains the recording."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
+from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.identify.shooting import Shot, shoot
 from impact_observer.model.parametric_family import ParametricFamily
@@ -25,11 +26,6 @@ AT_STAMPS: Instants = MappingProxyType({})
 """No instants: only the stamps are known."""
 
 
-def no_report(text: str) -> None:
-    """Do nothing."""
-    del text
-
-
 class Problem(NamedTuple):
     """A recording and the systems that may explain it.
 
@@ -42,7 +38,7 @@ class Problem(NamedTuple):
         clock: standard deviation of a stamp, s, by which samples are weighed.
         is_declared: whether ``clock`` is declared; else the shifts show the deviation.
         instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
-        report: receives how far a fit is.
+        report: receives how far a fit is, and counts its flights.
     """
 
     family: ParametricFamily
@@ -53,7 +49,7 @@ class Problem(NamedTuple):
     clock: float = 0.0
     is_declared: bool = True
     instants: Instants = AT_STAMPS
-    report: Callable[[str], None] = no_report
+    report: FitProgress = FitProgress()
 
     @property
     def unknowns(self) -> int:
@@ -99,8 +95,12 @@ class Problem(NamedTuple):
         """The motion of ``y`` switched at ``t``, by default at the stamps.
 
         A shorter ``t`` switches at the first moments alone, with the samples until the next one.
+
+        Raises:
+            IdentificationError: the search may compute no more flights.
         """
         t, sensors = self.stamps if t is None else t, self.sensors
+        self.report.spend(t.size)
         if t.size < len(self.moments):
             end = self.moments[t.size].t
             sensors = tuple(each.which(each.t < end) for each in sensors)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording to be explained: which impacts count, and which were missed."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -10,7 +10,8 @@ import numpy as np
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
-from impact_observer.identify.problem import AT_STAMPS, Instants, Problem, no_report
+from impact_observer.identify.fit_progress import FitProgress
+from impact_observer.identify.problem import AT_STAMPS, Instants, Problem
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
@@ -41,7 +42,7 @@ class Recording:
         settled: impacts of bounces that settle; of each row the first stands for all, as the
             closing of its contact.
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
-        report: receives how far a fit is.
+        report: receives how far a fit is, and counts its flights.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         rows: switches that follow from the motion and that the sensor does not report: those of
             rows of bounces, of which it has reported the first edge, and openings.
@@ -60,7 +61,7 @@ class Recording:
     is_declared: bool = True
     settled: frozenset[Hit] = field(default=frozenset())
     instants: Instants = field(default_factory=lambda: AT_STAMPS)
-    report: Callable[[str], None] = no_report
+    report: FitProgress = field(default_factory=FitProgress)
     dead_time: float = 0.0
     rows: tuple[EventKey, ...] = ()
     bouncing: frozenset[Hit] = field(default=frozenset())

@@ -174,7 +174,7 @@ def test_what_cannot_stand_beside_the_free_parameters_is_not_tried() -> None:
 
 @pytest.mark.slow
 def test_hits_that_no_motion_explains_end_the_search(capsys: pytest.CaptureFixture[str]) -> None:
-    """A ball on a bat that a hand moves; without a bound 40 hits took more than 1500 steps.
+    """A ball on a bat that a hand moves; the 64 took 2600 trial motions without a bound.
 
     Of many hits the first are searched, and the report says so.
     """
@@ -186,7 +186,7 @@ def test_hits_that_no_motion_explains_end_the_search(capsys: pytest.CaptureFixtu
     found = identify(family, events, clock=0.005, progress=reports.append)
     assert not found.converged
     assert not check_fit(found).fits
-    assert len(reports) < 3000
+    assert len(reports) < 1300
     assert found.unsearched == 536
     assert found.shifts.size <= 64
     print_check(found, check_fit(found))
