@@ -196,8 +196,10 @@ class Linearised:
         noise = self.noise_after(k) if noisy else None
         root = np.zeros((len(A), 0))
         if self._members.moving and (about := self._spread(path, k)):
-            left = self.left(path, k).A @ about.root
-            state = GaussianState(x, path.constants, left, about.differences[1:], closed, self._p)
+            jump = self._jump(path, k).A
+            left = self.left(path, k).A @ jump if self.rests(k) else jump
+            root = left @ about.root
+            state = GaussianState(x, path.constants, root, about.differences[1:], closed, self._p)
             bent = LinearPrediction(t, state, self._members, None).remainder(s)
             root = np.pad(bent, ((0, self._count), (0, 0)))
         if noise is not None and s > 0:

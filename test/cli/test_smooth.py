@@ -2,6 +2,7 @@
 """smooth: a bag in, a bag with the best estimates out."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +159,33 @@ def test_samples_count_at_their_own_stamps_too(tmp_path: Path) -> None:
             found = np.vstack([deviations_in(block) for _, block in blocks])
         deviations.append(float(np.median(found[:, 0])))
     assert deviations[0] == pytest.approx(deviations[1], rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_ball_with_uncertain_damping_that_comes_to_rest_is_smoothed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With samples while it rests; the damping is that of the plant within its deviation."""
+    model, sensor, bag = tmp_path / "ball.yaml", tmp_path / "sensor.yaml", tmp_path / "bag"
+    model.write_text(
+        "name: ball\nbodies: [{name: z, mass: 1}]\n"
+        "springs: [{between: [ground, z], stiffness: 2,"
+        " damping: {value: 0.5, deviation: 0.1}}]\n"
+        "forces: [{body: z, constant: -9.81}, {body: z, amplitude: 15, frequency: 9}]\n"
+        "stops: [{name: floor, body: z, limit: 0, side: below, restitution: 0.5}]\n"
+        "initial_state: {position: [0.1], velocity: [0]}\n"
+    )
+    sensor.write_text(
+        "measurements:\n"
+        "  - {name: height, topic: /height, joint: z, quantity: position, deviation: 0.001}\n"
+    )
+    given = f"--measurements {sensor}"
+    faults = "--jitter 0.001 --measurement-rate 50"
+    assert main(f"simulate {model} --duration 0.8 {faults} {given} -o {bag}".split()) == 0
+    assert "persistent" in capsys.readouterr().out
+    start = "--clock-error 0.001 --deviation 0.01 --initial 0.1,0"
+    assert main(f"smooth {bag} {given} {start} -o {tmp_path / 'smoothed'}".split()) == 0
+    said = capsys.readouterr().out
+    *_, found = re.findall(r"damping\.ground-z \[Ns/m\] (\S+) \+- (\S+)", said)
+    value, deviation = map(float, found)
+    assert abs(value - 0.5) < 3 * deviation
