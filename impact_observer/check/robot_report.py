@@ -11,7 +11,6 @@ from impact_observer.check.link_inertias import inertia_remarks
 from impact_observer.draw.reports import TextTable, counted, listed, print_facts, print_table
 from impact_observer.model import Model
 from impact_observer.model.robot_description import RobotDescription
-from impact_observer.model.system import unit_of
 from impact_observer.plain_text import say
 from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.states import Vector
@@ -156,11 +155,8 @@ class _Declared(NamedTuple):
 def _declared(model: Model, description: RobotDescription) -> Iterator[_Declared]:
     if model.uncertainty is None:
         return
-    units = dict(zip(description.joints, description.units, strict=True))
-    of_kind = {"damping": "Ns/m", "rotor-inertia": "kg"}
     for name, deviation in model.uncertainty.deviation_by_name.items():
-        kind, _, member = name.partition(".")
-        unit = unit_of(of_kind[kind], units[member]) if kind in of_kind else ""
+        unit = description.unit_of_parameter(name)
         yield _Declared(name, description.parameters[name], deviation, unit)
 
 
@@ -198,6 +194,9 @@ def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:
             "forcing drives the plant, but without forces an observer takes all torques for zero"
         )
         yield "warning", f"{unseen}: give forces: {{topic: /joint_states, field: effort}}."
+    if not robot.torque_deviation.any():
+        exact = "torque_deviation is zero, so an observer takes model and efforts for exact"
+        yield "note", f"{exact}: give one, as both err."
     known = [math.isfinite(speed) and speed > 0 for speed in robot.fastest.tolist()]
     if slow := [
         name for name, is_known in zip(robot.coordinates, known, strict=True) if not is_known

@@ -163,30 +163,38 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
         yield f"{law.name} uses no measurements: {names} left out"
 
 
+def _names_with_units(model: "Model", unknowns: "UnknownParameters") -> list[str]:
+    """The names of parameters, each with its unit."""
+    from impact_observer.model.free_parameters import with_unit
+
+    if model.robot is None:
+        return [with_unit(name, model.system.unit) for name in unknowns.family.names]
+    parameters = unknowns.family.parameters
+    return [f"{each.name} [{each.unit}]" if each.unit else each.name for each in parameters]
+
+
 def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "Iterator[str]":
     """The parameters of a model whose deviations count, and those whose deviations do not."""
     from impact_observer.draw.reports import figure
     from impact_observer.filter.unknown_parameters import not_considered
-    from impact_observer.model.free_parameters import with_unit
 
     if unknowns is not None and any(unknowns.considered):
-        unit = model.system.unit if model.robot is None else model.robot.units[0]
         each = zip(
-            unknowns.family.names,
+            _names_with_units(model, unknowns),
             unknowns.considered,
             unknowns.family.nominal.tolist(),
             unknowns.deviations.tolist(),
             strict=True,
         )
         texts = [
-            f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
+            f"{name} {figure(value, deviation=deviation)}"
             for name, considered, value, deviation in each
             if considered
         ]
         yield f"considered: {', '.join(texts)}"
     names: Sequence[str] = ()
-    if model.uncertainty is not None:
-        names = not_considered(model.uncertainty, is_robot=model.robot is not None)
+    if model.uncertainty is not None and model.robot is None:
+        names = not_considered(model.uncertainty)
     if names:
         yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
 

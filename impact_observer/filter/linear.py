@@ -7,10 +7,10 @@ import numpy as np
 
 from impact_observer.dynamics import Motion
 from impact_observer.filter.gaussian_state import GaussianState, propagate_errors
-from impact_observer.filter.members import Members
+from impact_observer.filter.members import Members, MotionSensitivity
 from impact_observer.filter.process_noise import ProcessNoise
 from impact_observer.filter.square_root import narrow, triangular
-from impact_observer.kernel._kernel import Sensitivity, leading
+from impact_observer.kernel._kernel import leading
 from impact_observer.states import Matrix, Vector
 from impact_observer.turns import give_turn
 
@@ -89,7 +89,9 @@ class LinearPrediction:
             differences=propagate_errors(differences, 0, transition, by_theta),
         )
 
-    def root_after(self, transition: Matrix, sensitivity: Sensitivity | None, s: float) -> Matrix:
+    def root_after(
+        self, transition: Matrix, sensitivity: MotionSensitivity | None, s: float
+    ) -> Matrix:
         """``full_root``, where parameters of the motion have this ``sensitivity``, if any."""
         size, root = self._start.x.size, self._root
         if sensitivity is None:
@@ -110,14 +112,12 @@ class LinearPrediction:
             return np.zeros((size, 0))
         return sensitivity.noise(self._root[:size], self._own)
 
-    def _sensitivity(self, s: float) -> Sensitivity | None:
+    def _sensitivity(self, s: float) -> MotionSensitivity | None:
         """Of the state after ``s`` seconds to the parameters of the motion, if there are any."""
-        q, t, x, closed = self._members.moving, self._t, self._start.x, self._start.closed
-        if not q:
+        if not self._members.moving:
             return None
         give_turn()
-
-        def at(theta: Vector) -> tuple[Vector, Matrix]:
-            return self._members.motion(theta).moved(t, x, s, closed)
-
-        return Sensitivity(at, self._start.theta[:q], self._steps)
+        start = self._start
+        return self._members.motion_sensitivity(
+            start.theta, self._steps, t=self._t, x=start.x, s=s, closed=start.closed
+        )

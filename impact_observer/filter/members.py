@@ -24,12 +24,19 @@ from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.saltation import Measured, Mirror, RestProjection
-from impact_observer.kernel._kernel import Family, Gaps, Impact, MotionChange, Parameters
+from impact_observer.kernel._kernel import (
+    Family,
+    Gaps,
+    Impact,
+    MotionChange,
+    Parameters,
+    Sensitivity,
+)
 from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
-_LARGEST = 1e300
+LARGEST = 1e300
 """Instead of bounds that are infinite."""
 _LINEAR = {"C", "K", "gap", "rebound", "contact_time", "amplitude", "constant", "cosine", "sine"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
@@ -42,6 +49,17 @@ class HasTheta(Protocol):
 
     @property
     def theta(self) -> Vector: ...  # noqa: D102
+
+
+class MotionSensitivity(Protocol):
+    """How a state after a motion depends on parameters."""
+
+    @property
+    def first(self) -> Matrix:
+        """Derivatives by the parameters, shape (p, 2n)."""
+
+    def noise(self, root: Matrix, own: Matrix) -> Matrix:
+        """What the second order adds to the covariance: a root, shape (2n, any)."""
 
 
 class Member:
@@ -219,7 +237,7 @@ class Members:
         effects = [each.effect for each in family.parameters]
         self._still = [bool(np.any(each.rebound)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
-        low, high = (np.clip(each, -_LARGEST, _LARGEST) for each in family.bounds)
+        low, high = (np.clip(each, -LARGEST, LARGEST) for each in family.bounds)
         self.parameters = Parameters(low, high, family.sizes, self.moving, self.considered)
         self.free_impact = lru_cache(KEPT)(self._free_impact)
         self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
@@ -249,6 +267,19 @@ class Members:
     def motion(self, values: Vector) -> MovingSystem:
         """The motion between impacts of the member with ``values``; only these need bounds."""
         return self._moving(tuple(values[: self.moving].tolist()))
+
+    def motion_sensitivity(
+        self, theta: Vector, steps: Vector, *, t: float, x: Vector, s: float, closed: Contacts
+    ) -> MotionSensitivity:
+        """Of the state ``s`` seconds after ``x`` at ``t`` to the parameters of the motion.
+
+        By differences over ``steps`` about ``theta``, of the parameters that move.
+        """
+
+        def at(values: Vector) -> tuple[Vector, Matrix]:
+            return self.motion(values).moved(t, x, s, closed)
+
+        return Sensitivity(at, theta[: self.moving], steps)
 
     def considered_rows(self, first: int) -> list[int]:
         """The rows of the considered parameters in a root whose row ``first`` is the first's."""

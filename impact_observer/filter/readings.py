@@ -308,7 +308,11 @@ class RobotSensor(DeclaredSensor):
 
     def row_of(self, members: Members, theta: Vector, at: Place) -> Row:
         """``row`` of the member of a family whose parameters are ``theta``, shape (p,)."""
-        return self.row(members.given.moving, at)._replace(of_theta=np.zeros(theta.size))
+        row, of_theta = self.row(members.given.moving, at), np.zeros(theta.size)
+        if self.is_dynamic:
+            rates = members.rate_sensitivity(members.at(theta), at.closed, at.x, at.t)
+            of_theta = self._reading.by_acceleration @ rates[at.x.size // 2 :]
+        return row._replace(of_theta=of_theta)
 
     def shifts(self, instants: Stamps) -> Vector:
         """What moving grounds add: nothing, shape (samples,)."""

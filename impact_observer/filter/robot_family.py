@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot and those of its restitutions that are uncertain, which the filter considers."""
+"""A robot and those of its parameters that are uncertain, which the filter considers."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
@@ -13,55 +13,79 @@ from impact_observer.states import Vector
 
 
 @dataclass(frozen=True, slots=True)
-class RestitutionParameter:
-    """The restitution of a contact of a robot.
+class RobotParameter:
+    """A restitution, a damping or a rotor inertia of a robot.
 
     Attributes:
         name: such as ``restitution.wall``.
-        contact: index of the contact.
         value: nominal value, as in the model.
+        unit: SI unit; empty for a ratio.
     """
 
     name: str
-    contact: int
     value: float
-    low: ClassVar[float] = 0.0
-    high: ClassVar[float] = 1.0
-    size: ClassVar[float] = 1.0
-    unit: ClassVar[str] = ""
-    moves: ClassVar[bool] = False
-    deviation_range: ClassVar[tuple[float, float]] = (1e-12, 1.0)
+    unit: str
+
+    @property
+    def kind(self) -> str:
+        """The first part of the name."""
+        return self.name.partition(".")[0]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the motion between impacts depends on the parameter."""
+        return self.kind != RESTITUTION
+
+    @property
+    def low(self) -> float:
+        """Least value allowed."""
+        return 0.0
+
+    @property
+    def high(self) -> float:
+        """Largest value allowed."""
+        return math.inf if self.moves else 1.0
+
+    @property
+    def size(self) -> float:
+        """Scale of the parameter."""
+        return self.value if self.moves and self.value else 1.0
+
+    @property
+    def deviation_range(self) -> tuple[float, float]:
+        """Least and largest standard deviation, in the unit of the value."""
+        return 1e-12, 1e9 if self.moves else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFamily(ParametricFamily):
-    """A robot and those of its restitutions that are uncertain.
+    """A robot and those of its parameters that are uncertain.
 
     Attributes:
         system: the robot with the values of the model.
-        parameters: the restitutions.
+        parameters: first those that change the motion between impacts.
     """
 
     system: Robot  # type: ignore[assignment]
-    parameters: tuple[RestitutionParameter, ...] = ()  # type: ignore[assignment]
+    parameters: tuple[RobotParameter, ...] = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         """Derive nothing: a robot has no coefficients."""
 
     @classmethod
     def named(cls, robot: Robot, names: Sequence[str]) -> "RobotFamily":
-        """The family of those of the ``names`` that are restitutions."""
-        known, contacts = robot.description.parameters, robot.contact_names
-        own = {f"{RESTITUTION}.{contact}": i for i, contact in enumerate(contacts)}
-        return cls(
-            robot,
-            tuple(RestitutionParameter(k, own[k], known[k]) for k in names if k in own),
-        )
+        """The family of the parameters of these ``names``."""
+        model = robot.description
+        found = [
+            RobotParameter(name, model.parameters[name], model.unit_of_parameter(name))
+            for name in names
+        ]
+        return cls(robot, tuple(sorted(found, key=lambda each: not each.moves)))
 
     def robot_at(self, values: Vector) -> Robot:
         """The robot with other ``values``, shape (p,)."""
         known = dict(zip(self.names, values.tolist(), strict=True))
-        return self.system.with_restitutions(known)
+        return self.system.with_parameters(known)
 
 
 def family_of(system: System | Robot) -> ParametricFamily:

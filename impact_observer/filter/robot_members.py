@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot prepared for the filter: at each state its contacts, jumps and rests, linearised there.
 
-A robot is what a linear system is to the filter, but at one state. Restitutions may be considered:
-members differ by these alone, and share the motion between impacts.
+A robot is what a linear system is to the filter, but at one state. Damping, rotor inertia and
+restitutions may be considered.
 """
 
 import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from impact_observer.dynamics import KEPT
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.members import Member, Members
+from impact_observer.filter.members import LARGEST, Member, Members, MotionSensitivity
 from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.robot_motion import RobotMotion, RobotRates
 from impact_observer.filter.saltation import Expansion, Measured, Mirror, RestProjection
@@ -24,7 +24,9 @@ from impact_observer.kernel._kernel import Parameters
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.rebounds import ReboundLaw
+from impact_observer.model.robot_description import DAMPING, RESTITUTION
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_parameters import loads_by_parameters, rates_by_parameters
 from impact_observer.states import Matrix, Vector
 
 _KEPT_STATES = 4
@@ -207,13 +209,28 @@ class RobotMember(Member):
         return RestProjection(x, map_, np.zeros((2 * n, gap_sensitivity.shape[1])))
 
 
+class FirstOrder(NamedTuple):
+    """The sensitivity of a motion to parameters, of which the second order is neglected.
+
+    Attributes:
+        first: derivatives of the state by the parameters, shape (p, 2n).
+    """
+
+    first: Matrix
+
+    def noise(self, root: Matrix, own: Matrix) -> Matrix:
+        """What the second order adds to the covariance: nothing, shape (2n, 0)."""
+        del own
+        return np.zeros((len(root), 0))
+
+
 class RobotMembers(Members):
     """The members of a robot's family; each is prepared when it is first needed.
 
     Attributes:
         family: the robot and the parameters that are considered.
         given: the member with the parameters of the model.
-        moving: how many of the parameters change the motion between impacts: none.
+        moving: how many of the parameters change the motion between impacts.
         considered: which of the parameters have an error, but are not estimated.
         parameters: their bounds, and steps of finite differences by them, for the kernel.
         is_linear: the kernel does not know a robot.
@@ -222,61 +239,88 @@ class RobotMembers(Members):
     def __init__(self, family: RobotFamily, considered: Sequence[bool] = ()) -> None:
         """Prepare the given member; without ``considered`` all parameters are estimated."""
         self.family: RobotFamily = family
-        self.moving, self.is_linear = 0, False
+        self.moving, self.is_linear = sum(each.moves for each in family.parameters), False
         self.considered = tuple(considered) or (False,) * family.size
-        low, high, sizes = np.zeros(family.size), np.ones(family.size), np.ones(family.size)
-        self.parameters = Parameters(low, high, sizes, 0, self.considered)
+        low, high = np.clip(family.bounds, 0.0, LARGEST)
+        self.parameters = Parameters(low, high, family.sizes, self.moving, self.considered)
         self._nominal = family.nominal
-        self._of_all = RobotMotion(family.system)
+        self._damps = np.array([each.kind == DAMPING for each in family.parameters], np.bool_)
         self._at = lru_cache(KEPT)(self._member)
+        self._motion_at = lru_cache(KEPT)(self._robot_motion)
+        self._jumped = lru_cache(KEPT)(self._jump)
         self.gap_sensitivity = lru_cache(KEPT)(self._no_sensitivity)
-        self.given = RobotMember(family.system, self._nominal, self._of_all)
+        self._given_motion = RobotMotion(family.system)
+        self.given = RobotMember(family.system, self._nominal, self._given_motion)
 
     def at(self, values: Vector) -> Member:
         """The member whose parameters are ``values``, shape (p,), all within their bounds."""
         return self._at(tuple(values.tolist())) if self.family.size else self.given
 
-    def _member(self, values: tuple[float, ...]) -> RobotMember:
+    def _member(self, values: tuple[float, ...]) -> Member:
         theta = np.array(values)
-        return RobotMember(self.family.robot_at(theta), theta, self._of_all)
+        if np.array_equal(theta, self._nominal):
+            return self.given
+        return RobotMember(self.family.robot_at(theta), theta, self.motion(theta))
 
     def with_given_restitution(self, member: Member) -> Member:
-        """The given member: members differ by restitutions alone."""
-        del member
-        return self.given
+        """The member whose motion is that of ``member``, with the restitutions of the model."""
+        values = np.append(member.values[: self.moving], self._nominal[self.moving :])
+        return self.at(values)
 
     def motion(self, values: Vector) -> RobotMotion:
-        """The motion between impacts of the member with ``values``: that of all members."""
-        del values
-        return self._of_all
+        """The motion between impacts of the member with ``values``; only the first matter."""
+        return self._motion_at(tuple(values[: self.moving].tolist()))
+
+    def _robot_motion(self, values: tuple[float, ...]) -> RobotMotion:
+        theta = np.append(values, self._nominal[self.moving :])
+        if np.array_equal(theta, self._nominal):
+            return self._given_motion
+        return RobotMotion(self.family.robot_at(theta))
 
     def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
         each = zip(self.family.parameters, self.considered, strict=True)
-        estimated = {parameter.contact for parameter, considered in each if not considered}
-        return np.array([i in estimated for i in contacts], dtype=np.bool_)
+        estimated = {parameter.name for parameter, considered in each if not considered}
+        names = self.family.system.contact_names
+        return np.array([f"{RESTITUTION}.{names[i]}" in estimated for i in contacts], np.bool_)
 
     def _no_sensitivity(self, contacts: Contacts) -> Matrix:
         """Of the gaps of ``contacts`` to the parameters: zero, shape (k, p)."""
         return np.zeros((len(contacts), self.family.size))
 
     def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
-        """Of ``dx/dt`` to the parameters: zero, shape (2n, p)."""
-        del member, closed, t
-        return np.zeros((x.size, self.family.size))
+        """Of ``dx/dt`` to the parameters, shape (2n, p)."""
+        robot, tau = cast(Robot, member.system), member.moving.forces(t)[0]
+        return rates_by_parameters(robot, x, tau, self.family.names, closed)
 
     def load_sensitivity(
         self, member: Member, closed: Contacts, contacts: Contacts, x: Vector, t: float
     ) -> Matrix:
-        """Of the loads of held ``contacts`` to the parameters: zero, shape (k, p)."""
-        del member, closed, x, t
-        return np.zeros((len(contacts), self.family.size))
+        """Of the loads of held ``contacts`` to the parameters, shape (k, p)."""
+        robot, tau = cast(Robot, member.system), member.moving.forces(t)[0]
+        found = loads_by_parameters(robot, x, tau, self.family.names, closed)
+        return np.asarray(found[[closed.index(i) for i in contacts]])
+
+    def motion_sensitivity(
+        self, theta: Vector, steps: Vector, *, t: float, x: Vector, s: float, closed: Contacts
+    ) -> MotionSensitivity:
+        """Of the state ``s`` seconds after ``x`` to the parameters of the motion."""
+        del steps
+        names = self.family.names[: self.moving]
+        return FirstOrder(self.motion(theta).by_parameters(t, x, s, closed, names).T)
 
     def impact(
         self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
     ) -> tuple[Vector, Matrix]:
         """The state after an impact of ``pressed``, and its derivative by the state."""
-        mirror = self.at(values).mirror_about(x, pressed)
+        weighs = np.where(self._damps, self._nominal, values)  # an impact takes no time
+        return self._jumped(tuple(weighs.tolist()), x.tobytes(), pressed, soft)
+
+    def _jump(
+        self, values: tuple[float, ...], state: bytes, pressed: Contacts, soft: bool
+    ) -> tuple[Vector, Matrix]:
+        x, member = np.frombuffer(state), self.at(np.array(values))
+        mirror = member.mirror_about(x, pressed)
         mirror = mirror.soft if soft else mirror
         return mirror.landed(x), mirror.J
 

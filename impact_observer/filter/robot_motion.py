@@ -6,7 +6,7 @@ exponentials of the linearisation in the middle of each step, to third order.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -22,6 +22,7 @@ from impact_observer.filter.square_root import triangular
 from impact_observer.model import System
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot_parameters import torques_by_parameters
 from impact_observer.states import Matrix, Vector
 
 _SAME_INSTANT = 1e-9
@@ -187,12 +188,7 @@ class RobotMotion(MovingSystem):
 
     def inverse(self, x: Vector, closed: Contacts = ()) -> Matrix:
         """``M^-1`` at a state while contacts are ``closed``, shape (n, n)."""
-        q = x[: self.system.n]
-        inverse = self.system.inverse_mass(q)
-        if not closed:
-            return inverse
-        W = self.system.directions(q, closed)
-        return np.asarray(inverse - self.stops(x, closed) @ (W.T @ inverse))
+        return self.system.mobility_matrix(x[: self.system.n], closed)
 
     def root_energy(self, x: Vector) -> float:
         """The root of twice the kinetic energy of a state ``x``, shape (2n,), sqrt(J)."""
@@ -229,6 +225,21 @@ class RobotMotion(MovingSystem):
             root = triangular(np.hstack([map_ @ root, added])) if root.any() else added
             x = after
         return root
+
+    def by_parameters(
+        self, t: float, x: Vector, s: float, closed: Contacts, names: Sequence[str]
+    ) -> Matrix:
+        """Derivatives of ``moved`` by the parameters of these ``names``, shape (2n, p)."""
+        n, found = self.system.n, np.zeros((x.size, len(names)))
+        for after, map_, h in self._mapped(t, x, s, closed) if names else ():
+            middle, acceleration = (x + after) / 2, (after - x)[n:] / h
+            drags = torques_by_parameters(self.system, middle[n:], acceleration, names)
+            kicks = h * self.inverse(middle, closed) @ drags
+            found = map_ @ found
+            found[:n] += h / 2 * kicks
+            found[n:] += (np.eye(n) + map_[n:, n:]) / 2 @ kicks
+            x = after
+        return found
 
     def carried(self, t: float, x: Vector, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states about ``x`` at ``t``, one a column, ``s`` seconds later."""

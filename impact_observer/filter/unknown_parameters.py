@@ -13,7 +13,6 @@ from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, is_observed, parametric_family
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, root_in_own_units
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.model.robot_description import RESTITUTION
 from impact_observer.options import highest
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -166,19 +165,10 @@ def _motion_first(family: ParametricFamily) -> ParametricFamily:
     return ParametricFamily(family.system, tuple(parameters))
 
 
-def not_considered(
-    uncertainty: ParameterUncertainty, *, is_robot: bool = False
-) -> tuple[str, ...]:
-    """Names of the parameters with a deviation that an observer takes for exact.
-
-    Of a robot only restitutions are considered.
-    """
+def not_considered(uncertainty: ParameterUncertainty) -> tuple[str, ...]:
+    """Names of the parameters of a linear system with a deviation that an observer ignores."""
     known = uncertainty.deviation_by_name
-
-    def counts(name: str) -> bool:
-        return name.startswith(f"{RESTITUTION}.") if is_robot else is_observed(name)
-
-    return tuple(name for name, deviation in known.items() if deviation and not counts(name))
+    return tuple(name for name, each in known.items() if each and not is_observed(name))
 
 
 def _number(text: str, number: str) -> float:

@@ -11,7 +11,7 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Value, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import ReboundLaw
-from impact_observer.model.system import LONGEST_CONTACT
+from impact_observer.model.system import LONGEST_CONTACT, unit_of
 from impact_observer.model.urdf_file import FIXED, UNITS_BY_TYPE, Urdf, UrdfJoint
 from impact_observer.states import Vector, frozen
 
@@ -19,6 +19,9 @@ _UNIT_LENGTH = 1e-6
 """Largest error of the length of a normal, which is then scaled to 1."""
 DAMPING, ROTOR_INERTIA, RESTITUTION = "damping", "rotor-inertia", "restitution"
 """Kinds of parameters that may have deviations, as first parts of their names."""
+
+_UNITS = {DAMPING: "Ns/m", ROTOR_INERTIA: "kg"}
+"""Units of parameters of joints whose coordinates are in m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,6 +220,13 @@ class RobotDescription:
                 if each.kind == RESTITUTION
             },
         }
+
+    def unit_of_parameter(self, name: str) -> str:
+        """The SI unit of a parameter, by its name such as ``damping.elbow``; empty for a ratio."""
+        kind, _, joint = name.partition(".")
+        if kind not in _UNITS:
+            return ""
+        return unit_of(_UNITS[kind], self.units[self.joints.index(joint)])
 
     def with_parameters(self, values: Mapping[str, float]) -> "RobotDescription":
         """The robot with other values of parameters, by their names.

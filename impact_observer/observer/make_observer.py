@@ -58,7 +58,7 @@ def make_observer(
     if model.robot is not None:
         _check_robot_options(model.robot.name, law, options, measurements)
         robot, live = connected_robot(observed(model))
-        system, known = robot, Uncertainty(unknowns=_considered_restitutions(robot, model))
+        system, known = robot, Uncertainty(unknowns=_considered_parameters(robot, model))
     else:
         linear, live = connected(model.system)
         unknowns = unknowns or _unknown_parameters(linear, options, model)
@@ -124,14 +124,17 @@ def _check_robot_options(
         )
 
 
-def _considered_restitutions(robot: Robot, model: Model) -> UnknownParameters | None:
-    """The restitutions of a ``robot`` with deviations in its ``model``; None without one."""
-    deviations = model.uncertainty.deviation_by_name if model.uncertainty is not None else {}
+def _considered_parameters(robot: Robot, model: Model) -> UnknownParameters | None:
+    """The parameters of a ``robot`` with deviations in its ``model``; None without one."""
+    if (known := model.uncertainty) is None:
+        return None
+    deviations = known.deviation_by_name
     family = RobotFamily.named(robot, [name for name, each in deviations.items() if each])
     if not family.size:
         return None
-    variances = np.square([deviations[name] for name in family.names])
-    return UnknownParameters(family, np.diag(variances), 0.0, (True,) * family.size)
+    scale = np.array([deviations[name] for name in family.names])
+    covariance = known.correlation(family.names) * np.outer(scale, scale)
+    return UnknownParameters(family, covariance, 0.0, (True,) * family.size)
 
 
 def declared_by(

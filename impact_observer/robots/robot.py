@@ -179,29 +179,35 @@ class Robot:
 
     def with_forcing(self, forcing: Forcing) -> "Robot":
         """The robot under other torques; both share pinocchio's memory."""
-        found = self._twin()
-        found.forcing = forcing
-        return found
+        return self._twin(forcing=forcing)
 
-    def with_restitutions(self, values: Mapping[str, float]) -> "Robot":
-        """The robot with other restitutions, by names such as ``restitution.wall``.
+    def with_parameters(self, values: Mapping[str, float]) -> "Robot":
+        """The robot with other parameters, by names such as ``restitution.wall``.
 
-        Both share pinocchio's memory.
+        Both share pinocchio's memory unless a rotor inertia differs.
 
         Raises:
             ModelError: a value is impossible, such as a restitution above 1.
         """
-        found = self._twin()
-        found.rebounds = tuple(
-            each.rebound for each in self.description.with_parameters(values).contacts
-        )
-        found.eps = frozen([law.nominal for law in found.rebounds])
-        return found
+        given = self.description
+        other = given.with_parameters(values)
+        rebounds = tuple(each.rebound for each in other.contacts)
+        changed = {
+            "description": other,
+            "damping": other.damping,
+            "rebounds": rebounds,
+            "eps": frozen([law.nominal for law in rebounds]),
+        }
+        if not np.array_equal(other.rotor_inertia, given.rotor_inertia):
+            model = self._model.copy()
+            model.armature = other.rotor_inertia[self._in]
+            changed |= {"_model": model, "_data": model.createData()}
+        return self._twin(**changed)
 
-    def _twin(self) -> "Robot":
-        """Another object with the same memory for pinocchio."""
+    def _twin(self, **changed: object) -> "Robot":
+        """Another object with the same memory for pinocchio, of which some attributes differ."""
         found = object.__new__(Robot)
-        found.__dict__.update(self.__dict__)
+        found.__dict__.update(self.__dict__ | changed)
         return found
 
     @cached_property
@@ -230,6 +236,15 @@ class Robot:
         """``M(q)^-1``, shape (n, n)."""
         inverse = self._pin.computeMinverse(self._model, self._data, q[self._in])
         return np.asarray(inverse[self._upper])
+
+    def mobility_matrix(self, q: Vector, closed: Sequence[int] = ()) -> Matrix:
+        """Accelerations by torques, (n, n): ``M^-1`` without what ``closed`` contacts prevent."""
+        inverse = self.inverse_mass(q)
+        if not len(closed):
+            return inverse
+        W = self.directions(q, closed)
+        held = inverse @ W
+        return np.asarray(inverse - held @ _least(W.T @ held, held.T))
 
     def coriolis(self, q: Vector, u: Vector) -> Matrix:
         """``C(q, u)`` of Christoffel's symbols, linear in ``u``, shape (n, n)."""

@@ -19,17 +19,35 @@ def rates_by_parameters(
     robot: Robot, x: Vector, tau: Vector, names: Sequence[str], closed: Contacts = ()
 ) -> Matrix:
     """Derivatives of ``Robot.rates`` by parameters, shape (2n, p), SI units."""
-    n, found = robot.n, np.zeros((2 * robot.n, len(names)))
-    q, u = x[:n], x[n:]
-    acceleration = robot.acceleration(q, u, tau, closed)
-    _, _, by_tau = robot.acceleration_derivatives(q, u, tau, closed)
+    n = robot.n
+    acceleration = robot.acceleration(x[:n], x[n:], tau, closed)
+    drags = torques_by_parameters(robot, x[n:], acceleration, names)
+    return np.vstack([np.zeros_like(drags), robot.mobility_matrix(x[:n], closed) @ drags])
+
+
+def torques_by_parameters(
+    robot: Robot, u: Vector, acceleration: Vector, names: Sequence[str]
+) -> Matrix:
+    """What a unit of each parameter adds to the torques in motion, shape (n, p), SI units."""
+    found = np.zeros((robot.n, len(names)))
     drags = {DAMPING: u, ROTOR_INERTIA: acceleration}
     for k, name in enumerate(names):
         kind, _, member = name.partition(".")
         if kind in drags:
             j = robot.coordinates.index(member)
-            found[n:, k] = -by_tau[:, j] * drags[kind][j]
+            found[j, k] = -drags[kind][j]
     return found
+
+
+def loads_by_parameters(
+    robot: Robot, x: Vector, tau: Vector, names: Sequence[str], closed: Contacts
+) -> Matrix:
+    """Derivatives of ``Robot.loads`` by parameters, shape (k, p), SI units."""
+    n = robot.n
+    acceleration = robot.acceleration(x[:n], x[n:], tau, closed)
+    drags = torques_by_parameters(robot, x[n:], acceleration, names)
+    W, held = robot.kicks(x[:n], closed)
+    return np.asarray(-np.linalg.pinv(W.T @ held, hermitian=True) @ held.T @ drags)
 
 
 def jump_by_parameters(robot: Robot, x: Vector, pushed: Contacts, names: Sequence[str]) -> Matrix:

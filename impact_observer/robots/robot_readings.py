@@ -19,6 +19,7 @@ class RobotReading:
         index: among all sensors.
         is_dynamic: whether it measures accelerations, which depend on torques.
         is_affine: whether it measures positions and velocities of joints alone.
+        by_acceleration: derivatives of ``value`` by the accelerations of joints, shape (n,).
     """
 
     def __init__(self, measurement: Measurement, robot: Robot, index: int = 0) -> None:
@@ -29,12 +30,12 @@ class RobotReading:
         """
         measurement.check(robot)
         self.measurement, self.index, self._robot = measurement, index, robot
-        p, v, self._a = (
+        p, v, self.by_acceleration = (
             _coefficients(each, robot.coordinates)
             for each in (measurement.position, measurement.velocity, measurement.acceleration)
         )
         self._h = np.concatenate([p, v])
-        self.is_dynamic = bool(np.any(self._a))
+        self.is_dynamic = bool(np.any(self.by_acceleration))
         names = robot.contact_names
         self._contacts = (names.index(measurement.gap),) if measurement.gap else ()
         self.is_affine = not (self.is_dynamic or self._contacts)
@@ -51,7 +52,7 @@ class RobotReading:
         if self._contacts:
             found += float(robot.gaps(x[:n], self._contacts)[0])
         if self.is_dynamic:
-            found += float(self._a @ robot.acceleration(x[:n], x[n:], tau, closed))
+            found += float(self.by_acceleration @ robot.acceleration(x[:n], x[n:], tau, closed))
         return found
 
     def gradient(self, x: Vector, tau: Vector, closed: Contacts = ()) -> Vector:
@@ -62,7 +63,7 @@ class RobotReading:
             found[:n] += robot.directions(x[:n], self._contacts)[:, 0]
         if self.is_dynamic:
             by_q, by_u, _ = robot.acceleration_derivatives(x[:n], x[n:], tau, closed)
-            found += np.concatenate([self._a @ by_q, self._a @ by_u])
+            found += np.concatenate([self.by_acceleration @ by_q, self.by_acceleration @ by_u])
         return np.asarray(found)
 
 

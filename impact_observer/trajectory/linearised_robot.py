@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights and jumps of a robot with their derivatives by state, restitutions and instants."""
+"""Flights and jumps of a robot with their derivatives by state, parameters and instants."""
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.robot_family import RobotFamily
 from impact_observer.filter.robot_members import RobotMember
 from impact_observer.filter.robot_motion import RobotMotion
+from impact_observer.robots.robot_parameters import jump_by_parameters, loads_by_parameters
 from impact_observer.states import Vector
 from impact_observer.trajectory.linearised_system import (
     FlightEnd,
@@ -21,7 +22,7 @@ class LinearisedRobot:
     """One robot of a family, in the place of a ``LinearisedSystem``.
 
     Attributes:
-        family: the robots, which differ by restitutions.
+        family: the robots, which differ by parameters.
         moving: their motion between impacts.
     """
 
@@ -42,24 +43,28 @@ class LinearisedRobot:
     def flow(self, t: float, x: Vector, s: float, closed: Contacts) -> TangentMap:
         """The state ``s`` seconds after, or before, the state ``x`` at ``t``."""
         moved, Phi = self.moving.moved(t, x, s, closed)
-        return TangentMap(moved, Phi, np.zeros((x.size, self.family.size)))
+        return TangentMap(
+            moved, Phi, self.moving.by_parameters(t, x, s, closed, self.family.names)
+        )
 
     def guard(self, at: TangentState, contacts: Contacts, *, hit: bool) -> Guard:
         """The gaps of ``contacts`` that ``hit``, or the loads of closed ones that open."""
         measured = self._member.guard(at.closed, contacts, at.t, at.x, hit=hit)
         rates = self.moving.rates_at(at.t, at.x, at.closed)
         found = measured.expanded(rates, at.x, self.moving.forces(at.t))
-        return Guard(measured, found.value, measured.c @ at.X, -found.H[:, 0], found.E)
+        rows = measured.c @ at.X
+        if not hit:
+            tau, names, which = self.moving.forces(at.t)[0], self.family.names, at.closed
+            loads = loads_by_parameters(self._robot, at.x, tau, names, which)
+            own = slice(at.x.size, at.x.size + self.family.size)
+            rows[:, own] += loads[[which.index(i) for i in contacts]]
+        return Guard(measured, found.value, rows, -found.H[:, 0], found.E)
 
     def impact(self, x: Vector, pressed: Contacts, *, reflects: bool = False) -> TangentMap:
         """As ``LinearisedSystem.impact``."""
         mirror = self._member.mirror_about(x, pressed)
         mirror = mirror if reflects else mirror.soft
-        Gamma = np.zeros((x.size, self.family.size))
-        by_restitution = self._robot.jump_by_restitution(x, pressed)
-        for j, each in enumerate(self.family.parameters):
-            if each.contact in pressed:
-                Gamma[:, j] = by_restitution[:, pressed.index(each.contact)]
+        Gamma = jump_by_parameters(self._robot, x, pressed, self.family.names)
         return TangentMap(mirror.landed(x), mirror.J, Gamma)
 
     def on_stops(self, x: Vector, closed: Contacts) -> TangentMap:

@@ -130,3 +130,14 @@ def test_a_start_inside_a_plane_names_file_key_contact_gap_and_remedy(
         " -0.479426 m); expected gap >= 0: start on its free side, or see normal and offset of"
         " contacts[0]\n"
     )
+
+
+def test_torques_without_a_deviation_are_named() -> None:
+    """An observer would take the model and sampled efforts for exact."""
+    (line,) = (each for each in findings(model_of(PENDULUM, "hinge")) if "torque_dev" in each)
+    assert line == (
+        "note torque_deviation is zero, so an observer takes model and efforts for exact: give"
+        " one, as both err."
+    )
+    given = findings(model_of(PENDULUM, "hinge", torque_deviation="0.02"))
+    assert not [each for each in given if "torque_dev" in each]

@@ -19,7 +19,7 @@ STEP = 1e-6
 
 
 def linearised(robot: Robot, *names: str) -> LinearisedRobot:
-    """Of a robot, whose restitutions of these ``names`` are parameters."""
+    """Of a robot, whose parameters of these ``names`` are uncertain."""
     family = RobotFamily.named(robot, names)
     return LinearisedRobot(family, family.nominal, RobotMotion(robot))
 
@@ -64,7 +64,7 @@ def test_jump_that_lasts_is_that_of_the_integrated_motion() -> None:
 
     def after(start: Vector, early: float = 0.0, eps: float = 0.5) -> Vector:
         """The state at the instant of ``start``, if the jump begins ``early`` seconds before."""
-        own = robot.with_restitutions({"restitution.wall": eps})
+        own = robot.with_parameters({"restitution.wall": eps})
         jumped = own.jumped(moved(robot, start, 0.002 - early), (0,))
         return moved(robot, jumped, early - 0.002)
 
@@ -111,3 +111,21 @@ def test_contacts_that_stay_closed_are_at_rest_afterwards() -> None:
     again = made.at_rest(placed.x, (0,))
     np.testing.assert_allclose(again.x, placed.x, atol=1e-12)
     np.testing.assert_allclose(again.Phi @ placed.Phi, placed.Phi, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["damping", "rotor-inertia"])
+def test_flight_and_load_follow_other_parameters(kind: str) -> None:
+    """Differences of robots with other parameters, free and while a contact is closed."""
+    robot = Robot(random_arm(2))
+    name = f"{kind}.{robot.coordinates[0]}"
+    value, n = robot.description.parameters[name], robot.n
+    x, made = closing(robot, 2), linearised(robot, name)
+    x[n:] = robot.stopped(x[:n], x[n:], (0,))
+    ends = [robot.with_parameters({name: value + sign * 1e-5}) for sign in (1, -1)]
+    slope = (moved(ends[0], x, 0.02) - moved(ends[1], x, 0.02)) / 2e-5
+    found = made.flow(0.0, x, 0.02, ()).Gamma[:, 0]
+    np.testing.assert_allclose(found, slope, atol=1e-3 * np.abs(slope).max())
+    at = made.begin(0.0, x)._replace(closed=(0,))
+    loads = [each.loads(x[:n], x[n:], np.zeros(n), (0,))[0] for each in ends]
+    guard = made.guard(at, (0,), hit=False)
+    assert guard.rows[0, 2 * n] == pytest.approx((loads[0] - loads[1]) / 2e-5, rel=1e-4)
