@@ -101,6 +101,21 @@ def test_a_sound_gives_its_impacts(
     assert "(4.8e+04 Hz); time 0 is stamp 1.000000000 s, epoch 0.500000000 s" in printed
 
 
+def test_impacts_before_the_trigger_are_a_warning_unless_the_epoch_is_before_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A signal whose time zero is 0.2 s after its begin, as of an oscilloscope."""
+    for epoch, warned in (("1", True), ("0.8", False)):
+        path = tmp_path / epoch / "scope.csv"
+        path.parent.mkdir()
+        path.write_text(table(row=lambda t, a: f"{t - 0.2:.6f},{a:.5f}"), encoding="utf-8")
+        times = impact_times(path, "--contact", "stop", "--epoch", epoch)
+        np.testing.assert_allclose(times, HITS - 0.2, atol=1e-4)
+        captured = capsys.readouterr()
+        said = captured.out + captured.err
+        assert ("is before the epoch, 1.000000000 s: such events are not" in said) == warned
+
+
 def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
     """Two contacts have a column each; each run of characters that no topic has becomes ``_``."""
     path = tmp_path / "acc.csv"
