@@ -54,6 +54,10 @@ _TURN = 0.05
 
 The same processor time is for the predictions that are due together.
 """
+_BRIEF = 0.01
+"""Time that estimates may take without a rest after them, s."""
+_LONGEST_REST = 0.25
+"""Longest time without an estimate after slow ones, s."""
 _OF_THE_LAW = {
     each.name for each in OBSERVER_OPTIONS if each.live in {AT_NEXT_START, FROM_ESTIMATE}
 }
@@ -119,6 +123,7 @@ class ObserverNode(ManagedNode):
         self.intake = EventIntake(self.observer, self.stamp_now, future, limits, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
         self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
+        self._rests_until = 0.0
         self._is_turn = self._went_back = False
         self._declared: _NewStart | None = None
         self._waits_for: tuple[str, ...] = ()
@@ -336,7 +341,8 @@ class ObserverNode(ManagedNode):
 
     def _on_samples(self, stamp: int, revised: Sequence[Verdict]) -> None:
         """Publish the estimates after ``stamp`` (ns) that samples change, and verdicts."""
-        self._correct_from(stamp)
+        if time.monotonic() >= self._rests_until:  # else the next estimate has them
+            self._correct_from(stamp)
         self._publish_verdicts(revised, latency=0.0)
         published = {
             each.name
@@ -385,9 +391,14 @@ class ObserverNode(ManagedNode):
             self._apply_events()
 
     def _publish_due(self) -> None:
-        """Publish the estimates that are at least ``lag`` old."""
+        """Publish the estimates that are at least ``lag`` old.
+
+        Estimates that are slow leave half of the time to what waits: long predictions would keep
+        samples waiting, which makes the next predictions longer.
+        """
         start, now = self.observer.start, self.stamp_now() - self._lag
-        if start is None or now < start:
+        begin = time.monotonic()
+        if start is None or now < start or begin < self._rests_until:
             return
         due = self._times.due(self.observer.epoch or start, start, now)
         self._counts["passed_over"] += due.skipped
@@ -397,6 +408,9 @@ class ObserverNode(ManagedNode):
                 self._publish(stamp)
             else:
                 self._counts["passed_over"] += 1
+        spent = time.monotonic() - begin
+        if spent > max(1.0 / self._times.rate, _BRIEF):
+            self._rests_until = begin + spent + min(spent, _LONGEST_REST)
 
     def _publish(self, stamp: int) -> None:
         """Publish the estimate at ``stamp`` (ns)."""

@@ -784,6 +784,28 @@ def test_events_that_wait_are_a_warning_until_the_node_has_caught_up(
     assert rig.values()["waiting"] == "0"
 
 
+def test_slow_estimates_leave_half_of_the_time_to_what_waits(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Estimates of 0.05 s at 100 Hz would take all of it."""
+    estimate, spent = rig.node.observer.estimate, [0.0]
+
+    def slow(stamp: int) -> Estimate:
+        begin, end = time.monotonic(), time.thread_time() + 0.05
+        found = estimate(stamp)
+        while time.thread_time() < end:
+            pass
+        spent[0] += time.monotonic() - begin
+        return found
+
+    monkeypatch.setattr(rig.node.observer, "estimate", slow)
+    begin = time.monotonic()
+    while (taken := time.monotonic() - begin) < 2.0:
+        rig.clock.publish(ros_messages().clock(EPOCH + round(taken * 1e9)))
+        rig.spinner.executor.spin_once(timeout_sec=0.01)
+    assert 0.1 < spent[0] / taken < 0.7
+
+
 def test_a_node_that_falls_behind_skips_estimates_but_not_the_first(rig: Rig) -> None:
     """Estimates older than the backlog are skipped and counted."""
     rig.tick(EPOCH + 3_000_000_000)
