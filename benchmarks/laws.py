@@ -31,7 +31,8 @@ from impact_observer.events import ImpactEvent, Kind
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.io.pairing import Samples, samples_of
 from impact_observer.model import Model, System, parse_model, read_model
-from impact_observer.observer import Observer, law_named, law_names, replay
+from impact_observer.observer import Observer, law_named, replay
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.options import Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid, seconds_between
@@ -273,7 +274,7 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=67, metavar="N", help="a model (default 67)")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="(default 60)")
     parser.add_argument("--models", nargs="+", default=MODELS, metavar="MODEL")
-    parser.add_argument("--laws", nargs="+", default=law_names(), metavar="LAW")
+    parser.add_argument("--laws", nargs="+", default=tuple(BUILT_IN), metavar="LAW")
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every run to FILE")
     given = parser.parse_args(args)
     if given.runs < 1 or not given.seconds > 0:

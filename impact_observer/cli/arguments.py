@@ -151,16 +151,19 @@ def observer_options(args: argparse.Namespace, law: str) -> Options:
 
 
 def installed_laws(text: str) -> tuple[str, ...]:
-    """The names in ``LAW,LAW,...``, each once; all installed laws for ``all``.
+    """The names in ``LAW,LAW,...``, each once; all installed laws of linear models for ``all``.
 
     Raises:
         UsageError: no law is named, or a law is not installed.
     """
+    from impact_observer.model import System
     from impact_observer.observer import law_named, law_names
 
     if not text:
         raise UsageError("laws: none named; expected LAW,LAW,... or all")
-    names = law_names() if text == "all" else [name.strip() for name in text.split(",")]
+    if text == "all":
+        return tuple(name for name in law_names() if System in law_named(name).takes)
+    names = [name.strip() for name in text.split(",")]
     for name in names:
         law_named(name)
     return tuple(dict.fromkeys(names))

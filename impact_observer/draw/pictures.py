@@ -29,6 +29,7 @@ STYLES: Mapping[str, Style] = {
     "geometric": {"color": "black", "linewidth": 1.3, "linestyle": "-"},
     "unilateral": {"color": "#0072B2", "linewidth": 1.3, "linestyle": "--", "marker": "o"},
     "minimum-variance": {"color": "#D55E00", "linewidth": 1.1, "linestyle": "-", "marker": "D"},
+    "measured-position": {"color": "#009E73", "linewidth": 1.3, "linestyle": "-."},
 }
 """Line styles of the built-in laws."""
 _OTHER_DASHES = ("-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))

@@ -107,6 +107,13 @@ class Measurement:
         if self.stamp is not None and self.stamp not in STAMPS:
             raise self.wrong("stamp", f"{self.stamp!r} found; expected one of {', '.join(STAMPS)}")
 
+    @property
+    def encoded(self) -> tuple[str, float] | None:
+        """The coordinate whose position alone it measures, and its coefficient; None if none."""
+        if len(self.position) != 1 or self.velocity or self.acceleration:
+            return None
+        return self.position[0]
+
     def _check_source(self) -> None:
         """Raise UsageError unless exactly one of joint and field names the number of a message."""
         if bool(self.joint) == bool(self.field):

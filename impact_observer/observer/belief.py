@@ -156,6 +156,8 @@ class Belief(NamedTuple):
         misfit: the warning that the model does not explain the impacts; empty without misfit.
         onset: the onset of an impact that lasts, or has an uncertain instant; the other states are
             those after the jump, carried back to the onset.
+        unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
+            first time; None for a law that does not use it.
     """
 
     ensemble: Ensemble
@@ -174,6 +176,7 @@ class Belief(NamedTuple):
     account: Accounts | None = None
     misfit: str = ""
     onset: Onset | None = None
+    unmeasured: Vector | None = None
 
     @property
     def x(self) -> Vector:

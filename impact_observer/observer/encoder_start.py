@@ -33,9 +33,9 @@ class EncoderStart:
             UsageError: a joint has no encoder.
         """
         by_joint = {
-            each.position[0][0]: i
+            each.encoded[0]: i
             for i, each in enumerate(sensors)
-            if len(each.position) == 1 and each.position[0][1] == 1.0 and not each.velocity
+            if each.encoded and each.encoded[1] == 1.0
         }
         for joint in robot.coordinates:
             if joint not in by_joint:

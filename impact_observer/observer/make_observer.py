@@ -16,6 +16,7 @@ from impact_observer.model import Model, System
 from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.model_source import ModelSource, model_of
+from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
@@ -56,9 +57,10 @@ def make_observer(
     law = law or law_named(options.law)
     system: System | Robot
     if model.robot is not None:
-        _check_robot_options(model.robot.name, law, options, measurements)
+        _check_robot_options(model.robot, law, options, measurements)
         robot, live = connected_robot(observed(model))
         system, known = robot, Uncertainty(unknowns=_considered_parameters(robot, model))
+        known = known if law.has_covariance else Uncertainty()
     else:
         linear, live = connected(model.system)
         unknowns = unknowns or _unknown_parameters(linear, options, model)
@@ -105,13 +107,14 @@ def _model_error(options: Options, system: System | Robot) -> float | None:
 
 
 def _check_robot_options(
-    name: str, law: type[Law], options: Options, measurements: Sequence[Measurement]
+    robot: RobotDescription,
+    law: type[Law],
+    options: Options,
+    measurements: Sequence[Measurement],
 ) -> None:
-    """Raise UsageError if the robot of this ``name`` cannot be observed so."""
-    if not (law.has_covariance and law.uses_measurements):
-        raise UsageError(
-            f"law {law.name}: takes no robot, as {name} is; expected minimum-variance"
-        )
+    """Raise UsageError if a ``robot`` cannot be observed so."""
+    name = robot.name
+    law.check_kind(Robot, name)
     if options.estimate_parameters:
         raise UsageError(
             f"estimate_parameters: {options.estimate_parameters[0]} found; expected none, as"
@@ -122,6 +125,13 @@ def _check_robot_options(
             f"measurements: none of positions of the robot {name}, whose motion does not follow"
             " from impact times alone; expected its encoders, --measurements FILE"
         )
+    encoded = {each.encoded[0] for each in measurements if each.encoded}
+    for joint in robot.joints:
+        if joint not in encoded and not law.has_covariance:
+            raise UsageError(
+                f"law {law.name}: no encoder of the joint {joint!r} found; expected one of every"
+                " joint in measurements"
+            )
 
 
 def _considered_parameters(robot: Robot, model: Model) -> UnknownParameters | None:

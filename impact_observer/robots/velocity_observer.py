@@ -14,21 +14,32 @@ parameters or friction. The bound is a certificate, not the best estimate: in no
 several times better. Observers of this class are known: A. Tanwani, B. Brogliato, C. Prieur,
 "Observer design for unilaterally constrained Lagrangian systems: a passivity-based approach",
 IEEE Transactions on Automatic Control 61(9), 2016.
+
+The law ``measured-position`` (``observer/laws/measured_position.py``) is this observer with
+encoders that come as samples.
 """
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
+MARGIN = 10.0
+"""``alpha`` where no other is given, 1/s."""
+
 
 def growth_rate(robot: Robot, q: Vector, u: Vector) -> float:
     """``mu(q, u)``, 1/s: an error grows no faster than by ``exp(mu t / 2)`` if ``l`` is 0."""
-    C = robot.coriolis(q, u)
-    return float(linalg.eigvalsh(-(C + C.T), robot.mass(q))[-1])
+    C, root = robot.coriolis(q, u), np.linalg.cholesky(robot.mass(q))
+    half = np.linalg.solve(root, -(C + C.T))
+    return float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[-1])
+
+
+def certified_gain(robot: Robot, q: Vector, u: Vector, margin: float) -> float:
+    """The least ``l``, 1/s, with which V falls at least by ``exp(-2 margin t)``."""
+    return max(growth_rate(robot, q, u), 0.0) / 2 + margin
 
 
 class VelocityObserver:
@@ -41,7 +52,7 @@ class VelocityObserver:
         gain: ``l`` of the last step, 1/s.
     """
 
-    def __init__(self, robot: Robot, velocity: Vector, *, margin: float = 10.0) -> None:
+    def __init__(self, robot: Robot, velocity: Vector, *, margin: float = MARGIN) -> None:
         """Start from a ``velocity``, shape (n,).
 
         Raises:
@@ -68,8 +79,7 @@ class VelocityObserver:
         """
         robot, h = self.robot, seconds
         begin, middle, end = positions
-        mu = growth_rate(robot, begin, self.velocity)
-        self.gain = gain = max(mu, 0.0) / 2 + self.margin
+        self.gain = gain = certified_gain(robot, begin, self.velocity, self.margin)
 
         # v = u^ - l (q - q(begin)), which is smooth where dq is not known
         def rate(v: Vector, q: Vector) -> Vector:

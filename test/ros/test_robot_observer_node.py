@@ -178,8 +178,10 @@ class Rig:
 
 
 @pytest.fixture
-def rig(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Rig]:
-    """A rig whose URDF comes from a topic."""
+def rig(
+    ros_environment: dict[str, str], tmp_path: Path, request: pytest.FixtureRequest
+) -> Iterator[Rig]:
+    """A rig whose URDF comes from a topic; a test may give further parameters of its node."""
     assert ros_environment
     sample = read_model("hammer_arm")
     assert sample.robot is not None
@@ -187,7 +189,8 @@ def rig(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Rig]:
     path = tmp_path / "hammer_arm.yaml"
     path.write_text(text.replace("urdf: hammer_arm.urdf", "urdf: {topic: robot_description}"))
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    with spinning(ros_arguments({**OBSERVED, "model": path, "rate": 10.0})) as spinner:
+    given = {**OBSERVED, "model": path, "rate": 10.0, **getattr(request, "param", {})}
+    with spinning(ros_arguments(given)) as spinner:
         probe = spinner.probe
         urdf = probe.create_publisher(String, "robot_description", latched)
         urdf.publish(String(data=sample.robot.known_urdf.text))
@@ -221,6 +224,18 @@ def test_a_robot_starts_and_is_reset_where_its_encoders_are(rig: Rig) -> None:
     assert (answer.success, answer.message) == (True, "holds at the next samples of the encoders")
     rig.go_to(EPOCH + 2 * NS_PER_S, 0.75, 1.0)
     np.testing.assert_allclose([*rig.last.q, *rig.last.u], [0.75, 1.0, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("rig", [{"law": "measured-position"}], indirect=True)
+def test_a_node_estimates_a_robot_without_a_covariance(rig: Rig) -> None:
+    """The estimate is where the encoders are, and its velocities follow them."""
+    rig.go_to(EPOCH + NS_PER_S, 0.25, 0.5)
+    rig.go_to(EPOCH + NS_PER_S + 10**8, 0.3, 0.45)
+    assert rig.last.law == "measured-position"
+    np.testing.assert_allclose(rig.last.q, [0.3, 0.45], atol=1e-9)
+    assert np.all(np.abs(rig.last.u) > 0.05)
+    assert rig.last.covariance.size == 0
+    assert rig.status() == "0 impacts applied"
 
 
 def test_a_state_and_parameters_of_a_robot_can_be_set(rig: Rig) -> None:
@@ -291,6 +306,7 @@ def test_samples_that_come_too_fast_are_shed_so_that_the_newest_count(rig: Rig) 
         {"estimate_parameters": ("restitution",)},
         {"measurements": ""},
         {"measurements": "shoulder"},
+        {"law": "measured-position", "measurements": "shoulder"},
     ],
 )
 def test_a_node_refuses_what_the_command_refuses(

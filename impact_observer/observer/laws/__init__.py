@@ -11,6 +11,7 @@ from impact_observer.errors import UsageError
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.laws.measured_position import MeasuredPosition
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.replica_law import ReplicaLaw
@@ -19,9 +20,11 @@ from impact_observer.process_end import place_in
 
 __all__ = [
     "BUILT_IN",
+    "FOR_ROBOTS",
     "Geometric",
     "Kinematic",
     "Law",
+    "MeasuredPosition",
     "MinimumVariance",
     "OpenLoop",
     "ReplicaLaw",
@@ -34,12 +37,16 @@ ENTRY_POINTS = "impact_observer.laws"
 BUILT_IN: dict[str, type[Law]] = {
     law.name: law for law in (OpenLoop, Kinematic, Geometric, Unilateral, MinimumVariance)
 }
+"""Laws of linear systems."""
+FOR_ROBOTS: dict[str, type[Law]] = {MeasuredPosition.name: MeasuredPosition}
+"""Laws that take robots and no linear systems."""
 
 
 def law_names() -> tuple[str, ...]:
     """Names of all laws that are installed, the built-in ones first."""
     others = sorted(entry.name for entry in entry_points(group=ENTRY_POINTS))
-    return (*BUILT_IN, *(name for name in others if name not in BUILT_IN))
+    built_in = (*BUILT_IN, *FOR_ROBOTS)
+    return (*built_in, *(name for name in others if name not in built_in))
 
 
 def law_named(name: str) -> type[Law]:
@@ -48,8 +55,8 @@ def law_named(name: str) -> type[Law]:
     Raises:
         UsageError: the law is not installed, or its entry point cannot be imported or is no law.
     """
-    if name in BUILT_IN:
-        return BUILT_IN[name]
+    if name in BUILT_IN or name in FOR_ROBOTS:
+        return BUILT_IN.get(name) or FOR_ROBOTS[name]
     for entry in entry_points(group=ENTRY_POINTS, name=name):
         try:
             law = entry.load()

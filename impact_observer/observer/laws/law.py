@@ -4,6 +4,7 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
@@ -12,6 +13,7 @@ from impact_observer.filter.robot_motion import motion_of
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector
 
 
@@ -27,6 +29,7 @@ class Law(ABC):
         has_covariance: whether the law estimates a covariance.
         learns: whether the law estimates unknown parameters of the model.
         uses_measurements: whether samples of sensors correct the replicas.
+        takes: the kinds of systems whose states the law can estimate.
         system: the model of plant and replicas.
         uncertainty: the uncertainty that the user declares.
         moving: the motion of the system between impacts.
@@ -38,6 +41,7 @@ class Law(ABC):
     has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     uses_measurements: ClassVar[bool] = False
+    takes: ClassVar[tuple[type[System | Robot], ...]] = (System,)
 
     def __init__(
         self,
@@ -53,12 +57,28 @@ class Law(ABC):
             moving: the motion of the same system, if another law has prepared it already.
 
         Raises:
-            UsageError: the declared uncertainty does not fit the system.
+            UsageError: the law does not take the system, or the declared uncertainty does not fit.
         """
+        self.check_kind(type(system), system.name)
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
         self.moving = motion_of(system) if moving is None else moving
+
+    @classmethod
+    def check_kind(cls, kind: type[System | Robot], name: str) -> None:
+        """Raise UsageError if the law does not take systems of this ``kind``, such as ``name``."""
+        if issubclass(kind, cls.takes):
+            return
+        if issubclass(kind, Robot):
+            raise UsageError(
+                f"law {cls.name}: takes no robot, as {name} is; expected minimum-variance or"
+                " measured-position"
+            )
+        raise UsageError(
+            f"law {cls.name}: takes only robots, and {name} is a linear model; expected another"
+            " law, such as minimum-variance"
+        )
 
     def near(self, x: Vector) -> System:
         """The system at a state ``x``, shape (2n,): a linear one is the same at all states."""

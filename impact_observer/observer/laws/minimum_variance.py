@@ -55,6 +55,7 @@ from impact_observer.observer.laws.kalman_predictions import predicted_by
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
 from impact_observer.observer.laws.starts import Starts
+from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Vector
 
@@ -80,6 +81,7 @@ class MinimumVariance(Law):
     has_covariance: ClassVar[bool] = True
     learns: ClassVar[bool] = True
     uses_measurements: ClassVar[bool] = True
+    takes: ClassVar[tuple[type[System | Robot], ...]] = (System, Robot)
     tries_steps: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:

@@ -269,30 +269,35 @@ class ReplicaLaw(Law):
             return _CommonPhase(phase.start(t, posterior.x), posterior, phase)
         first = self.motion(t, posterior.x, closed)
         others = posterior.replicas[1:] if posterior.ensemble.others else ()
-        return _OwnMotions([first, *(self.motion(t, x, closed) for x in others)], posterior)
+        return OwnMotions([first, *(self.motion(t, x, closed) for x in others)], posterior)
 
 
-class _OwnMotions(Prediction):
+class OwnMotions(Prediction):
     """Every replica by its own motion."""
 
     is_plain: ClassVar[bool] = True
 
     def __init__(self, motions: Sequence[Motion], belief: Belief) -> None:
+        """The ``motions`` of all replicas of a ``belief``, the estimate's first."""
         self._motions = motions
         self._belief = belief
 
     def state(self, s: float) -> Vector:
+        """That of the first motion."""
         return self._motions[0].state(s)
 
     def states(self, s: Vector) -> Matrix:
+        """Those of the first motion."""
         return self._motions[0].states(s)
 
     def belief(self, s: float) -> Belief:
+        """All replicas, and the bound of before."""
         replicas = np.array([motion.state(s) for motion in self._motions])
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
     def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
+        """States, and differences from the first."""
         states = np.stack([motion.states(s).T for motion in self._motions], axis=1)
         return states[:, 0].T, states[:, 1:] - states[:, :1], None
 

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Velocities of a robot from encoders, with a proof for exact positions.
+
+``robots/velocity_observer.py`` has the observer in continuous time, its V and what is proved of
+it. Here the encoders of n joints come as samples, each at its own instants. A replica ``(q^, u^)``
+moves as the robot does between samples. At a sample of joint j, ``h`` seconds after the one before
+of the same joint, with the innovation ``i = y - q^_j``,
+
+    q^_j = y    and    u^_j += (1 - exp(-l h)) / h i
+
+where ``i / h`` is the error of the speed in the mean over ``h``, so that the error decays as by
+``l (dq - u^ dt)``. For ``h`` to zero both observers are the same.
+"""
+
+import math
+from typing import ClassVar, cast
+
+import numpy as np
+
+from impact_observer.events import Contacts
+from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.ensemble import Ensemble
+from impact_observer.filter.moving_system import MovingSystem
+from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
+from impact_observer.filter.uncertainty import Uncertainty
+from impact_observer.model import System
+from impact_observer.observer.belief import Belief, Onset, Prediction
+from impact_observer.observer.laws.law import Law
+from impact_observer.observer.laws.replica_law import OwnMotions
+from impact_observer.robots.robot import Robot
+from impact_observer.robots.velocity_observer import MARGIN, certified_gain
+from impact_observer.states import Matrix, Vector
+
+
+class MeasuredPosition(Law):
+    """Encoders move the velocities, impacts let them jump by Newton's law with their own speeds.
+
+    A contact that stays closed takes its speed from the estimate for good, as the plant has none.
+    That is a projection in the metric of V, and the load of the contact then does no work on the
+    error. So the proof needs no sprag clutch.
+    """
+
+    name: ClassVar[str] = "measured-position"
+    uses_measurements: ClassVar[bool] = True
+    takes: ClassVar[tuple[type[System | Robot], ...]] = (Robot,)
+
+    def __init__(
+        self,
+        system: System,
+        uncertainty: Uncertainty | None = None,
+        moving: MovingSystem | None = None,
+    ) -> None:
+        """Prepare the law for one robot, in the place of a ``system``.
+
+        Raises:
+            UsageError: the system is no robot, or the declared uncertainty does not fit.
+        """
+        super().__init__(system, uncertainty, moving)
+        self._robot = cast(Robot, system)
+
+    def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
+        """Replicas whose ``closed`` contacts have no speed."""
+        del root
+        n = self._robot.n
+        held = [self._held(x[:n], x[n:], closed) for x in replicas]
+        return Belief(Ensemble.of(np.array(held)), unmeasured=np.full(n, math.inf))
+
+    def correct(self, change: ContactChange, prior: Belief) -> Belief:
+        """Every replica after its own impact, at the positions that encoders have given it.
+
+        The jump of an impact that lasts comes after half of it, and is carried back to the onset.
+        """
+        if not change.hit:
+            return prior
+        late = change.delay(self.system)
+        after = [self._jumped(change, x, late) for x in prior.replicas]
+        onset = Onset(prior.x, None, late) if late else None
+        return prior._replace(ensemble=Ensemble.of(np.array(after)), onset=onset)
+
+    def measure(
+        self, reading: Reading, prior: Belief
+    ) -> tuple[Belief, SampleOutcome, SensorState]:
+        """Every replica after the sample of an encoder of one joint; no others are used."""
+        encoded = reading.sensor.measurement.encoded
+        if encoded is None:
+            reason = f"{self.name} uses positions of single joints alone"
+            return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
+        assert prior.unmeasured is not None, "a belief of this law"
+        j, scale = self._robot.coordinates.index(encoded[0]), encoded[1]
+        place = Place(reading.t, reading.instant, prior.x, reading.closed)
+        row, period = reading.sensor.row(self.moving, place), reading.sensor.period
+        innovations, after = list[float](), list[Vector]()
+        for x in prior.replicas:
+            innovation = reading.value - row.value(x)
+            if period:
+                innovation = math.remainder(innovation, period)
+            innovations.append(innovation)
+            h = float(prior.unmeasured[j])
+            after.append(self._moved_to(x, j, innovation / scale, h, reading.closed))
+        unmeasured = prior.unmeasured.copy()
+        unmeasured[j] = 0.0
+        belief = Belief(Ensemble.of(np.array(after)), unmeasured=unmeasured)
+        return belief, SampleOutcome(innovations[0]), reading.known
+
+    def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
+        """Each replica by its own motion."""
+        motions = [self.moving.motion(t, x, closed) for x in posterior.replicas]
+        return _Unmeasured(motions, posterior)
+
+    def _jumped(self, change: ContactChange, x: Vector, late: float) -> Vector:
+        """A replica ``x``, shape (2n,), after its impact ``late`` seconds after the onset."""
+        n, moved = self._robot.n, self.moving.moved
+        x = moved(change.t, x, late, ())[0] if late else x
+        u = self._robot.velocity_after(x[:n], x[n:], change.active)
+        x = self._held(x[:n], u, change.closed)
+        return moved(change.t + late, x, -late, ())[0] if late else x
+
+    def _moved_to(self, x: Vector, j: int, shift: float, h: float, closed: Contacts) -> Vector:
+        """A replica whose joint ``j`` is shifted, ``h`` seconds after the sample before."""
+        n = self._robot.n
+        q, u = x[:n].copy(), x[n:].copy()
+        q[j] += shift
+        if h > 0:
+            u[j] -= math.expm1(-h * certified_gain(self._robot, q, u, MARGIN)) / h * shift
+        return self._held(q, u, closed)
+
+    def _held(self, q: Vector, u: Vector, closed: Contacts) -> Vector:
+        """The state, shape (2n,), with the nearest ``u`` at which ``closed`` contacts rest."""
+        return np.concatenate([q, self._robot.stopped(q, u, closed)])
+
+
+class _Unmeasured(OwnMotions):
+    """Motions during which nothing is measured."""
+
+    def belief(self, s: float) -> Belief:
+        before = self._belief.unmeasured
+        assert before is not None, "a belief of this law"
+        return super().belief(s)._replace(unmeasured=before + s)
