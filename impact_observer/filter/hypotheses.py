@@ -183,11 +183,13 @@ def agreeing(hypotheses: Sequence[Hypothesis], system: System) -> Sequence[Hypot
     """
     if len(hypotheses) == 1:
         return hypotheses
-    n, distances = system.n, []
-    for h in hypotheses:
-        errors = np.column_stack([h.state.root[: 2 * n], h.state.x - hypotheses[0].state.x])
-        distances.append(np.sum(lyapunov.distance(system, errors[:n].T, errors[n:].T)))
-    order = np.argsort(distances)
+    n, count = system.n, len(hypotheses)
+    roots = [h.state.root[: 2 * n] for h in hypotheses]
+    apart = [(h.state.x - hypotheses[0].state.x)[:, None] for h in hypotheses]
+    whose = np.append(np.repeat(range(count), [root.shape[1] for root in roots]), range(count))
+    errors = np.hstack([*roots, *apart])
+    parts = lyapunov.distance(system, errors[:n].T, errors[n:].T)
+    order = np.argsort(np.bincount(whose, parts, count))
     held = np.cumsum(probabilities(hypotheses)[order])
     found = order[: 1 + int(np.searchsorted(held, 1 - TUNING.disagreeing))]
     return [hypotheses[0], *(hypotheses[k] for k in found if k)]

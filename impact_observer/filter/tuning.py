@@ -44,7 +44,7 @@ class Tuning:
     """Most steps that are tried beside each other."""
     step_events: int = 8
     """Events after which a step of the clock that has not been shown is not tried any more."""
-    log_possible_step: float = -8.0
+    log_possible_step: float = -4.0
     """Odds below which a step of the clock is not tried any more. Other than after a step the
     event has been expected, or is one of noise as probable as a step.
     """
