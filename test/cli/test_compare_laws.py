@@ -10,7 +10,8 @@ from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import model_of
-from impact_observer.observer import Options, law_names, make_observer
+from impact_observer.observer import Options, make_observer
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.resources import shared
 
 
@@ -43,11 +44,11 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Every error of every law is equal to the bit, and every printed figure too."""
-    bags = [observed(plant_bag, tmp_path / law, law) for law in law_names()]
+    bags = [observed(plant_bag, tmp_path / law, law) for law in BUILT_IN]
     with BagReader(plant_bag) as reader:
         system = model_of(reader).system
         observers = [
-            make_observer(system, Options(law, "random:1", ensemble=1)) for law in law_names()
+            make_observer(system, Options(law, "random:1", ensemble=1)) for law in BUILT_IN
         ]
         made = compare_bag(reader, system, observers).comparisons
     for bag in bags:
@@ -56,7 +57,7 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
         assert made[bag.name].error.tobytes() == recorded.error.tobytes()
         assert made[bag.name].stamps.tobytes() == recorded.stamps.tobytes()
     in_memory = compared(capsys, str(plant_bag), "--laws", "all", "--initial", "random:1")
-    assert list(in_memory) == list(law_names())
+    assert list(in_memory) == list(BUILT_IN)
     assert in_memory == compared(capsys, *map(str, bags))
 
 

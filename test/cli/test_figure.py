@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from impact_observer.cli.main import main
 from impact_observer.draw import pictures
-from impact_observer.observer import law_names
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.resources import shared
 
 QUICK = ("--duration", "6", "--rate", "20")
@@ -52,7 +52,7 @@ def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> Non
     output = str(tmp_path / "v.pdf")
     assert main(["figure", "two_mass", "--laws", "all", "--paper", *QUICK, "-o", output]) == 0
     (figure,) = drawn
-    assert curves(figure) == list(law_names())
+    assert curves(figure) == list(BUILT_IN)
     assert figure.get_figwidth() < 3.5
     assert not figure.texts
 

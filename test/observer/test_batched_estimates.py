@@ -14,7 +14,8 @@ from systems import (
 
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.observer import Observer, law_names
+from impact_observer.observer import Observer
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Estimate
 
@@ -40,7 +41,7 @@ def checked(watcher: Observer, stamps: NDArray[np.int64]) -> list[int]:
     return [each.stamps.size for each in batches]
 
 
-@pytest.mark.parametrize("law", law_names())
+@pytest.mark.parametrize("law", BUILT_IN)
 def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
     """Between events, at their stamps, and at the earliest stamp with an estimate."""
     model = sample("three_mass")
