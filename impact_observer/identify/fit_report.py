@@ -31,7 +31,7 @@ from impact_observer.identify.unreported import dead_time_of, has_rows
 from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
-from impact_observer.model.free_parameters import is_observed, is_phase
+from impact_observer.model.free_parameters import OFFSET, is_observed, is_phase
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
@@ -596,6 +596,14 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
         text = "Standard errors hold if the model is right in all that was not free."
         yield ReportLine("note", text)
     names, correlation = fitted.family.names, fitted.correlation
+    if OFFSET in names and fitted.converged:
+        late = float(fitted.values[names.index(OFFSET)])
+        yield ReportLine(
+            "note",
+            f"{OFFSET} is not written, as no model has one: `detect --latency {late:.6g}` takes"
+            f" the offset from the stamps, and `observe --clock-offset-error {abs(late):.2g}`"
+            " estimates the offset.",
+        )
     for i in range(len(names)):
         for j in range(i):
             if abs(correlation[i, j]) > _CORRELATED:

@@ -86,6 +86,16 @@ def test_a_latency_is_named(clock: float | None) -> None:
     assert first.value == pytest.approx(4e-3, rel=1e-6)
 
 
+def test_what_to_do_with_a_clock_offset_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """A model file has no offset of a clock: stamps are 4 ms late."""
+    late = late_by([from_seconds(4e-3)] * len(shaken().events))
+    found = fitted(SHAKER, late, None, "clock-offset")
+    print_parameters(found, check_fit(found))
+    out = " ".join(capsys.readouterr().out.split())
+    assert "`detect --latency 0.004` takes the offset from the stamps" in out
+    assert "`observe --clock-offset-error 0.004` estimates the offset" in out
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", [1e-3, None])
 def test_stamps_of_the_next_five_milliseconds_do_not_fit(clock: float | None) -> None:
