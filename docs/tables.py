@@ -7,7 +7,7 @@ from pathlib import Path
 from docs import rooms
 from impact_observer.io import access
 from impact_observer.io.interfaces import INTERFACES, Interface
-from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS
+from impact_observer.observer.laws import OWN_LAWS
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
 from impact_observer.ros.parameters import TABLES
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -164,7 +164,7 @@ def _topics(each: Interface) -> list[str]:
     owner, _, _ = each.name.partition("/")
     if owner not in {"observer", "monitor"}:
         return [each.topic]
-    laws = [f"{owner}_{law.replace('-', '_')}" for law in (*BUILT_IN, *FOR_ROBOTS)]
+    laws = [f"{owner}_{law.replace('-', '_')}" for law in OWN_LAWS]
     return [each.topic, *(f"/{each.name_under(law)}" for law in laws)]
 
 

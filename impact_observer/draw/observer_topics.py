@@ -9,7 +9,7 @@ from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.reader import BagReader
-from impact_observer.observer.laws import BUILT_IN, FOR_ROBOTS, OpenLoop
+from impact_observer.observer.laws import OWN_LAWS, OpenLoop
 from impact_observer.options import Options
 from impact_observer.stamps import NS_PER_S
 
@@ -68,9 +68,7 @@ class ObserverTopics:
             raise UsageError(f"observer {name!r}: no name of a node; expected such as observer")
         node = prefix.rpartition("/")[2]
         name = node.removeprefix("observer").lstrip("_").replace("_", "-") or Options.law
-        law = {**BUILT_IN, **FOR_ROBOTS}.get(
-            name, OpenLoop
-        )  # a law of another package counts as open loop
+        law = OWN_LAWS.get(name, OpenLoop)  # a law of another package counts as open loop
         filters = law.has_covariance
         return cls(prefix, law.has_bound, filters, _LEARNED if filters else ())
 

@@ -21,6 +21,7 @@ from impact_observer.process_end import place_in
 __all__ = [
     "BUILT_IN",
     "FOR_ROBOTS",
+    "OWN_LAWS",
     "Geometric",
     "Kinematic",
     "Law",
@@ -40,13 +41,14 @@ BUILT_IN: dict[str, type[Law]] = {
 """Laws of linear systems."""
 FOR_ROBOTS: dict[str, type[Law]] = {MeasuredPosition.name: MeasuredPosition}
 """Laws that take robots and no linear systems."""
+OWN_LAWS = BUILT_IN | FOR_ROBOTS
+"""All laws of this package."""
 
 
 def law_names() -> tuple[str, ...]:
     """Names of all laws that are installed, the built-in ones first."""
     others = sorted(entry.name for entry in entry_points(group=ENTRY_POINTS))
-    built_in = (*BUILT_IN, *FOR_ROBOTS)
-    return (*built_in, *(name for name in others if name not in built_in))
+    return (*OWN_LAWS, *(name for name in others if name not in OWN_LAWS))
 
 
 def law_named(name: str) -> type[Law]:
@@ -55,8 +57,8 @@ def law_named(name: str) -> type[Law]:
     Raises:
         UsageError: the law is not installed, or its entry point cannot be imported or is no law.
     """
-    if name in BUILT_IN or name in FOR_ROBOTS:
-        return BUILT_IN.get(name) or FOR_ROBOTS[name]
+    if name in OWN_LAWS:
+        return OWN_LAWS[name]
     for entry in entry_points(group=ENTRY_POINTS, name=name):
         try:
             law = entry.load()

@@ -20,9 +20,7 @@ import numpy as np
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Onset, Prediction
 from impact_observer.observer.laws.law import Law
@@ -44,19 +42,9 @@ class MeasuredPosition(Law):
     uses_measurements: ClassVar[bool] = True
     takes: ClassVar[tuple[type[System | Robot], ...]] = (Robot,)
 
-    def __init__(
-        self,
-        system: System,
-        uncertainty: Uncertainty | None = None,
-        moving: MovingSystem | None = None,
-    ) -> None:
-        """Prepare the law for one robot, in the place of a ``system``.
-
-        Raises:
-            UsageError: the system is no robot, or the declared uncertainty does not fit.
-        """
-        super().__init__(system, uncertainty, moving)
-        self._robot = cast(Robot, system)
+    @property
+    def _robot(self) -> Robot:
+        return cast(Robot, self.system)
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """Replicas whose ``closed`` contacts have no speed."""
