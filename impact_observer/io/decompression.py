@@ -2,16 +2,14 @@
 """Chunks of MCAP files and messages without their compression, of a bounded size."""
 
 from dataclasses import replace
-from io import BytesIO
 from types import SimpleNamespace
 
-import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.records import Chunk
 from rosbags.rosbag2 import ReaderError, reader, storage_mcap
 
 zstd = vars(reader)["zstd"]
-"""The library that rosbags decompresses messages with."""
+"""The library by which rosbags decompresses."""
 MOST_BYTES = 2**30
 """Largest chunk or message that is decompressed. Recorders end a chunk after some megabytes."""
 
@@ -33,7 +31,7 @@ def decompressed(data: bytes, compression: str, size: int) -> bytes:
             f" at most {MOST_BYTES}"
         )
     if compression == "zstd":
-        return bytes(zstandard.ZstdDecompressor().stream_reader(BytesIO(data)).read(size + 1))
+        return bytes(zstd.ZstdDecompressor().decompress(data, size + 1))
     if compression == "lz4":
         return bytes(LZ4FrameDecompressor().decompress(data, max_length=size + 1))
     return data
