@@ -12,6 +12,7 @@ were applied, the processor time by second, and the median of the largest veloci
 import argparse
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -151,17 +152,15 @@ def measured(case: Case, seconds: float, folder: Path) -> Measured:
     stamps = grid(EPOCH, EPOCH + from_seconds(seconds), case.rate)
     run = simulate(make_plant(robot, *case.model.initial_state(), epoch=EPOCH), stamps)
     rig = Rig()
-    with one_core():
-        observer = running(("impact_observer.ros.entry", "observer", "--ros-args", *parameters))
-        process = observer.__enter__()
-    try:
+    with ExitStack() as stack:
+        stack.callback(rig.node.destroy_node)
+        with one_core():
+            command = ("impact_observer.ros.entry", "observer", "--ros-args", *parameters)
+            process = stack.enter_context(running(command))
         rig.meet()
         before = processor_time(process.pid)
         epoch = rig.send(robot, run)
         used = processor_time(process.pid) - before
-    finally:
-        observer.__exit__(None, None, None)
-        rig.node.destroy_node()
     first = f"/observer: sensor {robot.coordinates[0]}"
     counts = rig.values[first]
     errors = [

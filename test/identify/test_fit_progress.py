@@ -21,8 +21,8 @@ def test_a_search_computes_no_more_flights_than_it_may() -> None:
 
 def test_progress_names_the_step() -> None:
     """The step alone, then how far it is."""
-    heard = list[str]()
-    progress = FitProgress(heard.append)
+    lines = list[str]()
+    progress = FitProgress(lines.append)
     progress.stage("a fit")
     progress("1 of 2")
-    assert heard == ["a fit", "a fit: 1 of 2"]
+    assert lines == ["a fit", "a fit: 1 of 2"]
