@@ -9,7 +9,7 @@ accounted for: those of the recorder in the bags that are salvaged, those of the
 verdicts, the pulses of the switch by the detector's events. What had reached a process more than a
 second before it was killed must be there.
 
-The processes talk over UDP, as docs/reliability.md says of Fast DDS after kills.
+The processes talk over UDP, as docs/security.md says of Fast DDS after kills.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 """Hostile inputs to everything that reads something foreign: ``./dev soak``.
 
     ./dev soak                            # 20 000 inputs
-    ./dev soak --inputs 1000000           # those of docs/reliability.md
+    ./dev soak --inputs 1000000           # those of docs/security.md
     ./dev soak --only model csv --seed 7
 
 Each input must be used, or refused by an error that is reported as one line. Anything else is an
