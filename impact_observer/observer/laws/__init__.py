@@ -5,6 +5,7 @@ Each law has its file. Another package adds a law by an entry point in the group
 ``impact_observer.laws``.
 """
 
+from collections import ChainMap
 from importlib.metadata import entry_points
 
 from impact_observer.errors import UsageError
@@ -41,8 +42,8 @@ BUILT_IN: dict[str, type[Law]] = {
 """Laws of linear systems."""
 FOR_ROBOTS: dict[str, type[Law]] = {MeasuredPosition.name: MeasuredPosition}
 """Laws that take robots and no linear systems."""
-OWN_LAWS = BUILT_IN | FOR_ROBOTS
-"""All laws of this package."""
+OWN_LAWS = ChainMap(FOR_ROBOTS, BUILT_IN)  # whose order is that of the last first
+"""All laws of this package, those of linear systems first."""
 
 
 def law_names() -> tuple[str, ...]:
