@@ -4,7 +4,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -276,6 +276,10 @@ class SampleOutcome(NamedTuple):
     reason: str = ""
 
 
+UsedSample: TypeAlias = tuple[SampleOutcome, SensorState]
+"""What became of a sample, and what is known of its sensor then."""
+
+
 class RobotSensor(DeclaredSensor):
     """A declared measurement of a robot; angles of continuous joints count modulo 2 pi."""
 
@@ -308,11 +312,11 @@ class RobotSensor(DeclaredSensor):
 
     def row_of(self, members: Members, theta: Vector, at: Place) -> Row:
         """``row`` of the member of a family whose parameters are ``theta``, shape (p,)."""
-        row, of_theta = self.row(members.given.moving, at), np.zeros(theta.size)
-        if self.is_dynamic:
-            rates = members.rate_sensitivity(members.at(theta), at.closed, at.x, at.t)
-            of_theta = self._reading.by_acceleration @ rates[at.x.size // 2 :]
-        return row._replace(of_theta=of_theta)
+        row = self.row(members.given.moving, at)
+        if not self.is_dynamic:
+            return row
+        rates = members.rate_sensitivity(members.at(theta), at.closed, at.x, at.t)
+        return row._replace(of_theta=self._reading.by_acceleration @ rates[at.x.size // 2 :])
 
     def shifts(self, instants: Stamps) -> Vector:
         """What moving grounds add: nothing, shape (samples,)."""

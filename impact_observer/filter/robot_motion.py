@@ -6,9 +6,8 @@ exponentials of the linearisation in the middle of each step, to third order.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -25,28 +24,148 @@ from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_parameters import torques_by_parameters
 from impact_observer.states import Matrix, Vector
 
+_SAME_STEP = 1e-9
+"""Part of a step that is rounding."""
 _SAME_INSTANT = 1e-9
 """Time between two instants that count as one, s: that of a stamp."""
 _LONGEST_STEP = 0.1
 """Longest step, in the inverse of the fastest rate at rest, which is at most 1 s."""
 
 
-_Asked: TypeAlias = tuple[tuple[float, float, Contacts, bytes], Vector | None]
-"""Start, duration, closed contacts and state of a motion, and the instants of torques."""
+_KEPT_COURSES = 8
+"""Motions whose steps are kept: those of an estimate and of its hypotheses."""
 
 
-class _MappedStep(NamedTuple):
-    """A step of a motion.
+class _Step:
+    """A step of a motion; derivatives are made when they are asked for.
 
     Attributes:
-        after: the state after it, shape (2n,).
-        map_: its derivative by the state before, shape (2n, 2n).
+        before: the state before it, shape (2n,).
+        after: the state after it.
         seconds: how long it takes.
     """
 
-    after: Vector
-    map_: Matrix
-    seconds: float
+    def __init__(
+        self, moving: "RobotMotion", t: float, x: Vector, h: float, closed: Contacts
+    ) -> None:
+        """From ``x`` at ``t``, s since the epoch, ``h`` seconds on."""
+        self._moving, self._closed, self.before, self.seconds = moving, closed, x, h
+        self._tau, slope = moving.torques(t, t + h)
+        self.after = moving.system.advanced(x, self._tau, h, closed, slope)
+
+    @cached_property
+    def middle(self) -> Vector:
+        """The state in the middle, nearly, shape (2n,)."""
+        return (self.before + self.after) / 2
+
+    @cached_property
+    def _rates(self) -> tuple[Matrix, Matrix]:
+        return self._moving.system.rate_derivatives(self.middle, self._tau, self._closed)
+
+    @cached_property
+    def map_(self) -> Matrix:
+        """The derivative of the state after by the one before, shape (2n, 2n)."""
+        first = self.seconds * self._rates[0]
+        square = first @ first
+        map_: Matrix = first + square / 2 + square @ first / 6
+        map_.flat[:: len(map_) + 1] += 1.0
+        return map_
+
+    @property
+    def kicks(self) -> Matrix:
+        """Accelerations by torques in the middle, shape (n, n)."""
+        return self._rates[1][len(self._rates[1]) // 2 :]
+
+    @property
+    def faded(self) -> Matrix:
+        """What is left of a kick at the end, in the mean over the step, shape (n, n)."""
+        n = self.before.size // 2
+        return np.asarray((np.eye(n) + self.map_[n:, n:]) / 2)
+
+    def with_noise(self, root: Matrix) -> Matrix:
+        """A root of a covariance after the step, with what white torques add, (2n, 2n)."""
+        n, h = self.before.size // 2, self.seconds
+        inverse = self.faded @ self.kicks * self._moving.system.torque_deviation
+        added = np.zeros((2 * n, 2 * n))
+        added[:n, :n] = h**1.5 / 2 * inverse
+        added[:n, n:] = h**1.5 / math.sqrt(12) * inverse
+        added[n:, :n] = math.sqrt(h) * inverse
+        return triangular(np.hstack([self.map_ @ root, added])) if root.any() else added
+
+    def with_parameters(self, change: Matrix, names: Sequence[str]) -> Matrix:
+        """Derivatives of the state by parameters of these ``names`` after it, shape (2n, p)."""
+        n, h = self.before.size // 2, self.seconds
+        acceleration = (self.after - self.before)[n:] / h
+        drags = torques_by_parameters(self._moving.system, self.middle[n:], acceleration, names)
+        kicks = h * self.kicks @ drags
+        found: Matrix = self.map_ @ change
+        found[:n] += h / 2 * kicks
+        found[n:] += self.faded @ kicks
+        return found
+
+
+class _Course:
+    """A motion from one state on, or back, by equal steps that are made when they are needed.
+
+    So the cost of many instants is that of the longest, and steps do not depend on who asks.
+    """
+
+    def __init__(
+        self, moving: "RobotMotion", t: float, x: Vector, step: float, closed: Contacts
+    ) -> None:
+        """From ``x`` at ``t``, s since the epoch, by steps of ``step`` seconds."""
+        self._moving, self._t, self._x, self._step, self._closed = moving, t, x, step, closed
+        self._steps: list[_Step] = []
+        self._last: tuple[tuple[int, float], _Step] | None = None
+        self._maps = [np.eye(x.size)]
+        self._roots = [np.zeros((x.size, x.size))]
+        self._changes: dict[tuple[str, ...], list[Matrix]] = {}
+
+    def moved(self, s: float) -> tuple[Vector, Matrix]:
+        """The state after ``s`` seconds, and its derivative by the first one."""
+        whole, last = self._to(s)
+        before = self._whole(self._maps, whole, lambda map_, step: step.map_ @ map_)
+        return last.after, last.map_ @ before if whole else last.map_
+
+    def state(self, s: float) -> Vector:
+        """The state after ``s`` seconds, shape (2n,)."""
+        return self._to(s)[1].after
+
+    def diffusion(self, s: float) -> Matrix:
+        """A root of what white torques add in ``s`` seconds, shape (2n, 2n)."""
+        whole, last = self._to(s)
+        before = self._whole(self._roots, whole, lambda root, step: step.with_noise(root))
+        return last.with_noise(before)
+
+    def by_parameters(self, s: float, names: tuple[str, ...]) -> Matrix:
+        """Derivatives of the state after ``s`` seconds by parameters, shape (2n, p)."""
+        whole, last = self._to(s)
+        known = self._changes.setdefault(names, [np.zeros((self._x.size, len(names)))])
+        before = self._whole(known, whole, lambda each, step: step.with_parameters(each, names))
+        return last.with_parameters(before, names)
+
+    def _to(self, s: float) -> tuple[int, _Step]:
+        """How many whole steps come before the last step to ``s`` seconds, and this last one."""
+        whole = max(math.ceil(s / self._step - _SAME_STEP) - 1, 0)
+        left = s - whole * self._step
+        while len(self._steps) < whole:
+            self._steps.append(self._between(len(self._steps), self._step))
+        if self._last is None or self._last[0] != (whole, left):
+            self._last = (whole, left), self._between(whole, left)
+        return whole, self._last[1]
+
+    def _between(self, whole: int, seconds: float) -> _Step:
+        """The step after some whole ones."""
+        x = self._steps[whole - 1].after if whole else self._x
+        return _Step(self._moving, self._t + whole * self._step, x, seconds, self._closed)
+
+    def _whole(
+        self, known: list[Matrix], count: int, after: Callable[[Matrix, _Step], Matrix]
+    ) -> Matrix:
+        """What is ``known`` after whole steps, of which ``count`` are asked for."""
+        while len(known) <= count:
+            known.append(after(known[-1], self._steps[len(known) - 1]))
+        return known[count]
 
 
 class RobotRates(StateRates):
@@ -71,34 +190,19 @@ class RobotRates(StateRates):
 
 
 class RobotPath(Motion):
-    """A motion from one state on, in steps that are made when they are asked for."""
+    """A motion from one state on."""
 
     def __init__(self, moving: "RobotMotion", t: float, x: Vector, closed: Contacts) -> None:
         """From ``x`` at ``t``, s since the epoch, while contacts are ``closed``."""
-        self._moving, self.t, self._closed = moving, t, closed
-        self._nodes = [(0.0, x)]
+        self._moving, self.t, self._x, self._closed = moving, t, x, closed
 
     def state(self, s: float) -> Vector:
         """The state ``s`` seconds after the start, shape (2n,)."""
-        step, start = self._moving.longest_step, self._nodes[0][1]
-        if abs(s) <= step:
-            return self._moving.moved(self.t, start, s, self._closed)[0]  # whose map is asked next
-        while self._nodes[-1][0] + step < s:
-            since, x = self._nodes[-1]
-            x = self._moving.state_after(self.t + since, x, step, self._closed)
-            self._nodes.append((since + step, x))
-        since, x = next(each for each in reversed(self._nodes) if each[0] <= s or each[0] == 0)
-        return self._moving.state_after(self.t + since, x, s - since, self._closed)
+        return self._moving.state_after(self.t, self._x, s, self._closed)
 
     def states(self, s: Vector) -> Matrix:
         """``state`` at each of ``s`` seconds in rising order, shape (samples, 2n)."""
-        if s[-1] <= self._moving.longest_step:
-            return np.array([self.state(each) for each in s.tolist()])
-        found = [self.state(float(s[0]))]
-        for since, until in pairwise(s.tolist()):
-            t, x = self.t + since, found[-1]
-            found.append(self._moving.state_after(t, x, until - since, self._closed))
-        return np.array(found)
+        return np.array([self.state(each) for each in s.tolist()])
 
 
 class RobotMotion(MovingSystem):
@@ -126,21 +230,13 @@ class RobotMotion(MovingSystem):
         unit, squares = np.eye(robot.n), np.full(robot.n, self.rate**2)
         self.scales = Scales(squares, unit, unit, unit, self.rate, 1.0 / max(self.rate, 1.0))
         self.longest_step = self.first_window = _LONGEST_STEP * self.scales.timescale
-        self._unit = np.eye(2 * robot.n)
         self._noisy = bool(robot.torque_deviation.any())
-        self._latest: tuple[_Asked, list[_MappedStep]] | None = None
+        self._courses: dict[object, _Course] = {}
+        self._known: Vector | None = None
 
     def forces(self, t: float) -> Matrix:
         """Torques and their first two derivatives at ``t``, s since the epoch, (3, n)."""
         return self.system.forcing.derivatives(np.array([t]), 2)[:, 0]
-
-    def _torques(self, t: float) -> Vector:
-        """``forces(t)[0]``, at less cost where torques are samples that hold."""
-        forcing = self.system.forcing
-        if not isinstance(forcing.sampled, LiveSamples) or forcing.frequency.size:
-            return np.asarray(self.forces(t)[0])
-        k = int(np.searchsorted(forcing.sampled.time, t, side="right")) - 1
-        return np.asarray(forcing.constant + forcing.sampled.force[max(k, 0)])
 
     def rates_at(self, t: float, x: Vector, closed: Contacts) -> RobotRates:
         """``dx/dt`` about a state, shape (2n,), at ``t``, s since the epoch."""
@@ -156,16 +252,11 @@ class RobotMotion(MovingSystem):
 
     def state_after(self, t: float, x: Vector, s: float, closed: Contacts) -> Vector:
         """The state ``s`` seconds after, or before, ``x`` at ``t``, shape (2n,)."""
-        for tau, h in self._steps(t, s):
-            x = self.system.advanced(x, tau, h, closed)
-        return x
+        return self._course(t, x, s, closed).state(s) if s else x
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x`` at ``t``; its derivative by ``x``."""
-        whole = self._unit
-        for after, map_, _ in self._mapped(t, x, s, closed):
-            x, whole = after, map_ @ whole
-        return x, whole
+        return self._course(t, x, s, closed).moved(s) if s else (x, np.eye(x.size))
 
     def is_short(self, s: float) -> bool:
         """Whether the kernel makes transition matrices of ``s`` seconds: it makes none."""
@@ -214,75 +305,60 @@ class RobotMotion(MovingSystem):
 
         The level of this noise is that of the model, ``torque_deviation``.
         """
-        root = np.zeros((x.size, x.size))
-        for after, map_, h in self._mapped(t, x, s, closed) if self._noisy else ():
-            n, added = self.system.n, np.zeros_like(root)
-            faded = (np.eye(n) + map_[n:, n:]) / 2  # what is left of a kick, on average
-            inverse = faded @ self.inverse((x + after) / 2, closed) * self.system.torque_deviation
-            added[:n, :n] = h**1.5 / 2 * inverse
-            added[:n, n:] = h**1.5 / math.sqrt(12) * inverse
-            added[n:, :n] = math.sqrt(h) * inverse
-            root = triangular(np.hstack([map_ @ root, added])) if root.any() else added
-            x = after
-        return root
+        if not (self._noisy and s > 0):
+            return np.zeros((x.size, x.size))
+        return self._course(t, x, s, closed).diffusion(s)
 
     def by_parameters(
         self, t: float, x: Vector, s: float, closed: Contacts, names: Sequence[str]
     ) -> Matrix:
         """Derivatives of ``moved`` by the parameters of these ``names``, shape (2n, p)."""
-        n, found = self.system.n, np.zeros((x.size, len(names)))
-        for after, map_, h in self._mapped(t, x, s, closed) if names else ():
-            middle, acceleration = (x + after) / 2, (after - x)[n:] / h
-            drags = torques_by_parameters(self.system, middle[n:], acceleration, names)
-            kicks = h * self.inverse(middle, closed) @ drags
-            found = map_ @ found
-            found[:n] += h / 2 * kicks
-            found[n:] += (np.eye(n) + map_[n:, n:]) / 2 @ kicks
-            x = after
-        return found
+        if not (names and s):
+            return np.zeros((x.size, len(names)))
+        return self._course(t, x, s, closed).by_parameters(s, tuple(names))
 
     def carried(self, t: float, x: Vector, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states about ``x`` at ``t``, one a column, ``s`` seconds later."""
         return np.asarray(self.moved(t, x, s, closed)[1] @ columns)
 
-    def _mapped(self, t: float, x: Vector, s: float, closed: Contacts) -> list[_MappedStep]:
-        """The steps of a motion; those asked for last are kept."""
+    def _course(self, t: float, x: Vector, s: float, closed: Contacts) -> _Course:
+        """The motion forward, or back if ``s`` is negative; the latest few are kept."""
         sampled = self.system.forcing.sampled
         known = None if sampled is None else sampled.time  # replaced where samples come
-        asked = float(t), float(s), closed, x.tobytes()
-        if self._latest is None or self._latest[0][0] != asked or self._latest[0][1] is not known:
-            self._latest = (asked, known), [*self._made(t, x, s, closed)]
-        return self._latest[1]
+        if known is not self._known:
+            self._courses.clear()
+            self._known = known
+        t, step = float(t), math.copysign(self.longest_step, s)
+        asked = t, step, closed, x.tobytes()
+        course = self._courses.get(asked)
+        if course is None:
+            if len(self._courses) == _KEPT_COURSES:
+                del self._courses[next(iter(self._courses))]
+            course = self._courses[asked] = _Course(self, t, x, step, closed)
+        return course
 
-    def _made(self, t: float, x: Vector, s: float, closed: Contacts) -> Iterator[_MappedStep]:
-        for tau, h in self._steps(t, s):
-            after = self.system.advanced(x, tau, h, closed)
-            A, _ = self.system.rate_derivatives((x + after) / 2, tau, closed)
-            step = h * A
-            square = step @ step
-            map_ = self._unit + step + square / 2 + square @ step / 6
-            yield _MappedStep(after, map_, h)
-            x = after
+    def torques(self, since: float, until: float) -> tuple[Vector, Vector | None]:
+        """Torques in the middle of a step, shape (n,), and their slope; None for zero.
 
-    def _steps(self, t: float, s: float) -> Iterator[tuple[Vector, float]]:
-        """Torques and durations of steps: no torque changes within one of them."""
-        for since, until in self._intervals(t, t + s):
-            length = until - since
-            count = max(math.ceil(abs(length) / self.longest_step), 1)
-            tau = self._torques((since + until) / 2)
-            for _ in range(count if length else 0):
-                yield tau, length / count
-
-    def _intervals(self, since: float, until: float) -> Iterator[tuple[float, float]]:
-        """The parts between the samples of torques; in the order of the motion."""
-        sampled = self.system.forcing.sampled
-        if sampled is None:
-            yield since, until
-            return
-        ends = min(since, until) + _SAME_INSTANT, max(since, until) - _SAME_INSTANT
-        low, high = np.searchsorted(sampled.time, ends)
-        knots = sampled.time[low:high].tolist()
-        yield from pairwise([since, *(knots if until > since else knots[::-1]), until])
+        Where samples change within the step, the line with the same integral and first moment:
+        the velocities and coordinates that it gives differ by the change of masses in the step.
+        """
+        forcing, middle = self.system.forcing, (since + until) / 2
+        samples = forcing.sampled
+        if not isinstance(samples, LiveSamples) or forcing.frequency.size:
+            tau, slope, _ = self.forces(middle)
+            return tau, slope
+        ends = min(since, until), max(since, until)
+        low = int(samples.time.searchsorted(ends[0] + _SAME_INSTANT))
+        high = int(samples.time.searchsorted(ends[1] - _SAME_INSTANT, side="right"))
+        held = samples.force[max(low - 1, 0) : max(low, high, 1)]
+        if len(held) == 1:
+            return forcing.constant + held[0], None
+        knots = np.concatenate([ends[:1], samples.time[low:high], ends[1:]])
+        share = np.diff(knots) / (ends[1] - ends[0])
+        arm = (knots[1:] + knots[:-1]) / 2 - middle
+        slope = 12 / (ends[1] - ends[0]) ** 2 * ((share * arm) @ held)
+        return forcing.constant + share @ held, slope
 
 
 def motion_of(system: System | Robot) -> MovingSystem:

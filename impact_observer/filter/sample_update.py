@@ -22,7 +22,14 @@ from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.ledger import MissedSwitch
 from impact_observer.filter.missed_switch import insert_switch
 from impact_observer.filter.model_error import NO_ERROR
-from impact_observer.filter.readings import Place, Reading, Row, SampleOutcome, SensorState
+from impact_observer.filter.readings import (
+    Place,
+    Reading,
+    Row,
+    SampleOutcome,
+    SensorState,
+    UsedSample,
+)
 from impact_observer.filter.settling import rest_after
 from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import measured
@@ -163,6 +170,25 @@ class SampleFilter:
         outcome = SampleOutcome(innovation, normalized, True, reason)
         return SampleResult(self._corrected(state, *found[:4]), outcome, density)
 
+    def after_together(
+        self, readings: Sequence[Reading], state: GaussianState, known: Sequence[SensorState]
+    ) -> tuple[GaussianState, list[tuple[float, float, float, float]]]:
+        """A state after samples of one instant, unless their gates reject them.
+
+        Returns:
+            The state; and of each sample the innovation, its magnitude in standard deviations,
+            the density, and the residual.
+        """
+        x, constants, root, others = state[:4]
+        numbers = []
+        for reading, sensor in zip(readings, known, strict=True):
+            row, gate = self.row(reading, state), reading.sensor.measurement.gate
+            about = row.whole, row.rest, reading.value, sensor.variance, gate
+            found = measured(x, constants, root, others, *about, self._parameters)
+            x, constants, root, others = found[:4]
+            numbers.append(found[4:])
+        return self._corrected(state, x, constants, root, others), numbers
+
     def _corrected(
         self, state: GaussianState, x: Vector, constants: Vector, root: Matrix, others: Matrix
     ) -> GaussianState:
@@ -226,18 +252,25 @@ class SampleUpdate:
         return self._kept(reading, weighed, known, new=len(weighed) > before)
 
     def followed(
-        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
-    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
-        """``after`` of hypotheses that hold ``s`` seconds before it, ``since`` the epoch, s.
+        self, readings: Sequence[Reading], hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+        """``after`` samples of one instant of hypotheses that hold ``s`` seconds before it.
 
-        By one call of the kernel where the system is linear. None where anything is in doubt, or
-        not for the kernel: then they are to be predicted first.
+        They hold ``since`` the epoch, s. By one call of the kernel where the system is linear.
+        None where anything is in doubt, or not for the kernel: then they are to be predicted
+        first, and to be corrected by one sample at a time.
         """
-        is_doubted = reading.known.rejected >= TUNING.rejected_samples
-        if reading.closed or is_doubted or not all(h.is_undisturbed for h in hypotheses):
+        is_doubted = any(each.known.rejected >= TUNING.rejected_samples for each in readings)
+        if readings[0].closed or is_doubted or not all(h.is_undisturbed for h in hypotheses):
             return None
         if self.bank.filter.is_of_robot:
-            return self._followed(reading, hypotheses, since, s)
+            return self._followed_together(readings, hypotheses, since, s)
+        return None if len(readings) > 1 else self._followed(readings[0], hypotheses, since, s)
+
+    def _followed(
+        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+        """The same of a sample of a linear system, by the kernel."""
         known = self._sure(reading, s)
         if known is None:
             return None
@@ -267,23 +300,38 @@ class SampleUpdate:
         goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
         if goes_on or not all(each.is_finite for each in weighed):
             return None
-        return self._kept(reading, weighed, known, new=False)
+        kept, outcome, known = self._kept(reading, weighed, known, new=False)
+        return kept, [(outcome, known)]
 
-    def _followed(
-        self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
-    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState] | None:
-        """The same of a robot, without the kernel."""
-        known = self.one.first(reading, hypotheses[0].state, reading.known)
+    def _followed_together(
+        self, readings: Sequence[Reading], hypotheses: Sequence[Hypothesis], since: float, s: float
+    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+        """The same of a robot: one motion, and one step of the bank, for all its encoders."""
+        known = [self.one.first(each, hypotheses[0].state, each.known) for each in readings]
         longest = self.bank.filter.members.given.moving.first_window
-        if not (0 < known.variance < math.inf and 0 <= s <= longest):
+        if not (all(0 < each.variance < math.inf for each in known) and 0 <= s <= longest):
             return None
         predicted = self.bank.between.undisturbed(hypotheses, since, s)
         if predicted is None:
             return None
-        weighed = [self._weighed(reading, h, known) for h in predicted]
-        if not all(each.is_finite for each in weighed):
+        made = [self.one.after_together(readings, h.state, known) for h in predicted]
+        found = [
+            h._replace(state=state, weight=h.weight + sum(each[2] for each in numbers))
+            for h, (state, numbers) in zip(predicted, made, strict=True)
+        ]
+        if not all(math.isfinite(h.weight) for h in found):
             return None
-        return self._kept(reading, weighed, known, new=False)
+        numbers = made[max(range(len(found)), key=lambda k: found[k].weight)][1]
+        used = list[UsedSample]()
+        for reading, sensor, (innovation, normalized, _, residual) in zip(
+            readings, known, numbers, strict=True
+        ):
+            given = reading.sensor.measurement
+            outcome = _judged(innovation, normalized, given.gate)
+            accepted, deviation = outcome.accepted, given.deviation
+            now = sensor.after(accepted=accepted, residual=residual, deviation=deviation)
+            used.append((outcome, now))
+        return self._kept_of(found, new=False), used
 
     def _sure(self, reading: Reading, s: float) -> SensorState | None:
         """What is known of a sensor where the kernel can follow for ``s`` seconds."""
@@ -307,13 +355,15 @@ class SampleUpdate:
             residual=first.residual,
             deviation=reading.sensor.measurement.deviation,
         )
-        if len(weighed) == 1:
-            return (first.hypothesis._replace(weight=0.0),), first.outcome, known
-        found = sorted([each.hypothesis for each in weighed], key=lambda h: -h.weight)
-        found = self.bank.pruning.likely(found)
-        found = self.bank.pruning.distinct(found) if new else found
-        found = self.bank.pruning.settled_jumps(found)
-        return normalised(found), first.outcome, known
+        return self._kept_of([each.hypothesis for each in weighed], new=new), first.outcome, known
+
+    def _kept_of(self, found: Sequence[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
+        """The likely ones of hypotheses that are weighed."""
+        if len(found) == 1:
+            return (found[0]._replace(weight=0.0),)
+        kept = self.bank.pruning.likely(sorted(found, key=lambda h: -h.weight))
+        kept = self.bank.pruning.distinct(kept) if new else kept
+        return normalised(self.bank.pruning.settled_jumps(kept))
 
     def _branches(
         self, reading: Reading, h: Hypothesis, known: SensorState, largest: Vector | None

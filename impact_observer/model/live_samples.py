@@ -15,9 +15,36 @@ NEVER = -(1 << 62)
 _NS = 1e-9
 _ROUNDING = 2.5e-10
 """Largest difference of two instants that counts as zero, s: a quarter of a stamp."""
+_Rows = NDArray[np.float64]
 Splice = Callable[[int, Vector, NDArray[np.float64], Matrix, float], None]
 """Called when samples change, with: number of the first changed sample, instants, jets, phase and
 rate of the drive, and the instant until which samples are final, s."""
+
+
+class _Tail:
+    """An array whose last rows change, with room for more: to append one copies no others.
+
+    Attributes:
+        rows: the array; arrays that were its ``rows`` before do not change.
+    """
+
+    def __init__(self, rows: _Rows) -> None:
+        """Start with some ``rows``."""
+        self.rows, self._room = rows, rows[:0]
+
+    def change(self, first: int, rows: _Rows) -> None:
+        """Replace the rows from the ``first`` on."""
+        last, again = first + len(rows), self.rows[first:]
+        is_new = len(again) <= len(rows) and np.array_equal(again, rows[: len(again)])
+        if not is_new or last > len(self._room):
+            self._room = np.empty((2 * last, *rows.shape[1:]))
+            self._room[:first] = self.rows[:first]
+        self._room[first:last] = rows
+        self.rows = self._room[:last]
+
+    def forget(self, first: int) -> None:
+        """Forget the rows before the ``first``."""
+        self.rows, self._room = self.rows[first:], self._room[first:]
 
 
 class LiveSamples(Samples):
@@ -37,6 +64,7 @@ class LiveSamples(Samples):
     turns: Matrix
     _drives: NDArray[np.bool_]
     _followers: list[tuple[Splice, Callable[[int], None]]]
+    _tails: tuple[_Tail, _Tail, _Tail]
 
     def __init__(
         self,
@@ -66,6 +94,7 @@ class LiveSamples(Samples):
             "orders": orders,
             "turns": np.zeros((2, time.size)),
             "_followers": [],
+            "_tails": (_Tail(time), _Tail(jets.swapaxes(0, 1)), _Tail(np.zeros((time.size, 2)))),
             "jumps": True,
             "rounding": _ROUNDING,
         }.items():
@@ -105,27 +134,27 @@ class LiveSamples(Samples):
         self, first: int, time: Vector, jets: NDArray[np.float64], turns: Matrix, newest: float
     ) -> None:
         """Replace the samples from number ``first`` on; forgotten samples count."""
-        kept = first - self.dropped
-        assert self.jets is not None, "derived"
-        self._set(
-            np.concatenate([self.time[:kept], time]),
-            np.concatenate([self.jets[:, :kept], jets], axis=1),
-            np.hstack([self.turns[:, :kept], turns]),
-        )
+        rows = time, jets.swapaxes(0, 1), turns.T
+        for tail, each in zip(self._tails, rows, strict=True):
+            tail.change(first - self.dropped, each)
+        self._use_tails()
         object.__setattr__(self, "newest", newest)
         for splice, _ in self._followers:
             splice(first, time, jets, turns, newest)
 
     def forget(self, first: int) -> None:
         """Forget the samples before number ``first``."""
-        assert self.jets is not None, "derived"
-        old = first - self.dropped
-        self._set(self.time[old:], self.jets[:, old:], self.turns[:, old:])
+        for tail in self._tails:
+            tail.forget(first - self.dropped)
+        self._use_tails()
         object.__setattr__(self, "dropped", first)
         for _, drop in self._followers:
             drop(first)
 
-    def _set(self, time: Vector, jets: NDArray[np.float64], turns: Matrix) -> None:
-        changed = {"time": time, "jets": jets, "force": jets[0], "turns": turns}
+    def _use_tails(self) -> None:
+        """Set what is derived."""
+        time, jets, turns = (tail.rows for tail in self._tails)
+        jets = jets.swapaxes(0, 1)
+        changed = {"time": time, "jets": jets, "force": jets[0], "turns": turns.T}
         for name, value in changed.items():
             object.__setattr__(self, name, value)

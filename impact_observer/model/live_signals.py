@@ -27,6 +27,8 @@ from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector
 
 _NS = 1e-9
+_FEW = 8
+"""Stamps up to which values are looked up one by one."""
 _OFTEN = 1000
 """Number of samples that are forgotten together."""
 
@@ -70,6 +72,13 @@ class _Signal:
         jets[0, before] = value[0]
         return np.asarray(jets)
 
+    def held(self, at: NDArray[np.int64]) -> Sequence[float] | Vector:
+        """The values of a force just after stamps ``at`` (ns, ascending), shape (samples,)."""
+        if at.size > _FEW:
+            return np.asarray(self.jets(at)[0])
+        before = (bisect_right(self.stamps, stamp) for stamp in at.tolist())
+        return [self.values[k - 1] if k else 0.0 for k in before]
+
 
 class _Received(NamedTuple):
     """A received sample of the signal with the index ``signal``."""
@@ -109,6 +118,7 @@ class LiveSignals:
         self._index = {(each.name, each.moves): k for k, each in enumerate(self._signals)}
         responses = _responses(system)
         drives = np.any(responses != 0, axis=(0, 1))
+        self._held = responses[: len(self.inputs), 0]
         self._responses = [
             [(order, each[order]) for order in np.flatnonzero(each.any(axis=1)).tolist()]
             for each in responses
@@ -279,7 +289,9 @@ class LiveSignals:
         total = np.zeros((JETS, at.size, self.samples.drives.size))
         if self._base is not None:
             total += self._base.derivatives(np.asarray((at - epoch) * _NS), slack=_NS)
-        for k, signal in enumerate(self._signals):
+        if forces := self._signals[: len(self.inputs)]:
+            total[0] += np.array([each.held(at) for each in forces]).T @ self._held
+        for k, signal in enumerate(self._signals[len(self.inputs) :], len(self.inputs)):
             jets = signal.jets(at)[..., None]
             for order, response in self._responses[k]:
                 total[: JETS - order] += jets[order:] * response

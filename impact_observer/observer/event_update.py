@@ -2,14 +2,20 @@
 """Applies one event: interpret, predict the belief to the stamp, correct the belief by the law."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.filter.clock_steps import SensorClock
 from impact_observer.filter.contact_change import ContactChange
-from impact_observer.filter.readings import DeclaredSensor, Reading, SampleOutcome, SensorState
+from impact_observer.filter.readings import (
+    DeclaredSensor,
+    Reading,
+    SampleOutcome,
+    SensorState,
+    UsedSample,
+)
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
 from impact_observer.observer.laws.law import Law
@@ -52,8 +58,6 @@ class EventUpdate:
                 finite.
         """
         give_turn()
-        if event.sample:
-            return self._measured(previous, event, *event.sample)
         last = event.stamp, event.sequence
         meaning = interpret(event, previous.closed, previous.latest, superseding)
         if not meaning.switches:
@@ -106,51 +110,56 @@ class EventUpdate:
             belief = belief._replace(clock=SensorClock())
         return self.law.correct(change, belief), belief.x
 
-    def _measured(self, previous: Entry, event: EventKey, value: float) -> Entry:
-        """The entry of a sample; a sample that is not used leaves the motion unchanged.
+    def measured(self, previous: Entry, samples: Sequence[EventKey]) -> list[Entry]:
+        """The entries of ``samples`` of one stamp, from the ``previous`` entry.
 
         Raises:
             DynamicsError: the estimate is not finite.
         """
-        stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
-        epoch, impact = self.epoch or stamp, previous.impact
-        reading = Reading(
-            self.sensors[index := event.sensor],
-            value,
-            Elapsed(stamp - epoch),
-            stamp - epoch,
-            seconds_between(impact, stamp) if impact else math.inf,
-            previous.closed,
-            previous.known.get(index) or SensorState(),
-        )
+        give_turn()
+        stamp = samples[0].stamp
+        since, s = self._since(previous, stamp), seconds_between(previous.since, stamp)
+        readings = [self._reading(previous, each) for each in samples]
+        if not any(_silenced(each, previous) for each in readings):
+            made = self.law.followed(readings, previous.belief, since, s)
+            if made is not None:
+                return _entries(previous, samples, *made)
+        if len(samples) == 1:
+            return [self._measured_alone(previous, samples[0], readings[0])]
+        entries = list[Entry]()
+        for each in samples:
+            entries += self.measured(entries[-1] if entries else previous, [each])
+        return entries
+
+    def _measured_alone(self, previous: Entry, event: EventKey, reading: Reading) -> Entry:
+        """The entry of a sample; a sample that is not used leaves the motion unchanged."""
         if reason := _silenced(reading, previous):
             outcome = SampleOutcome(0.0, -1.0, False, reason)
             return replace(previous, key=event, overruled=(), outcome=outcome)
-        prior, since = None, seconds_between(epoch, previous.since)
-        result = self.law.followed(reading, previous.belief, since, s)
-        if result is None:
-            prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
-            result = self.law.measure(reading, prior)
-        posterior, outcome, known = result
-        now = previous.known
-        if known != reading.known:
-            now = {**now, index: known}
+        s = seconds_between(previous.since, event.stamp)
+        prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
+        posterior, outcome, known = self.law.measure(reading, prior)
         if posterior is prior:
+            now = _with_known(previous, [(event.sensor, known)])
             return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
-        if not isfinite(posterior.x.dot(posterior.x)):
-            raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-        return Entry(
-            event,
-            stamp,
-            posterior,
-            previous.synchronization,
+        return _entries(previous, [event], posterior, [(outcome, known)])[0]
+
+    def _since(self, entry: Entry, stamp: int) -> float:
+        """When the belief of ``entry`` holds, s since the epoch; by default ``stamp`` (ns)."""
+        return seconds_between(self.epoch or stamp, entry.since)
+
+    def _reading(self, previous: Entry, event: EventKey) -> Reading:
+        """A sample, after the ``previous`` entry."""
+        (value,), stamp, index, impact = event.sample, event.stamp, event.sensor, previous.impact
+        ns = stamp - (self.epoch or stamp)
+        return Reading(
+            self.sensors[index],
+            value,
+            Elapsed(ns),
+            ns,
+            seconds_between(impact, stamp) if impact else math.inf,
             previous.closed,
-            previous.latest,
-            (),
-            previous.last,
-            impact,
-            outcome,
-            now,
+            previous.known.get(index) or SensorState(),
         )
 
     def prediction(self, entry: Entry) -> Prediction:
@@ -159,6 +168,46 @@ class EventUpdate:
             t = Elapsed(entry.since - (self.epoch or entry.since))
             entry.prediction = self.law.predict(t, entry.belief, entry.closed)
         return entry.prediction
+
+
+def _entries(
+    previous: Entry, samples: Sequence[EventKey], posterior: Belief, used: Sequence[UsedSample]
+) -> list[Entry]:
+    """The entries of ``samples`` of one stamp; all have the ``posterior`` after the last one.
+
+    Raises:
+        DynamicsError: it is not finite.
+    """
+    stamp = samples[0].stamp
+    if not isfinite(posterior.x.dot(posterior.x)):
+        raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
+    each = zip(samples, used, strict=True)
+    known = _with_known(previous, [(event.sensor, now) for event, (_, now) in each])
+    return [
+        Entry(
+            event,
+            stamp,
+            posterior,
+            previous.synchronization,
+            previous.closed,
+            previous.latest,
+            (),
+            previous.last,
+            previous.impact,
+            outcome,
+            known,
+        )
+        for event, (outcome, _) in zip(samples, used, strict=True)
+    ]
+
+
+def _with_known(
+    previous: Entry, sensors: Sequence[tuple[int, SensorState]]
+) -> Mapping[int, SensorState]:
+    """What is known of all sensors after samples of some, by their indices."""
+    known = previous.known
+    changed = {index: now for index, now in sensors if known.get(index) != now}
+    return {**known, **changed} if changed else known
 
 
 def _silenced(reading: Reading, previous: Entry) -> str:

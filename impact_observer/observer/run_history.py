@@ -80,7 +80,11 @@ class RunHistory:
 
     def begin(self, stamp: int) -> None:
         """Have the initial state hold at ``stamp`` (ns)."""
-        self.timeline = Timeline(self._first_entry(stamp), self.update.apply)
+        self.timeline = self._timeline_from(stamp)
+
+    def _timeline_from(self, stamp: int) -> Timeline:
+        """The initial state at a stamp (ns)."""
+        return Timeline(self._first_entry(stamp), self.update.apply, self.update.measured)
 
     def go_on_from(self, stamp: int) -> bool:
         """Forget the past before ``stamp`` (ns) if no event is later; returns whether so."""
@@ -178,7 +182,7 @@ class RunHistory:
             start = self.encoders.stamp
         timeline = self.timeline
         if timeline is None:
-            timeline = self.timeline = Timeline(self._first_entry(start), self.update.apply)
+            timeline = self.timeline = self._timeline_from(start)
         elif timeline.start.stamp != start and timeline.is_complete and not self._is_state_given:
             timeline.restart(self._first_entry(start))
         return timeline
@@ -214,8 +218,11 @@ class RunHistory:
         """
         ordered = sorted(set(keys))
         timeline = self.timeline_from_start(ordered[0].stamp)
-        if len(ordered) == 1 and timeline.newest.stamp < ordered[0].stamp:
-            return self._measure_next(timeline, ordered[0])
+        first, last = ordered[0].stamp, ordered[-1].stamp
+        if timeline.newest.stamp < first == last and len({e.sensor for e in ordered}) == len(
+            ordered
+        ):
+            return self._measure_next(timeline, ordered)
         refused, new = list[tuple[EventKey, SampleOutcome]](), list[EventKey]()
         for key in ordered:
             reason = ""
@@ -235,16 +242,16 @@ class RunHistory:
         return [*refused, *outcomes], self._revisions(made[-1]) if made else ()
 
     def _measure_next(
-        self, timeline: Timeline, key: EventKey
+        self, timeline: Timeline, keys: Sequence[EventKey]
     ) -> tuple[list[tuple[EventKey, SampleOutcome]], tuple[Verdict, ...]]:
-        """Append a sample that is later than all entries: the usual case."""
+        """Append samples of a stamp that is later than all entries: the usual case."""
         try:
-            insertion = timeline.insert(key)
+            entries = timeline.append_samples(keys)
         except ImpactObserverError as error:
-            return [(key, SampleOutcome(0.0, -1.0, False, str(error)))], ()
+            return [(key, SampleOutcome(0.0, -1.0, False, str(error))) for key in keys], ()
         self._forget(timeline)
-        assert insertion.entry.outcome is not None, "of a sample"
-        return [(key, insertion.entry.outcome)], self._revisions(insertion)
+        outcomes = [(e.key, e.outcome) for e in entries if e.outcome is not None]
+        return outcomes, self._revisions(Insertion(entries[-1]))
 
     def _revisions(self, insertion: Insertion) -> tuple[Verdict, ...]:
         """Verdicts on events, where samples have made another account of them the likeliest."""

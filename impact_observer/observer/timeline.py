@@ -81,6 +81,10 @@ Update: TypeAlias = Callable[[Entry, EventKey, Superseding], Entry]
 """The entry of an event, from the entry before it, the event and what supersedes it."""
 
 
+Measure: TypeAlias = Callable[[Entry, Sequence[EventKey]], list[Entry]]
+"""The entries of samples of one stamp, from the entry before them."""
+
+
 class Insertion(NamedTuple):
     """The changes by the insertion of an event.
 
@@ -148,10 +152,14 @@ class Timeline:
         entries: the entry at the start of the past, then one entry an event.
     """
 
-    def __init__(self, first: Entry, update: Update) -> None:
-        """Start with an ``initial_entry``; ``update`` makes the others."""
+    def __init__(self, first: Entry, update: Update, measure: Measure | None = None) -> None:
+        """Start with an ``initial_entry``.
+
+        Those of events are made by ``update``, and those of samples by ``measure``: all samples of
+        a stamp together, in whatever order they arrive.
+        """
         self.entries = [first]
-        self._update = update
+        self._update, self._measure = update, measure
 
     @property
     def start(self) -> EventKey:
@@ -183,6 +191,28 @@ class Timeline:
             raise error
         return made.insertions[0]
 
+    def append_samples(self, keys: Sequence[EventKey]) -> list[Entry]:
+        """Append samples of one stamp that is later than all entries; returns their entries.
+
+        Raises:
+            ImpactObserverError: they cannot be applied; nothing changes.
+        """
+        entries = self._next(self.entries[-1], 0, keys)
+        self.entries += entries
+        return entries
+
+    def _next(self, previous: Entry, i: int, events: Sequence[EventKey]) -> list[Entry]:
+        """The entry of the ``i``-th event; of a sample, the entries of all samples of its stamp.
+
+        ``events`` are in order.
+        """
+        event, last = events[i], i + 1
+        if self._measure is None or not event.sample:
+            return [self._update(previous, event, superseding(i, events))]
+        while last < len(events) and events[last].stamp == event.stamp:
+            last += 1
+        return self._measure(previous, events[i:last])
+
     def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
         """Put events that the timeline ``accepts`` in place, and apply later events again, once.
 
@@ -201,7 +231,7 @@ class Timeline:
             i = len(entries)
             previous = entries[-1] if entries else self.entries[same - 1]
             try:
-                entries.append(self._update(previous, events[i], superseding(i, events)))
+                entries += self._next(previous, i, events)
             except ImpactObserverError as error:
                 nearest = (*range(i, -1, -1), *range(i + 1, len(events)))
                 culprit = next(k for k in nearest if events[k] in new)
@@ -218,7 +248,8 @@ class Timeline:
     def _changed_by(self, new: Iterable[EventKey]) -> tuple[int, int]:
         """The places of the first entry at the earliest of the stamps, and of the first to change.
 
-        An event changes those after it, and those of its stamp that it supersedes.
+        An event changes those after it, and those of its stamp that it supersedes; a sample all
+        samples of its stamp.
         """
         earliest = min(new)
         first = changed = self._place(earliest)
@@ -229,7 +260,9 @@ class Timeline:
                     closing[contact] = min(closing.get(contact, key.sequence), key.sequence)
         while first > 1 and self.entries[first - 1].key.stamp == earliest.stamp:
             first -= 1
-            if closing and _is_superseded(self.entries[first], closing):
+            entry = self.entries[first]
+            is_beside = earliest.sample and entry.key.sample
+            if is_beside or (closing and _is_superseded(entry, closing)):
                 changed = first
         return first, changed
 
@@ -250,18 +283,20 @@ class Timeline:
             previous.prediction = None
         later = self.entries[first:]
         events = [e.key for e in later if not (e.is_event and without(e.key.stamp))]
-        entries = list[Entry]()
-        for i, event in enumerate(events):
+        entries, i = list[Entry](), 0
+        while i < len(events):
+            made = list[Entry]()
             with suppress(ImpactObserverError):
-                previous = self._update(previous, event, superseding(i, events))
-                entries.append(previous)
+                made = self._next(previous, i, events)
+                entries += made
+                previous = made[-1]
+            i += max(len(made), 1)
         self.entries[first:] = entries
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
-        entries = []
-        for i, event in enumerate(events):
-            previous = self._update(previous, event, superseding(i, events))
-            entries.append(previous)
+        entries = list[Entry]()
+        while len(entries) < len(events):
+            entries += self._next(entries[-1] if entries else previous, len(entries), events)
         return entries
 
     def accepts(self, key: EventKey) -> bool:

@@ -335,13 +335,25 @@ class Robot:
         A[n:, :n], A[n:, n:], B[n:] = by_q, by_u, by_tau
         return A, B
 
-    def advanced(self, x: Vector, tau: Vector, seconds: float, closed: Contacts = ()) -> Vector:
-        """The state after one Runge-Kutta step of 4th order with constant ``tau``, (2n,)."""
+    def advanced(
+        self,
+        x: Vector,
+        tau: Vector,
+        seconds: float,
+        closed: Contacts = (),
+        slope: Vector | None = None,
+    ) -> Vector:
+        """The state after one Runge-Kutta step of 4th order, shape (2n,).
+
+        The torques are ``tau`` in the middle of the step, and have the constant ``slope``, shape
+        (n,), N m/s or N/s; None for zero.
+        """
         h = seconds
-        one = self.rates(x, tau, closed)
+        rise = 0.0 if slope is None else h / 2 * slope
+        one = self.rates(x, tau - rise, closed)
         two = self.rates(x + h / 2 * one, tau, closed)
         three = self.rates(x + h / 2 * two, tau, closed)
-        four = self.rates(x + h * three, tau, closed)
+        four = self.rates(x + h * three, tau + rise, closed)
         return np.asarray(x + h / 6 * (one + 2 * two + 2 * three + four))
 
     def advanced_with_derivatives(

@@ -16,7 +16,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ledger import Note
 from impact_observer.filter.model_error import NO_ERROR, LearnedError
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
@@ -162,12 +162,12 @@ class TracedLaw(MinimumVariance):
         return result
 
     def followed(
-        self, reading: Reading, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, list[UsedSample]] | None:
         """As the law does."""
-        result = super().followed(reading, posterior, since, s)
-        if result is not None:
-            self._note(reading, *result[1:])
+        result = super().followed(readings, posterior, since, s)
+        for reading, used in zip(readings, result[1] if result is not None else (), strict=False):
+            self._note(reading, *used)
         return result
 
     def _note(self, reading: Reading, outcome: SampleOutcome, known: SensorState) -> None:

@@ -2,13 +2,14 @@
 """The interface of a law."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
 from impact_observer.filter.robot_motion import motion_of
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
@@ -117,14 +118,14 @@ class Law(ABC):
         return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
 
     def followed(
-        self, reading: Reading, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
-        """Predict by ``s`` seconds and use a sample at once, if the law has a short way to do so.
+        self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, list[UsedSample]] | None:
+        """Predict by ``s`` seconds and use samples of one instant, if there is a short way.
 
         The ``posterior`` holds at ``since``, s since the epoch. None asks the caller to predict
-        first and to ``measure`` then.
+        first and to ``measure`` then, one sample after the other.
         """
-        del reading, posterior, since, s
+        del readings, posterior, since, s
         return None
 
     @abstractmethod

@@ -29,7 +29,7 @@ from impact_observer.filter.hypotheses import (
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit, Residual
 from impact_observer.filter.model_error import ErrorKind
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState
+from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
 from impact_observer.filter.sample_update import SampleUpdate
 from impact_observer.filter.square_root import lengths
 from impact_observer.filter.tuning import TUNING
@@ -251,18 +251,18 @@ class MinimumVariance(Law):
         return posterior._replace(account=account), outcome, known
 
     def followed(
-        self, reading: Reading, posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, SampleOutcome, SensorState] | None:
+        self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
+    ) -> tuple[Belief, list[UsedSample]] | None:
         """By a short way, where nothing is in doubt and the filter's own estimate is published."""
         fit = posterior.fit
         fallback, (began, ago) = posterior.fallback, posterior.behind
         if fallback is None or posterior.account is not None or fit.is_compared:
             return None
-        made = self._samples.followed(reading, posterior.hypotheses, since, s)
+        made = self._samples.followed(readings, posterior.hypotheses, since, s)
         if made is None:
             return None
         behind = (began, ago + s) if ago else (since, s)
-        return self._measured(made[0], fallback, fit, behind), *made[1:]
+        return self._measured(made[0], fallback, fit, behind), made[1]
 
     def _measured(
         self,
