@@ -49,6 +49,8 @@ from impact_observer.turns import turns_given_to
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is searched for the topics of sensors, s."""
+_POLL_PERIOD = 0.05
+"""How often the messages of a robot's sensors are taken, s; they are before estimates, too."""
 _TURN = 0.05
 """How long an event may take to be applied until predictions are published meanwhile, s.
 
@@ -124,7 +126,7 @@ class ObserverNode(ManagedNode):
         self._go_on = self.create_guard_condition(self._apply_events)
         self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
         self._rests_until = 0.0
-        self._is_turn = self._went_back = False
+        self._is_turn = self._went_back = self._is_due = False
         self._declared: _NewStart | None = None
         self._waits_for: tuple[str, ...] = ()
         self.serve(Trigger, "~/reset", self._on_reset)
@@ -192,6 +194,8 @@ class ObserverNode(ManagedNode):
         names = ", ".join(each.name for each in self.observer.samples.sensors)
         if names:
             self.repeat(_DISCOVERY_PERIOD, self._discover)
+        if names and self.observer.robot is not None:
+            self.repeat(_POLL_PERIOD, intake.take_arrived)
         if names and not self.observer.law.uses_measurements:
             self.lines.warning(f"{options.law} uses no measurements: {names} change nothing")
         return intake
@@ -275,8 +279,9 @@ class ObserverNode(ManagedNode):
             self.lines.info(f"parameter {name}: {self._diagnostics.changes[name]}")
 
     def _on_impacts(self, messages: Sequence[AnyMessage]) -> None:
-        """Take the messages that wait, and apply their events."""
+        """Take the messages that wait, and apply their events, after samples that have come."""
         self._take_impacts(messages)
+        self._sensors.take_arrived()
         self._apply_events()
 
     def _take_impacts(self, messages: Iterable[AnyMessage]) -> None:
@@ -341,7 +346,7 @@ class ObserverNode(ManagedNode):
 
     def _on_samples(self, stamp: int, revised: Sequence[Verdict]) -> None:
         """Publish the estimates after ``stamp`` (ns) that samples change, and verdicts."""
-        if time.monotonic() >= self._rests_until:  # else the next estimate has them
+        if not self._is_due and time.monotonic() >= self._rests_until:  # else the next has them
             self._correct_from(stamp)
         self._publish_verdicts(revised, latency=0.0)
         published = {
@@ -385,7 +390,9 @@ class ObserverNode(ManagedNode):
         """Use inputs that were ahead of the clock, and publish the estimates that are due."""
         self._inputs.take_what_was_ahead()
         self._sensors.take_what_was_ahead()
+        self._is_due = True
         self._sensors.take_arrived()
+        self._is_due = False
         self._publish_due()
         if not self.intake.is_empty:
             self._apply_events()

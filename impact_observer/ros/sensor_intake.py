@@ -23,13 +23,22 @@ from impact_observer.options import AUTO, NONE
 from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import subscribe, waiting_messages
+from impact_observer.ros.subscribing import (
+    MOST_TOGETHER,
+    PolledGroup,
+    subscribe,
+    waiting_messages,
+)
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
 _LONGEST = 0.05
 """Processor time that the messages of one call may take, s; of more messages some are shed."""
+_SHARE = 0.5
+"""The same over the time that the messages span: so that a backlog becomes shorter."""
+_FEW = 20
+"""Messages of a call that are used without a look at their cost."""
 _TRIED = 3
 """Messages of a call that are used one by one; the least of their times counts."""
 _COUNTED = 20
@@ -40,9 +49,9 @@ class SensorIntake:
     """Gives the samples that a node receives to its observer.
 
     A topic is subscribed to once a publisher has given the topic a type. A sample that is too far
-    ahead of the clock is used once the clock is near: perhaps the clock is late. Where samples
-    of a robot come faster than they can be used, some are shed, so that the newest are used in
-    time: each costs milliseconds, and the longer the predictions, the more these cost.
+    ahead of the clock is used once the clock is near: perhaps the clock is late. Messages of a
+    robot are polled, as thousands come in a second. Where they come faster than they can be used,
+    some are shed, so that the newest are used in time.
 
     Attributes:
         topics: absolute names of the topics.
@@ -91,6 +100,7 @@ class SensorIntake:
         self._without_publisher = set(self.topics)
         self._of_joints = set[str]()
         self._subscriptions: dict[str, Subscription] = {}
+        self._polled: dict[str, PolledGroup] = {}
         self._readers: dict[str, list[SensorReader]] = {}
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
@@ -127,12 +137,15 @@ class SensorIntake:
             yield messages
             return
         costs = list[float]()
-        for message in messages[:_TRIED]:
-            begin = time.thread_time()
+        since, tried = self._newest(topic), messages[: _TRIED if len(messages) > _FEW else None]
+        for message in tried:
+            begin = time.thread_time() if len(messages) > _FEW else 0.0
             yield [message]
-            costs.append(time.thread_time() - begin)
-        if rest := messages[_TRIED:]:
-            step = max(math.ceil(len(rest) * min(costs) / _LONGEST), 1)
+            costs.append(time.thread_time() - begin if begin else 0.0)
+        if rest := messages[len(tried) :]:
+            span = (self._newest(topic) - since) / NS_PER_S / len(tried) * len(rest)
+            allowed = max(_SHARE * span, _LONGEST)
+            step = max(math.ceil(len(rest) * min(costs) / allowed), 1)
             kept = rest[(len(rest) - 1) % step :: step]  # with the newest
             for reader in self._readers[topic]:
                 counts = self._observer.samples.counts[reader.index]
@@ -145,10 +158,11 @@ class SensorIntake:
             self._on_samples(min(each.stamp for each in samples), self._measured(samples))
 
     def take_arrived(self) -> None:
-        """Use all messages of a robot that have arrived."""
+        """Use the messages of a robot that have arrived."""
         arrived = self._subscriptions if self._observer.robot is not None else {}
         for topic, subscription in arrived.items():
-            if messages := [each for each, _ in waiting_messages(subscription, _DEPTH)]:
+            if messages := [each for each, _ in waiting_messages(subscription, MOST_TOGETHER)]:
+                self._polled[topic].has_messages = True
                 self.take_messages(topic, messages)
 
     def use_waiting(self) -> None:
@@ -201,7 +215,10 @@ class SensorIntake:
             self._of_joints.add(topic)
         try:
             kind, take = message_class(type_name), partial(self.take_messages, topic)
-            made = subscribe(self._node, kind, topic, self._quality, take)
+            group = None
+            if self._observer.robot is not None:
+                group = self._polled[topic] = PolledGroup()
+            made = subscribe(self._node, kind, topic, self._quality, take, group=group)
             self._subscriptions[topic] = made
         except ImpactObserverError as error:
             for each in readers:
@@ -270,6 +287,10 @@ class SensorIntake:
     def _report(self, index: int, problem: str) -> None:
         self.problems[index] = problem
         self._on_problem(f"{self._sensors[index].name}: {problem}")
+
+    def _newest(self, topic: str) -> int:
+        """The latest stamp of the samples of a topic, ns."""
+        return max(self._observer.samples.newest[each.index] for each in self._readers[topic])
 
     def _count(self, index: int) -> int:
         """The samples of a sensor so far."""

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -17,6 +18,31 @@ MOST_TOGETHER = 200
 """Messages that one call of a callback takes at most: then timers and services have their turn."""
 MessageInfo: TypeAlias = Mapping[str, int]
 """Data of the middleware on a message, such as its ``source_timestamp``, ns."""
+
+
+class PolledGroup(CallbackGroup):
+    """A subscription whose messages are polled by ``waiting_messages``.
+
+    The executor does not wake for each of these messages: that takes longer than to read one.
+
+    Attributes:
+        has_messages: whether a message has come. Events of the middleware, such as a publisher
+            that does not fit, are waited for until then, as each message wakes who waits for them.
+    """
+
+    has_messages = False
+
+    def can_execute(self, entity: object) -> bool:
+        """Whether the executor waits for ``entity``."""
+        return not (self.has_messages or isinstance(entity, Subscription))
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Whether the callback of ``entity`` may begin: always, as there is one thread."""
+        del entity
+        return True
+
+    def ending_execution(self, entity: object) -> None:
+        """Take note that the callback of ``entity`` has ended."""
 
 
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
@@ -45,6 +71,7 @@ def subscribe(
     on_messages: Callable[[list[AnyMessage]], None],
     *,
     event_callbacks: SubscriptionEventCallbacks | None = None,
+    group: CallbackGroup | None = None,
 ) -> Subscription:
     """Hand the messages of a topic to ``on_messages``, those that wait together in one list.
 
@@ -55,6 +82,7 @@ def subscribe(
         quality: quality of service that is requested.
         on_messages: called with 1 to ``MOST_TOGETHER`` messages in the order of arrival.
         event_callbacks: called for events of the middleware; None for the usual log lines.
+        group: callback group; None for that of the node.
     """
 
     def take(message: AnyMessage) -> None:
@@ -62,7 +90,12 @@ def subscribe(
         on_messages([message, *(each for each, _ in others)])
 
     subscription: Subscription = node.create_subscription(
-        message_type, topic, take, qos_profile(quality), event_callbacks=event_callbacks
+        message_type,
+        topic,
+        take,
+        qos_profile(quality),
+        callback_group=group,
+        event_callbacks=event_callbacks,
     )
     return subscription
 
