@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot as the filter sees it, against differences of its own motion and jumps."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from impact_observer.filter.robot_guards import RobotGuards
 from impact_observer.filter.robot_motion import RobotMotion
 from impact_observer.model import read_model
 from impact_observer.model.forcing import Forcing
-from impact_observer.robots.robot import Robot
+from impact_observer.robots.robot import Robot, connected_robot
+from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Vector
 
 TORQUES = np.array([2.0, -1.0])
@@ -73,6 +76,56 @@ def test_white_torques_add_what_many_small_kicks_add() -> None:
     root = moving.diffusion(0.0, np.array([0.3, -0.8, 2.0, -4.0]), (), seconds)
     size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
     assert np.allclose(root @ root.T / size, P / size, atol=0.02)
+
+
+def under_efforts(robot: Robot, efforts: Matrix) -> Robot:
+    """The robot under ``efforts`` that come live, one row a millisecond from the epoch on."""
+    robot, signals = connected_robot(robot.with_forcing(Forcing.none(robot.n)))
+    assert signals is not None
+    for k, row in enumerate(efforts.tolist()):
+        for name, value in zip(robot.coordinates, row, strict=True):
+            signals.add_force(name, NS_PER_S + k * 10**6, value)
+    signals.follow(NS_PER_S)
+    return robot
+
+
+@pytest.mark.parametrize("seconds", [0.0037, 0.25, -0.1])
+def test_efforts_that_change_within_a_step_act_as_each_of_them_would(seconds: float) -> None:
+    """A motion by a step for each of the efforts is the oracle: they are smooth, and jump."""
+    t = np.linspace(0.0, 0.3, 301)
+    jumps = np.sign(np.sin(20 * t))
+    efforts = np.stack([4 * np.sin(30 * t) + 2 * jumps, np.cos(50 * t) - jumps], axis=1)
+    robot, x = under_efforts(hammer(), efforts), np.array([0.3, -0.8, 2.0, -4.0])
+    begin = 0.0 if seconds > 0 else 0.1
+    found = RobotMotion(robot).state_after(begin, x, seconds, ())
+    low, high = sorted((begin, begin + seconds))
+    edges = np.clip(np.arange(0, 301) / 1000, low, high)
+    spans = [*enumerate(pairwise(edges.tolist()))][:: 1 if seconds > 0 else -1]
+    for k, (since, until) in spans:
+        x = robot.advanced(x, efforts[k], math.copysign(until - since, seconds))
+    assert np.allclose(found[:2], x[:2], atol=1e-6)  # encoders err by 1e-3
+    assert np.allclose(found[2:], x[2:], atol=1e-5)  # and velocities then by 2e-2
+
+
+def test_the_steps_of_a_motion_are_made_once_however_many_efforts_came(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two seconds of efforts at 1 kHz: as many steps as the motion needs, for all instants."""
+    robot = under_efforts(hammer(torque_deviation=0.1), np.zeros((2000, 2)))
+    moving, x, made = RobotMotion(robot), np.array([0.3, -0.8, 0.0, 0.0]), list[float]()
+    advanced = Robot.advanced
+
+    def counted(*args: object) -> Vector:
+        made.append(0.0)
+        return advanced(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Robot, "advanced", counted)
+    instants = np.linspace(0.0, 2.0, 21)[1:].tolist()
+    for s in instants:
+        moving.state_after(0.0, x, s, ())
+        moving.diffusion(0.0, x, (), s)
+        moving.moved(0.0, x, s, ())
+    assert len(made) < 2.0 / moving.longest_step + len(instants) + 1
 
 
 def test_gap_and_its_bend_are_those_of_the_motion() -> None:

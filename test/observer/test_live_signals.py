@@ -12,6 +12,7 @@ from systems import EPOCH
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import parse_model
+from impact_observer.model.live_signals import connected
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.observer import observer as observer_module
@@ -214,3 +215,25 @@ def test_who_has_no_signals_refuses_the_model() -> None:
         Plant(system, *START, epoch=EPOCH)
     with pytest.raises(UsageError, match="which the integrator moreau cannot use"):
         make_plant(system, *START, epoch=EPOCH, integrator="moreau")
+
+
+def test_samples_that_were_read_do_not_change_when_others_come() -> None:
+    """Those of a user who keeps them, through later samples, late ones, and a forgotten past."""
+    spring = "springs: [{between: [x1, ground], stiffness: 10}]"
+    text = f"name: rig\nbodies: [{{name: x1, mass: 1}}]\n{spring}\n"
+    model = parse_model(f"{text}forces: [{{body: x1, input: motor}}]\n", "rig")
+    signals = connected(model.system)[1]
+    assert signals is not None
+    read, copies = list[Array](), list[Array]()
+    for k in [*range(1, 1300), 1500, 1400, *range(1501, 1600)]:
+        signals.add_force("motor", EPOCH + k * 10**6, float(k))
+        signals.follow(EPOCH)
+        signals.forget_before(EPOCH + (k - 50) * 10**6)
+        sampled = signals.samples
+        assert sampled.force[-1, 0] == max(k, 1500 if k == 1400 else 0)
+        if k % 100 == 0:
+            read += [sampled.time, sampled.force]
+            copies += [sampled.time.copy(), sampled.force.copy()]
+    assert all(np.array_equal(*each) for each in zip(read, copies, strict=True))
+    assert 1400 in signals.samples.force[:, 0]
+    assert 1 not in signals.samples.force[:, 0]

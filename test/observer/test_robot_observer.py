@@ -30,6 +30,7 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
 from impact_observer.robots import Robot
 from impact_observer.stamps import from_seconds
+from impact_observer.states import Vector
 
 DECLARED = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
 CASE = CASES["wrong, 200 Hz"]
@@ -207,3 +208,51 @@ def test_an_estimate_goes_on_without_encoders_at_a_bounded_cost() -> None:
     assert observer.timeline.entries[-1].since == now - from_seconds(0.25)
     np.testing.assert_allclose(after.q, before.q, atol=1e-3)
     np.testing.assert_allclose(np.diag(after.covariance), np.diag(before.covariance), rtol=0.1)
+
+
+@pytest.mark.parametrize(("every", "most"), [(1, 1100), (10, 600)])
+def test_a_backlog_is_worked_off_by_a_bounded_number_of_steps(
+    every: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All encoders of a stamp share a motion; where samples are shed, efforts cost no steps."""
+    case = CASES["wrong, 1 kHz"]
+    recording = case.truth(0.5).recorded(seed=5)
+    observer = observer_of(case.model, recording)
+    observer.measure(recording.samples[:2])
+    count, advanced = [0], Robot.advanced
+
+    def counted(*args: object) -> Vector:
+        count[0] += 1
+        return advanced(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Robot, "advanced", counted)
+    stamps = recording.truth.stamps[every::every]
+    kept = {*stamps.tolist()}
+    observer.measure([each for each in recording.samples if each.stamp in kept])
+    assert count[0] < most * 0.5  # steps by second
+    last = observer.estimate(int(stamps[-1]))
+    errors = np.concatenate([last.q, last.u]) - recording.truth.states[-1]
+    assert np.all(np.abs(errors) < 4 * np.sqrt(np.diag(last.covariance)))
+
+
+def test_encoders_of_a_stamp_are_used_together_whichever_comes_first() -> None:
+    """One after the other, together, and with other stamps: the same in every bit."""
+    recording = recorded(seed=6, seconds=0.1)
+    alone, paired, whole, swapped = (observer_of(CASE.model, recording) for _ in range(4))
+    samples = recording.samples
+    pairs = [samples[i : i + 2] for i in range(0, len(samples), 2)]
+    for pair in pairs:
+        alone.measure(pair[:1])
+        alone.measure(pair[1:])
+        swapped.measure(pair[1:])
+        swapped.measure(pair[:1])
+        paired.measure(pair)
+    whole.measure(samples)
+    stamp = int(recording.truth.stamps[-1])
+    expected = paired.estimate(stamp)
+    for each in (alone, whole, swapped):
+        found = each.estimate(stamp)
+        assert np.array_equal(found.q, expected.q)
+        assert np.array_equal(found.u, expected.u)
+        assert np.array_equal(found.covariance, expected.covariance)
+        assert each.samples.counts[1]["accepted"] == len(pairs)
