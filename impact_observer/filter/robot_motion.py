@@ -36,7 +36,7 @@ _KEPT_COURSES = 8
 """Motions whose steps are kept: those of an estimate and of its hypotheses."""
 
 
-class _Step:
+class _MotionStep:
     """A step of a motion; derivatives are made when they are asked for.
 
     Attributes:
@@ -115,8 +115,8 @@ class _Course:
     ) -> None:
         """From ``x`` at ``t``, s since the epoch, by steps of ``step`` seconds."""
         self._moving, self._t, self._x, self._step, self._closed = moving, t, x, step, closed
-        self._steps: list[_Step] = []
-        self._last: tuple[tuple[int, float], _Step] | None = None
+        self._steps: list[_MotionStep] = []
+        self._last: tuple[tuple[int, float], _MotionStep] | None = None
         self._maps = [np.eye(x.size)]
         self._roots = [np.zeros((x.size, x.size))]
         self._changes: dict[tuple[str, ...], list[Matrix]] = {}
@@ -144,7 +144,7 @@ class _Course:
         before = self._whole(known, whole, lambda each, step: step.with_parameters(each, names))
         return last.with_parameters(before, names)
 
-    def _to(self, s: float) -> tuple[int, _Step]:
+    def _to(self, s: float) -> tuple[int, _MotionStep]:
         """How many whole steps come before the last step to ``s`` seconds, and this last one."""
         whole = max(math.ceil(s / self._step - _SAME_STEP) - 1, 0)
         left = s - whole * self._step
@@ -154,13 +154,13 @@ class _Course:
             self._last = (whole, left), self._between(whole, left)
         return whole, self._last[1]
 
-    def _between(self, whole: int, seconds: float) -> _Step:
+    def _between(self, whole: int, seconds: float) -> _MotionStep:
         """The step after some whole ones."""
         x = self._steps[whole - 1].after if whole else self._x
-        return _Step(self._moving, self._t + whole * self._step, x, seconds, self._closed)
+        return _MotionStep(self._moving, self._t + whole * self._step, x, seconds, self._closed)
 
     def _whole(
-        self, known: list[Matrix], count: int, after: Callable[[Matrix, _Step], Matrix]
+        self, known: list[Matrix], count: int, after: Callable[[Matrix, _MotionStep], Matrix]
     ) -> Matrix:
         """What is ``known`` after whole steps, of which ``count`` are asked for."""
         while len(known) <= count:
