@@ -311,6 +311,8 @@ class ImpactFilter:
         self, t: Vector, s: Vector, states: Sequence[GaussianState], levels: Sequence[float]
     ) -> list[GaussianState] | None:
         """The same by the kernel; None where not by it."""
+        if not self._is_free:
+            return None
         longest = float(max(s, default=0.0))
         gaps = None if any(state.closed for state in states) else self.gaps((), longest)
         if gaps is None or self._drifts or not self.members.given.moving.is_short(longest):

@@ -22,7 +22,7 @@ from impact_observer.model import System
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_parameters import torques_by_parameters
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix, Vector, frozen
 
 _SAME_STEP = 1e-9
 """Part of a step that is rounding."""
@@ -80,17 +80,24 @@ class _MotionStep:
     def faded(self) -> Matrix:
         """What is left of a kick at the end, in the mean over the step, shape (n, n)."""
         n = self.before.size // 2
-        return np.asarray((np.eye(n) + self.map_[n:, n:]) / 2)
+        faded = self.map_[n:, n:] / 2
+        faded.flat[:: n + 1] += 0.5
+        return faded
 
-    def with_noise(self, root: Matrix) -> Matrix:
-        """A root of a covariance after the step, with what white torques add, (2n, 2n)."""
+    @cached_property
+    def noise(self) -> Matrix:
+        """A root of the covariance of what white torques add, shape (2n, 2n)."""
         n, h = self.before.size // 2, self.seconds
         inverse = self.faded @ self.kicks * self._moving.system.torque_deviation
         added = np.zeros((2 * n, 2 * n))
         added[:n, :n] = h**1.5 / 2 * inverse
         added[:n, n:] = h**1.5 / math.sqrt(12) * inverse
         added[n:, :n] = math.sqrt(h) * inverse
-        return triangular(np.hstack([self.map_ @ root, added])) if root.any() else added
+        return added
+
+    def with_noise(self, root: Matrix) -> Matrix:
+        """A ``root`` of a covariance before the step after it, with noise, shape (2n, 2n)."""
+        return triangular(np.hstack([self.map_ @ root, self.noise]))
 
     def with_parameters(self, change: Matrix, names: Sequence[str]) -> Matrix:
         """Derivatives of the state by parameters of these ``names`` after it, shape (2n, p)."""
@@ -117,8 +124,8 @@ class _Course:
         self._moving, self._t, self._x, self._step, self._closed = moving, t, x, step, closed
         self._steps: list[_MotionStep] = []
         self._last: tuple[tuple[int, float], _MotionStep] | None = None
-        self._maps = [np.eye(x.size)]
-        self._roots = [np.zeros((x.size, x.size))]
+        self._maps = [moving.unit]
+        self._roots = [moving.nothing]
         self._changes: dict[tuple[str, ...], list[Matrix]] = {}
 
     def moved(self, s: float) -> tuple[Vector, Matrix]:
@@ -134,8 +141,11 @@ class _Course:
     def diffusion(self, s: float) -> Matrix:
         """A root of what white torques add in ``s`` seconds, shape (2n, 2n)."""
         whole, last = self._to(s)
-        before = self._whole(self._roots, whole, lambda root, step: step.with_noise(root))
-        return last.with_noise(before)
+        if not whole:
+            return last.noise
+        return last.with_noise(
+            self._whole(self._roots, whole, lambda root, step: step.with_noise(root))
+        )
 
     def by_parameters(self, s: float, names: tuple[str, ...]) -> Matrix:
         """Derivatives of the state after ``s`` seconds by parameters, shape (2n, p)."""
@@ -217,6 +227,8 @@ class RobotMotion(MovingSystem):
         scales: of its motions.
         longest_step: of Runge and Kutta, s.
         first_window: that step, as encoders come often and a motion is integrated.
+        unit: the derivative of a state by itself, shape (2n, 2n).
+        nothing: no covariance, shape (2n, 2n).
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -230,6 +242,8 @@ class RobotMotion(MovingSystem):
         unit, squares = np.eye(robot.n), np.full(robot.n, self.rate**2)
         self.scales = Scales(squares, unit, unit, unit, self.rate, 1.0 / max(self.rate, 1.0))
         self.longest_step = self.first_window = _LONGEST_STEP * self.scales.timescale
+        self.unit = frozen(np.eye(2 * robot.n))
+        self.nothing = frozen(np.zeros((2 * robot.n, 2 * robot.n)))
         self._noisy = bool(robot.torque_deviation.any())
         self._courses: dict[object, _Course] = {}
         self._known: Vector | None = None
@@ -256,7 +270,7 @@ class RobotMotion(MovingSystem):
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x`` at ``t``; its derivative by ``x``."""
-        return self._course(t, x, s, closed).moved(s) if s else (x, np.eye(x.size))
+        return self._course(t, x, s, closed).moved(s) if s else (x, self.unit)
 
     def is_short(self, s: float) -> bool:
         """Whether the kernel makes transition matrices of ``s`` seconds: it makes none."""
@@ -306,7 +320,7 @@ class RobotMotion(MovingSystem):
         The level of this noise is that of the model, ``torque_deviation``.
         """
         if not (self._noisy and s > 0):
-            return np.zeros((x.size, x.size))
+            return self.nothing
         return self._course(t, x, s, closed).diffusion(s)
 
     def by_parameters(

@@ -365,7 +365,7 @@ class Observer:
         if self.live is not None and self.epoch:
             changed = self.live.follow(self.epoch)
             if changed is not None:
-                self._run.rerun(changed - self._lasts)
+                self._run.rerun(changed, self._lasts)
         if waiting and not self.lacking and (self.epoch or not self.system.depends_on_time):
             outcomes, revised = self._run.measure(waiting)
             waiting.clear()

@@ -101,16 +101,19 @@ class RunHistory:
         """Make later beliefs by another ``law`` for the same system."""
         self.update.law, self._sides = law, ImpactSides(law)
 
-    def rerun(self, stamp: int) -> None:
-        """Take note that live signals have changed from ``stamp`` (ns) on."""
+    def rerun(self, stamp: int, lasts: int = 0) -> None:
+        """Take note that live signals have changed from ``stamp`` (ns) on.
+
+        Impacts last for at most ``lasts``, ns.
+        """
         timeline = self.timeline
         if timeline is None:
             return
         start = timeline.start.stamp
-        if stamp <= start and timeline.is_complete and not self._is_state_given:
+        if stamp - lasts <= start and timeline.is_complete and not self._is_state_given:
             timeline.restart(self._first_entry(start))
         else:
-            timeline.rerun(stamp)
+            timeline.rerun(stamp, lasts=lasts)
 
     def withdraw(self, is_withdrawn: Callable[[int], bool]) -> None:
         """See ``Observer.withdraw``."""

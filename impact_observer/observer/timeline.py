@@ -67,6 +67,11 @@ class Entry:
         return bool(self.key.switches)
 
     @property
+    def has_impact(self) -> bool:
+        """Whether it is of an event, or has inserted a missed one."""
+        return self.is_event or any(h.ledger.missed for h in self.belief.hypotheses)
+
+    @property
     def begins(self) -> int:
         """From when on estimates use it, ns: stamps of a clock that has stepped may be early."""
         return max(self.key.stamp, self.since)
@@ -271,13 +276,18 @@ class Timeline:
         last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
         self.entries = [last]
 
-    def rerun(self, stamp: int, without: Callable[[int], bool] = lambda _: False) -> None:
+    def rerun(
+        self, stamp: int, without: Callable[[int], bool] = lambda _: False, lasts: int = 0
+    ) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces.
 
-        An event that cannot be applied any more is left out, and so are events ``without`` whose
-        stamps (ns) the others are.
+        An impact of as little as ``lasts`` (ns) before is still going on then. An event that
+        cannot be applied any more is left out, and so are events ``without`` whose stamps (ns) the
+        others are.
         """
-        first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        first = max(self._after(stamp), 1)
+        lasting = range(max(self._after(stamp - lasts), 1), first)
+        first = next((k for k in lasting if self.entries[k].has_impact), first)
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
@@ -292,6 +302,13 @@ class Timeline:
                 previous = made[-1]
             i += max(len(made), 1)
         self.entries[first:] = entries
+
+    def _after(self, stamp: int) -> int:
+        """The place of the first entry after ``stamp`` (ns)."""
+        entries = self.entries
+        if entries[-1].key.stamp <= stamp:  # as nearly always
+            return len(entries)
+        return bisect_right(entries, stamp, key=_stamp)
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
         entries = list[Entry]()
