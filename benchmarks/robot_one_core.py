@@ -6,7 +6,8 @@
 
 Positions and efforts of all joints go to the observer node in real time, and the hits. Shown are
 the samples of the first joint that were used and that were shed since others waited, the hits that
-were applied, the processor time by second, and the median of the largest velocity error, rad/s.
+were applied, the processor time by second, that of a bare node of rclpy that subscribes to the
+same messages and does nothing with them, and the median of the largest velocity error, rad/s.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
-from benchmarks.live_inputs import processor_time
+from benchmarks.live_inputs import JOINTS, processor_time
 from benchmarks.one_core import IMPACTS, PATIENCE, TAIL, Listener, one_core
 from benchmarks.robots import chain_text
 from benchmarks.topic import running, take_domain
@@ -73,6 +74,7 @@ class Measured(NamedTuple):
     shed: int
     applied: int
     processor: float
+    bare: float
     error: float
 
 
@@ -107,16 +109,29 @@ class Rig(Listener):
         self.impacts = self.node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
 
     def meet(self) -> None:
-        """Wait for the observer."""
+        """Wait for the node that is measured."""
         end = time.monotonic() + PATIENCE
         self.spin_while(
-            lambda: (
-                time.monotonic() < end
-                and not (
-                    self.joints.get_subscription_count() and self.impacts.get_subscription_count()
-                )
-            )
+            lambda: time.monotonic() < end and not self.joints.get_subscription_count()
         )
+        self.rest(1.0)
+
+    def measured(self, command: tuple[str, ...], robot: Robot, run: Run) -> tuple[int, float]:
+        """The epoch of a run before a node on one core, ns; and the node's processor time, s."""
+        with ExitStack() as stack:
+            with one_core():
+                process = stack.enter_context(running(command))
+            self.meet()
+            before = processor_time(process.pid)
+            epoch = self.send(robot, run)
+            used = processor_time(process.pid) - before
+            self.rest(TAIL)
+        return epoch, used
+
+    def rest(self, seconds: float) -> None:
+        """Wait while the node is served."""
+        end = time.monotonic() + seconds
+        self.spin_while(lambda: time.monotonic() < end)
 
     def send(self, robot: Robot, run: Run) -> int:
         """Publish what is measured as if the plant began in a second; the epoch, ns."""
@@ -135,8 +150,6 @@ class Rig(Listener):
             message.header.stamp = ros_messages().time(stamp)
             message.position, message.effort = position, effort
             self.joints.publish(message)
-        end = time.monotonic() + TAIL
-        self.spin_while(lambda: time.monotonic() < end)
         return epoch
 
 
@@ -149,18 +162,13 @@ def measured(case: Case, seconds: float, folder: Path) -> Measured:
     files["measurements"].write_text(sensors(robot), encoding="utf-8")
     given = {**files, "law": "minimum-variance", "clock_error": 1e-4}
     parameters = [part for key, value in given.items() for part in ("-p", f"{key}:={value}")]
+    observer = ("observer", "--ros-args", *parameters)
     stamps = grid(EPOCH, EPOCH + from_seconds(seconds), case.rate)
     run = simulate(make_plant(robot, *case.model.initial_state(), epoch=EPOCH), stamps)
     rig = Rig()
-    with ExitStack() as stack:
-        stack.callback(rig.node.destroy_node)
-        with one_core():
-            command = ("impact_observer.ros.entry", "observer", "--ros-args", *parameters)
-            process = stack.enter_context(running(command))
-        rig.meet()
-        before = processor_time(process.pid)
-        epoch = rig.send(robot, run)
-        used = processor_time(process.pid) - before
+    epoch, used = rig.measured(("impact_observer.ros.entry", *observer), robot, run)
+    _, bare = rig.measured(("benchmarks.live_inputs", JOINTS.name), robot, run)
+    rig.node.destroy_node()
     first = f"/observer: sensor {robot.coordinates[0]}"
     counts = rig.values[first]
     errors = [
@@ -175,7 +183,8 @@ def measured(case: Case, seconds: float, folder: Path) -> Measured:
         int(counts["accepted"]),
         int(counts["shed"]),
         int(rig.values[IMPACTS]["events applied"]),
-        used / (seconds + TAIL),
+        used / seconds,
+        bare / seconds,
         float(np.median(errors)),
     )
 
@@ -186,7 +195,8 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--seconds", type=float, default=10.0, help="of each robot (default 10)")
     seconds = parser.parse_args(args).seconds
-    table = Table("robot", "samples used", "shed", "hits applied", "processor", "error, rad/s")
+    shown = ("samples used", "shed", "hits applied", "processor", "bare node", "error, rad/s")
+    table = Table("robot", *shown)
     shed = 0
     for case in (Case(read_model("hammer_arm"), 1000.0), Case(seven_joints(), 500.0)):
         with take_domain(), TemporaryDirectory() as folder:
@@ -195,9 +205,10 @@ def main(args: Sequence[str] | None = None) -> int:
             rclpy.shutdown()
         shed += found.shed
         name = f"{found.name}, {found.joints} joints at {case.rate:g} Hz"
-        cells = (found.used, found.shed, found.applied, f"{found.processor:.2f} s/s")
-        table.add_row(name, *map(str, cells), f"{found.error:.3f}")
-    Console(width=110).print(table)
+        times = [f"{each:.2f} s/s" for each in (found.processor, found.bare)]
+        cells = (found.used, found.shed, found.applied, *times, f"{found.error:.3f}")
+        table.add_row(name, *map(str, cells))
+    Console(width=120).print(table)
     return int(shed > 0)
 
 
