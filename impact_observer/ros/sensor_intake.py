@@ -34,13 +34,17 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
 _LONGEST = 0.05
-"""Processor time that the messages of one call may take, s; of more messages some are shed."""
-_SHARE = 0.5
-"""The same over the time that the messages span: so that a backlog becomes shorter."""
+"""Time that the messages of one call may take, s; of more messages some are shed."""
+_SHARE = 1 / 3
+"""The same over the time that the messages span: so that a backlog becomes shorter, though
+estimates take as long again.
+"""
 _FEW = 20
 """Messages of a call that are used without a look at their cost."""
 _TRIED = 3
-"""Messages of a call that are used one by one; the least of their times counts."""
+"""Messages of a call that are used one by one; the least of their times counts in a first call.
+Later it is the mean time of the call before.
+"""
 _COUNTED = 20
 """Samples from which on the rate of a sensor is known."""
 
@@ -107,6 +111,7 @@ class SensorIntake:
         self._dropped = [0] * len(self._sensors)
         self._shed = [0] * len(self._sensors)
         self._ahead = AheadOfClock[SensorSample](_DEPTH)
+        self._cost = 0.0
 
     def discover(self) -> None:
         """Subscribe to the topics that have a publisher by now."""
@@ -132,25 +137,33 @@ class SensorIntake:
     def _in_time(
         self, topic: str, messages: Sequence[AnyMessage]
     ) -> Iterator[Sequence[AnyMessage]]:
-        """Yields ``messages``; of a robot one by one, and then those there is time for."""
+        """Yields ``messages``; of a robot one by one, and of many those there is time for.
+
+        What counts is the time that passes, as others may use the processor, too.
+        """
         if self._observer.robot is None:
             yield messages
             return
-        costs = list[float]()
-        since, tried = self._newest(topic), messages[: _TRIED if len(messages) > _FEW else None]
-        for message in tried:
-            begin = time.thread_time() if len(messages) > _FEW else 0.0
+        if len(messages) <= _FEW:
+            self._cost = 0.0
+            yield from ([each] for each in messages)
+            return
+        stamps, costs = list[int](), list[float]()
+        for message in messages[:_TRIED]:
+            begin = time.monotonic()
             yield [message]
-            costs.append(time.thread_time() - begin if begin else 0.0)
-        if rest := messages[len(tried) :]:
-            span = (self._newest(topic) - since) / NS_PER_S / len(tried) * len(rest)
-            allowed = max(_SHARE * span, _LONGEST)
-            step = max(math.ceil(len(rest) * min(costs) / allowed), 1)
-            kept = rest[(len(rest) - 1) % step :: step]  # with the newest
-            for reader in self._readers[topic]:
-                counts = self._observer.samples.counts[reader.index]
-                counts["shed"] += len(rest) - len(kept)
-            yield kept
+            costs.append(time.monotonic() - begin)
+            stamps.append(self._newest(topic))
+        rest = messages[_TRIED:]
+        span = (stamps[-1] - stamps[0]) / NS_PER_S / (_TRIED - 1) * len(rest)
+        allowed, cost = max(_SHARE * span, _LONGEST), self._cost or min(costs)
+        step = max(math.ceil(len(rest) * cost / allowed), 1)
+        kept = rest[(len(rest) - 1) % step :: step]  # with the newest
+        for reader in self._readers[topic]:
+            self._observer.samples.counts[reader.index]["shed"] += len(rest) - len(kept)
+        begin = time.monotonic()
+        yield kept
+        self._cost = (time.monotonic() - begin) / len(kept)
 
     def take_what_was_ahead(self) -> None:
         """Give the samples to the observer to which the clock has come near."""

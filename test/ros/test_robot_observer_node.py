@@ -298,17 +298,6 @@ def test_samples_that_come_too_fast_are_shed_so_that_the_newest_count(rig: Rig) 
     rig.spinner.until(lambda: any(shed in each.message for each in rig.diagnostics))
 
 
-def test_a_backlog_for_which_there_is_time_is_used_whole(rig: Rig) -> None:
-    """A hundred messages that have waited, of a tenth of a second: none is shed."""
-    rig.go_to(EPOCH + NS_PER_S, 0.1, 0.2)
-    observer, last = rig.node.observer, EPOCH + NS_PER_S + 10**8
-    for stamp in range(EPOCH + NS_PER_S + 10**6, last + 1, 10**6):
-        rig.measure(stamp, 0.1, 0.2)
-    rig.spinner.until(lambda: observer.samples.counts[0]["samples"] == 101)
-    assert observer.samples.newest[0] == last
-    assert observer.samples.counts[0]["shed"] == 0
-
-
 @pytest.mark.parametrize(
     "given",
     [
