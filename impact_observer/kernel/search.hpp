@@ -31,12 +31,13 @@ struct Crossing {
 };
 
 // Where a function of time that is positive at `above` falls through zero on the way to `below`,
-// forwards or back; `below` where it does not change its sign. Regula falsi in which the end that
-// stays counts half (Illinois), and halves where that is slow.
+// forwards or back; `below` where it does not change its sign. Regula falsi in which an end that
+// stays twice in a row counts half (Illinois), and halves where that is slow.
 template <class Function>
 double falls_at(const Function& value, double above, double below, double enough) {
     double low = above, high = below, at_low = value(low), at_high = value(high);
     if (!(at_low > 0 && 0 > at_high)) return below;
+    double before = 0.0;
     for (int turn = 0; std::abs(high - low) > enough * std::abs(high) + 1e-15; ++turn) {
         const auto is_between = [&](double s) {
             return (low < s && s < high) || (high < s && s < low);
@@ -46,10 +47,11 @@ double falls_at(const Function& value, double above, double below, double enough
         if (!is_between(s)) break;
         const double now = value(s);
         if (now > 0)
-            low = s, at_low = now, at_high /= 2;
+            low = s, at_low = now, at_high /= before > 0 ? 2 : 1;
         else
-            high = s, at_high = now, at_low /= 2;
+            high = s, at_high = now, at_low /= before < 0 ? 2 : 1;
         if (now == 0) break;
+        before = now;
     }
     return high;
 }
