@@ -61,11 +61,12 @@ class ErrorAccounts:
             if not clocks:
                 return
         for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
-            unit = self._seen(h, kind, here)
-            if kind is h.error.kind or unit <= TINY:
+            if kind is h.error.kind or (root := self._root(h, kind, here.t)) is None:
+                continue
+            if (unit := self._seen_of(root, here)) <= TINY:
                 continue
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
-            state = h.state.with_error(level * self._root(h, kind, here.t))
+            state = h.state.with_error(level * root)
             for clock in clocks:
                 yield h._replace(state=state, clock=clock, error=LearnedError(kind, level))
 
@@ -95,25 +96,29 @@ class ErrorAccounts:
         speeds = np.abs(self._system.W[:, hit].T.dot(x[self._system.n :]))
         return np.asarray(self._kicks[:, hit] * speeds)
 
-    def _root(self, h: Hypothesis, kind: ErrorKind, t: float) -> Matrix:
+    def _root(self, h: Hypothesis, kind: ErrorKind, t: float) -> Matrix | None:
         """What a model error of level 1 has added to ``h`` by ``t``, since the last event.
 
-        Shape (2n, any).
+        Shape (2n, any). None where the restitution has not acted.
         """
         closed, ago = h.state.closed, h.jump.ago
         began = t - ago, h.state.x
         if kind is ErrorKind.ACCELERATION:
             return self._moving.diffusion(*began, closed, ago)
-        assert h.jump.x is not None, "an impact of which the restitution may err"
+        if h.jump.x is None:
+            return None
         kicks = self.kicks(h.jump.x, h.jump.hit)
         return self._moving.carried(*began, kicks, ago, closed)
 
     def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The standard deviation that this gives the gap of the impact, m."""
-        if kind is ErrorKind.RESTITUTION and h.jump.x is None:
-            return 0.0
+        root = self._root(h, kind, here.t)
+        return 0.0 if root is None else self._seen_of(root, here)
+
+    def _seen_of(self, root: Matrix, here: ContactChange) -> float:
+        """The standard deviation that an error with this ``root`` gives the gap, m."""
         w = self._system.W[:, here.hit[0]]
-        seen = w.dot(self._root(h, kind, here.t)[: w.size])
+        seen = w.dot(root[: w.size])
         return math.sqrt(seen.dot(seen))
 
     def _largest(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:

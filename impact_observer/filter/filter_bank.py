@@ -100,8 +100,10 @@ class FilterBank:
             predicted = [h.disordered(change.disorder) for h in predicted]
         branches = likeliest_first(self.branching.branches(change, predicted, extent))
         likely = self.pruning.likely_branches(branches)
-        posteriors = self._correcting.posteriors(change, likely)
-        kept = self.pruning.distinct(posteriors)
+        distinct = self.pruning.distinct_branches(change, likely)
+        kept = self._correcting.posteriors(change, distinct)
+        if self.pruning.compares_states or self.filter.is_of_robot:
+            kept = self.pruning.distinct(kept)
         if not self.trusts_estimate:
             kept = [*kept, *self._restarted(change, branches, kept, restarts)]
         return likeliest_first(kept)

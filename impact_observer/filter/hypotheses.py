@@ -78,10 +78,14 @@ class Hypothesis(NamedTuple):
 
         The latest, and but for the first, once these are over.
         """
-        last, events = self.ledger.last_error, self.ledger.events
-        by_first = last <= TUNING.first_events <= events
-        is_over = not last or by_first or events - last >= TUNING.exact_events
-        return not self.error.level and is_over
+        return self.is_exact_after(0)
+
+    def is_exact_after(self, events: int) -> bool:
+        """``is_exact`` once it has explained so many more ``events``."""
+        if self.error.level or not (last := self.ledger.last_error):
+            return not self.error.level
+        events += self.ledger.events
+        return last <= TUNING.first_events <= events or events - last >= TUNING.exact_events
 
     @property
     def is_undisturbed(self) -> bool:

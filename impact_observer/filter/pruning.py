@@ -7,8 +7,10 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.ledger import Note
 from impact_observer.filter.square_root import lengths
 from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.weighing import Branch
@@ -35,6 +37,7 @@ class Pruning:
 
     Attributes:
         most: hypotheses that are kept at most.
+        compares_states: whether hypotheses with the same latest decisions may be kept.
     """
 
     def __init__(self, system: System, most: int, *, keeps_exact: bool) -> None:
@@ -47,7 +50,7 @@ class Pruning:
         self.most = min(most, max(TUNING.least_hypotheses, affordable))
         self._keeps_exact = keeps_exact
         self._scan = TUNING.scan * system.n
-        self._compares_states = system.m > 1
+        self.compares_states = system.m > 1
 
     def likely_branches(self, ordered: Sequence[Branch]) -> list[Branch]:
         """Those of the branches ``ordered``, the likeliest first, that are corrected."""
@@ -70,6 +73,30 @@ class Pruning:
             found += exact[: _likely(exact)]
         return found
 
+    def distinct_branches(self, change: ContactChange, likely: Sequence[Branch]) -> list[Branch]:
+        """Those of the branches ``likely`` at an event that ``distinct`` may keep, in order.
+
+        Where states are not compared, the decisions tell before the correction. Robots' jumps
+        branch once more after it.
+        """
+        decisions, own = _DecisionNumbers(), len(change.contacts)
+        earlier: dict[int, tuple[object, ...]] = {}  # branches share ledgers
+        found: dict[object, Branch] = {}
+        for branch in likely:
+            h, is_true = branch.before, branch.here is not None
+            is_exact = h.is_exact_after(is_true)
+            if self.compares_states and is_exact:
+                found[id(branch)] = branch
+                continue
+            if id(h.ledger) not in earlier:
+                missed = ((each.contact, each.kind, each.is_dead) for each in h.ledger.missed)
+                all_ = (*decisions.of_notes(h.ledger.notes[-self._scan :]), *missed)
+                earlier[id(h.ledger)] = all_[max(len(all_) + own - self._scan, 0) :]
+            now = is_true, branch.reason.partition(":")[0], *earlier[id(h.ledger)]
+            same = (h.clock, id(h.jump_error), h.error.kind, h.subset, is_exact, *now)
+            found.setdefault(same, branch)
+        return [*found.values()]
+
     def distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those that are alike, in order (N-scan pruning).
 
@@ -79,19 +106,14 @@ class Pruning:
         if len(made) <= 1:
             return [*made]
         found: dict[object, list[Hypothesis]] = {}
-        numbers: dict[object, int] = {}
-        known: dict[int, int] = {}  # hypotheses share notes
+        decisions = _DecisionNumbers()
         for h in likeliest_first(made):
-            notes = h.ledger.notes[-self._scan :]
-            for note in notes:
-                if id(note) not in known:
-                    known[id(note)] = numbers.setdefault(note.decision, len(numbers))
-            decisions = [known[id(note)] for note in notes]
+            latest = decisions.of_notes(h.ledger.notes[-self._scan :])
             inserted = tuple((each.contact, each.kind) for each in h.ledger.missed)
             jump = h.jump_error and h.jump_error.latest
-            same = (h.clock, jump, h.error.kind, h.subset, h.is_exact, inserted, *decisions)
+            same = (h.clock, jump, h.error.kind, h.subset, h.is_exact, inserted, *latest)
             kept = found.setdefault(same, [])
-            compares = self._compares_states and h.is_exact
+            compares = self.compares_states and h.is_exact
             if not any(not compares or _are_near(h.state, each.state) for each in kept):
                 kept.append(h)
         return likeliest_first(h for kept in found.values() for h in kept)
@@ -105,6 +127,22 @@ class Pruning:
                 found.append(h)
                 known.add(same)
         return found
+
+
+class _DecisionNumbers:
+    """Numbers of decisions: equal ones have the same number."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[object, int] = {}
+        self._known: dict[int, int] = {}  # hypotheses share notes
+
+    def of_notes(self, notes: Sequence[Note]) -> list[int]:
+        """The numbers of the decisions of ``notes``, which live as long as this."""
+        known = self._known
+        for note in notes:
+            if id(note) not in known:
+                known[id(note)] = self._numbers.setdefault(note.decision, len(self._numbers))
+        return [known[id(note)] for note in notes]
 
 
 def _are_near(one: GaussianState, other: GaussianState) -> bool:
