@@ -85,7 +85,8 @@ class ClockSteps:
         evidence = max(evidence, anything)
         steps = [self._followed(change, each, extent) for each in clock.possible]
         if clock.before is not None and anything - evidence > TUNING.log_possible_step:
-            steps += self._begun(change, clock.before, extent)
+            enough = TUNING.log_possible_step + evidence
+            steps += self._begun(change, clock.before, extent, enough)
         steps = [each._replace(odds=each.odds - evidence) for each in steps if each.hypotheses]
         steps = [
             each
@@ -107,9 +108,14 @@ class ClockSteps:
         return ClockStep(step.shift, t, normalised(found), odds, step.events + 1)
 
     def _begun(
-        self, change: ContactChange, before: ClockStep, extent: Extent
+        self, change: ContactChange, before: ClockStep, extent: Extent, enough: float
     ) -> Iterator[ClockStep]:
-        """Steps before an event, each by an impact of its contact that was predicted."""
+        """Steps before an event, each by an impact of its contact that was predicted.
+
+        Odds up to ``enough`` do not count. At most they are those of the impacts that were missed
+        on the way, as the event cannot be likelier than at its prediction.
+        """
+        most = TUNING.log_clock_step + self._log_rate
         exact = [h for h in before.hypotheses if h.is_exact]
         if not (exact and len(change.hit) == 1):
             return
@@ -117,7 +123,9 @@ class ClockSteps:
         if h.ledger.events < TUNING.first_events:
             return
         (contact,), latest = change.hit, float(change.t) + TUNING.largest_step
-        for t, prior in self._impacts(before.t, h, contact, latest - before.t):
+        for t, prior, missed in self._impacts(before.t, h, contact, latest - before.t):
+            if most + missed <= enough:
+                return
             shift = round((change.t - t) * NS_PER_S)
             if abs(shift) > TUNING.largest_step * NS_PER_S:
                 continue
@@ -128,19 +136,25 @@ class ClockSteps:
 
     def _impacts(
         self, t: float, h: Hypothesis, contact: int, duration: float
-    ) -> Iterator[tuple[float, GaussianState]]:
-        """The next impacts of a contact: instants, s since the epoch, and states before them."""
-        state, level = h.state, h.acceleration_error
+    ) -> Iterator[tuple[float, GaussianState, float]]:
+        """The next impacts of a contact: instants, s since the epoch, and states before them.
+
+        Beside each stands the logarithm of the probability that the switches before the impact
+        were missed, or that the estimate is in error.
+        """
+        state, level, missed, between = h.state, h.acceleration_error, 0.0, self._bank.between
         for _ in range(TUNING.possible_steps):
-            dips = self._bank.between.forecast(t, state, level).dips(duration)
+            dips = between.forecast(t, state, level).dips(duration)
             if not dips:
                 return
             (prior,) = self._filter.priors(t, dips[0].began, [state], [level])
             t, duration = t + dips[0].began, duration - dips[0].began
             if dips[0].contact == contact and dips[0].kind is Kind.IMPACT:
-                yield t, prior
+                yield t, prior, missed
             if (inserted := insert_switch(self._filter, t, prior, dips[0])) is None:
                 return
+            dead = between.dead(h, dips[0].contact, dips[0].kind, t)
+            missed += max(between.log_missed(dead), dips[0].unlikely)
             state = inserted.state
 
     def _deviation(self, contact: int, prior: GaussianState, clock: float) -> float:
