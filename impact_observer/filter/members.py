@@ -38,7 +38,8 @@ from impact_observer.states import Matrix, Vector
 
 LARGEST = 1e300
 """Instead of bounds that are infinite."""
-_LINEAR = {"C", "K", "gap", "rebound", "contact_time", "amplitude", "constant", "cosine", "sine"}
+_LINEAR = {"C", "K", "gap", "rebound", "contact_time", "aside"}
+_LINEAR |= {"amplitude", "constant", "cosine", "sine"}
 """Coefficients by which parameters change accelerations, gaps and jumps linearly."""
 _LINEARISED = _LINEAR | {"M", "phase", "frequency"}
 """Coefficients by which considered parameters do, linearised about their values."""
@@ -354,12 +355,14 @@ class Members:
         inverse = self.given.moving.rates(()).B[system.n :]
         pushed = np.array([inverse @ each.M @ stop for each in effects]).reshape(-1, system.n)
         by_mass = (np.outer(pushed @ w, stop) - pushed) * float(w @ kick)
+        aside = np.array([each.aside[contact] for each in effects]).reshape(-1, system.n)
+        aside = aside @ inverse / float(w @ inverse @ w)
         return Impact(
             self.free,
             w,
             -kick,
             float(system.q_r[contact]),
-            -np.outer(eps, stop) - by_mass,
+            -np.outer(eps, stop) - by_mass - aside,
             self._gap[:, contact],
             lags,
         )

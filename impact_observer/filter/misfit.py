@@ -73,8 +73,11 @@ class Fit(NamedTuple):
         statistic: of the test; 0 while there are too few innovations.
         repetition: logarithm of the odds that innovations repeat to those that they are white;
             0 before the state may be known.
+        periodicity: logarithm of the odds that innovations have a harmonic of some frequency to
+            those that they are white; 0 before the state may be known.
         evidence: logarithm of the odds of an error of the model to none, which one event
             raises by ``Tuning.evidence_step`` at most.
+        instants: of the innovations, in time scales of the model since the epoch.
         residuals: at the latest impacts.
         is_refuted: whether other parameters explain the latest impacts better.
         contradictions: the latest innovations as far as they contradict what is declared, in
@@ -92,7 +95,9 @@ class Fit(NamedTuple):
     by_clock: bool = False
     statistic: float = 0.0
     repetition: float = 0.0
+    periodicity: float = 0.0
     evidence: float = 0.0
+    instants: tuple[float, ...] = ()
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
     contradictions: tuple[float, ...] = ()
@@ -105,6 +110,7 @@ class Fit(NamedTuple):
         self,
         innovation: float | None,
         *,
+        instant: float = 0.0,
         in_error: bool = False,
         by_clock: bool = False,
         as_reported: bool = True,
@@ -125,6 +131,7 @@ class Fit(NamedTuple):
         evidence = min(self.evidence + TUNING.evidence_step, -math.log(max(exact, TINY)))
         innovations, errors = self.innovations, self.errors
         statistic, repetition = self.statistic, self.repetition
+        instants, periodicity = self.instants, self.periodicity
         size = abs(innovation or 0.0)
         far = size if is_trusted and size > TUNING.contradiction else 0.0
         if innovation is None:
@@ -134,7 +141,9 @@ class Fit(NamedTuple):
             clipped = math.copysign(min(left, TUNING.clipping), innovation)
             innovations = (*innovations[-(TUNING.window - 1) :], clipped)
             errors = errors + 1 if in_error else 0
+            instants = (*instants[-(TUNING.window - 1) :], instant)
             statistic, repetition = _statistic(innovations), repetition_of(innovations)
+            periodicity = periodicity_of(instants, innovations)
         after = Fit(
             innovations,
             (*self.as_reported[-(TUNING.window - 1) :], as_reported),
@@ -143,7 +152,9 @@ class Fit(NamedTuple):
             by_clock,
             statistic,
             repetition if len(self.as_reported) >= TUNING.first_events else 0.0,
+            periodicity if len(self.as_reported) >= TUNING.first_events else 0.0,
             evidence if len(self.as_reported) >= TUNING.first_events else 0.0,
+            instants,
             self.residuals,
             self.is_refuted,
             (*self.contradictions[-(TUNING.window - 1) :], far),
@@ -194,6 +205,7 @@ class Fit(NamedTuple):
         fewest, latest = TUNING.fewest, self.explained[-TUNING.fewest :]
         is_excused = len(latest) == fewest and sum(latest) < TUNING.doubted_explained * fewest
         is_correlated = self.statistic > TUNING.doubted_statistic
+        is_correlated = is_correlated or self.periodicity > TUNING.doubted_periodicity
         is_improbable = self.evidence > TUNING.doubted_evidence
         is_in_doubt = is_excused or is_correlated or is_improbable
         return self.is_misfit or is_in_doubt or self.errors >= TUNING.doubted_events
@@ -217,6 +229,7 @@ class Fit(NamedTuple):
         most = TUNING.doubtful_statistic if self.by_clock else TUNING.doubted_statistic
         is_doubted = self.is_misfit or self.is_in_error or self.statistic > most
         is_doubted = is_doubted or self.repetition > TUNING.doubted_repetition
+        is_doubted = is_doubted or self.periodicity > TUNING.doubted_periodicity
         if self.step and not is_doubted:
             return "the sensor's clock has stepped"
         return "the model is doubted" if is_doubted else ""
@@ -294,6 +307,7 @@ def _judged(fit: Fit) -> Fit:
     is_excused = n >= TUNING.fewest_excused and sum(fit.as_reported) < TUNING.least_explained * n
     is_correlated = fit.statistic > TUNING.largest_statistic
     is_correlated = is_correlated or fit.repetition > TUNING.largest_repetition
+    is_correlated = is_correlated or fit.periodicity > TUNING.largest_repetition
     lasts = fit.was_misfit and fit.is_in_error
     is_improbable = fit.is_in_error and fit.evidence > TUNING.largest_evidence
     is_contradicted = any(fit.contradictions)
@@ -335,4 +349,32 @@ def repetition_of(innovations: Sequence[float]) -> float:
         each = (lag - number) * np.log(shares) - number / 2 * np.log(sizes / whole)
         odds.append(each.ravel())
     found = np.concatenate(odds)
+    return float(np.logaddexp.reduce(found) - math.log(found.size)) if found.size else 0.0
+
+
+def periodicity_of(instants: Sequence[float], innovations: Sequence[float]) -> float:
+    """Logarithm of the odds that the latest ``innovations`` have a harmonic to none.
+
+    A force of a frequency that the model does not have makes innovations that are nearly harmonic
+    in time: at ``instants``, in time scales. All frequencies up to ``Tuning.highest_frequency``
+    and some numbers of latest innovations count alike; of scale and amplitudes both know nothing,
+    or one unit of information (Zellner's g prior). White ones pass ``x`` with a probability of
+    at most ``exp(-x)`` (Markov). Zeros are rounding, which says nothing.
+    """
+    t, nu, odds = np.array(instants), np.array(innovations), []
+    t, nu = t[nu != 0], nu[nu != 0]
+    for n in TUNING.harmonic_windows:
+        if nu.size < n:
+            break
+        since, latest = t[-n:] - t[-n], nu[-n:]
+        step = math.pi / max(float(since[-1]), TINY)
+        frequencies = np.arange(0.5 * step, TUNING.highest_frequency, step)
+        wave = np.exp(1j * np.outer(frequencies, since))
+        # The least squares of cosine and sine, by the normal equations of each frequency.
+        seen, twice = wave @ latest, np.sum(wave * wave, axis=1)
+        explained = 2 * (n * np.abs(seen) ** 2 - (twice.conj() * seen**2).real)
+        explained /= np.maximum(n * n - np.abs(twice) ** 2, 1e-6 * n * n)
+        left = np.maximum(1 - explained / (latest @ latest), 0.0)
+        odds.append((n - 2) / 2 * math.log1p(n) - n / 2 * np.log1p(n * left))
+    found = np.concatenate(odds) if odds else np.zeros(0)
     return float(np.logaddexp.reduce(found) - math.log(found.size)) if found.size else 0.0

@@ -194,10 +194,13 @@ class Mirror(NamedTuple):
     ) -> "Mirror":
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
-        ``numbers`` have the gaps instead of the system's, and the contact times beyond the
-        model's.
+        ``numbers`` have the gaps instead of the system's, the contact times beyond the model's,
+        and impulses beside those of the contacts.
         """
         n, P = system.n, list(pressed)
+        if P and numbers is not None and np.any(aside := numbers.aside[P]):
+            W, inverse = system.W[:, P].T, np.linalg.inv(system.M)
+            J = J - inverse @ aside.T @ linalg.lstsq(W @ inverse @ W.T, W)[0]
         q_r, offset = (system.q_r if numbers is None else numbers.gap)[P], np.zeros(2 * n)
         whole, kick = np.zeros((2 * n, 2 * n)), J - np.eye(n)
         whole[:n, :n] = whole[n:, n:] = J

@@ -262,6 +262,14 @@ class Tuning:
     """
     doubted_repetition: float = 3.0
     """The same, above which nothing is synchronized: of simulated white ones 0.1 % are."""
+    harmonic_windows: tuple[int, ...] = (12, 16, 24, 32)
+    """Numbers of latest innovations in which a harmonic is sought."""
+    highest_frequency: float = 3.0
+    """Highest angular frequency of such a harmonic, over the fastest rate of the model."""
+    doubted_periodicity: float = 6.0
+    """Log odds of a harmonic, above which parameters are estimated too and nothing is
+    synchronized.
+    """
     established_error: float = 0.8
     """Probability of an error of the model from which on an event counts as one with an error."""
     doubted_events: int = 6
@@ -321,12 +329,14 @@ class Tuning:
     """Deviations of the parameters of the wide account, relative to those of few kinds."""
     wide_hypotheses: int = 8
     """Hypotheses that the wide account keeps."""
-    wide_weight: float = 0.5
+    wide_weight: float = 0.35
     """Weight of the wide account in the covariance that a misfit publishes while few parameters
     do not explain the impacts.
     """
     wide_weight_explained: float = 0.2
-    """The same while they do: two of them may explain all of a periodic motion."""
+    """The same while they do: two of them may explain all of a periodic motion. And while the
+    model is doubted before a warning.
+    """
     account_coordinates: int = 32
     """Most coordinates of a model with an account: each hypothesis is a system of its own. An
     event of a chain of 40 masses takes half a second, one of 100 masses over a minute.
@@ -343,6 +353,14 @@ class Tuning:
     """The same of constant forces, relative to the largest force."""
     gap_deviation: float = 0.05
     """The same of gaps, relative to the largest gap."""
+    aside_coordinates: int = 3
+    """Most coordinates of a model whose wide account has impulses beside those of the contacts: as
+    many as a body in space. With four masses they took half as much time again.
+    """
+    aside_deviation: float = 0.7
+    """The same of an impulse beside that of a contact, over the one that stops the contact: half
+    of it in the wide account, as by a coefficient of friction of 0.2 at a restitution of 0.75.
+    """
     forced_coordinates: int = 4
     """Most coordinates of a model whose account estimates a constant force on each."""
     contact_time_deviation: float = 0.02

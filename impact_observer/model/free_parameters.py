@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
@@ -35,6 +36,7 @@ UNITS = {
     "constant-force": "N",
     "harmonic-force": "N",
     "forcing-quadrature": "",
+    "impulse-aside": "",
     "ground-amplitude": "",
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
@@ -64,6 +66,8 @@ _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
 """Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
+STAND_INS = {"harmonic-force", "forcing-quadrature", "impulse-aside"}
+"""Kinds that stand for errors of a model, and are none of a model file."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale; the least value is the inverse."""
@@ -75,7 +79,7 @@ _WRONG_FREQUENCY = 0.1
 
 def parameter_forms() -> list[str]:
     """The forms of all names of parameters, such as ``gap.CONTACT``."""
-    owners = {kind: _OWNERS.get(kind, "CONTACT") for kind in UNITS}
+    owners = {kind: _OWNERS.get(kind, "CONTACT") for kind in UNITS if kind not in STAND_INS}
     return [f"{kind}.{owner}".rstrip(".") for kind, owner in owners.items()]
 
 
@@ -276,6 +280,19 @@ def harmonic_forces(system: System) -> Iterator[ModelParameter]:
             one[k, i] = 1.0
             name = f"harmonic-force.{system.coordinates[i]}.{word}{k + 1}"
             yield parameter(name, 0.0, _FREE, force, **{part: one})
+
+
+def impulses_aside(system: System) -> Iterator[ModelParameter]:
+    """Impulses that leave the speed of a contact as it is, over the one that stops the contact.
+
+    Such is that of friction at a stop; the impacts do not see its direction.
+    """
+    parameter = partial(_parameter, system)
+    for i, one in enumerate(np.eye(system.m)):
+        seen = np.linalg.solve(system.M, system.W[:, i])
+        for k, direction in enumerate(linalg.null_space(seen[None]).T, start=1):
+            name = f"impulse-aside.{system.contact_names[i]}.{k}"
+            yield parameter(name, 0.0, _FREE, 1.0, aside=np.outer(one, direction))
 
 
 def usual_force(system: System) -> float:

@@ -41,6 +41,8 @@ class Coefficients:
         sine: sines at the frequencies of the harmonics beside these, shape (h, n), N.
         friction: largest forces of the guides, shape (guides,), N.
         contact_time: duration of an impact, shape (m,), s.
+        aside: impulse beside that of a contact, one row a contact, over the one that stops the
+            contact, shape (m, n); zero in a model.
     """
 
     M: Matrix
@@ -56,6 +58,7 @@ class Coefficients:
     sine: Matrix
     friction: Vector
     contact_time: Vector
+    aside: Matrix
 
     @classmethod
     def of_system(cls, system: System) -> "Coefficients":
@@ -68,7 +71,7 @@ class Coefficients:
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
             row[: len(own)] = own
-        last = system.friction, system.contact_time
+        last = system.friction, system.contact_time, np.zeros((system.m, system.n))
         return cls(system.M, system.C, system.K, system.q_r, rebound, *harmonics, *last)
 
     @property

@@ -54,7 +54,7 @@ def variance_parts(
     the declared deviations and are corrected with the same gains; how they differ, without that
     slope, is the part of the initial state, and of the prior of estimated parameters. The rest is
     of the stamps, and of an error of the model that is learned as noise. What is published beyond
-    that is of the other hypotheses; or, in a misfit, of the model.
+    that is of the other hypotheses; or, where the model is doubted, of the model.
 
     Args:
         law: of the estimate.
@@ -69,14 +69,15 @@ def variance_parts(
     names = [family.names[i - size] for i in considered.tolist()]
     parts = [*zip(names, (slope * shared).T, strict=True)]
     rest = ["stamps"] if replicas.size else ["initial state", "stamps"]
-    rest += ["model error"] if best.error.level or belief.fit.is_compared else []
+    is_doubted = belief.fit.is_compared or belief.account is not None
+    rest += ["model error"] if best.error.level or is_doubted else []
     if replicas.size:
         free = replicas[:size] - slope @ replicas[considered]
         parts.append(("initial state", np.mean(free**2, axis=1)))
     of_rest = " and ".join(rest)
     parts.append((of_rest, _beyond(np.sum(root[:size] ** 2, axis=1), parts)))
     parts.append((UNDECLARED, (law.uncertainty.undeclared * sizes) ** 2))
-    others = of_rest if belief.fit.is_compared else "undecided events"
+    others = of_rest if is_doubted else "undecided events"
     return [*parts, (others, _beyond(np.diag(covariance), parts))]
 
 

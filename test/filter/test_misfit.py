@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from impact_observer.filter.misfit import MISFIT, Fit, Residual, repetition_of
+from impact_observer.filter.misfit import MISFIT, Fit, Residual, periodicity_of, repetition_of
 from impact_observer.filter.tuning import TUNING
 
 
@@ -67,6 +67,46 @@ def test_innovations_that_repeat_warn_however_small_they_are(scale: float) -> No
     assert not fit.doubt
     for each in later.tolist():
         fit = fit.after(each, by_clock=True)
+    assert fit.statistic < TUNING.largest_statistic
+    assert fit.is_misfit
+
+
+def test_periodicity_is_the_mean_of_bayes_factors_of_regressions() -> None:
+    """With Zellner's g prior, g the number of innovations; least squares by numpy."""
+    rng = np.random.default_rng(12)
+    t, nu, factors = np.cumsum(rng.uniform(2, 9, 20)), rng.normal(size=20), []
+    for n in (12, 16):
+        since = t[-n:] - t[-n]
+        step = np.pi / since[-1]
+        for frequency in np.arange(0.5 * step, TUNING.highest_frequency, step):
+            waves = np.column_stack([np.cos(frequency * since), np.sin(frequency * since)])
+            left = np.linalg.lstsq(waves, nu[-n:])[1][0] / (nu[-n:] @ nu[-n:])
+            factors.append((1 + n) ** ((n - 2) / 2) / (1 + n * left) ** (n / 2))
+    found = periodicity_of(t.tolist(), nu.tolist())
+    assert found == pytest.approx(np.log(np.mean(factors)), rel=1e-6)
+
+
+def test_white_innovations_hardly_have_a_harmonic() -> None:
+    """By Markov's inequality at most ``exp(-4)`` of them are beyond 4; far fewer are."""
+    rng = np.random.default_rng(13)
+    t = np.cumsum(rng.uniform(2, 9, (1000, 32)), axis=1)
+    found = [periodicity_of(each.tolist(), rng.normal(size=32).tolist()) for each in t]
+    assert np.mean(np.array(found) > 4.0) < 0.005
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_innovations_with_a_harmonic_of_any_frequency_warn(scale: float) -> None:
+    """Pairs of impacts in a period of a force, which a force of 2.3 times its frequency disturbs.
+
+    No lag up to four repeats.
+    """
+    rng = np.random.default_rng(14)
+    t = np.add.outer(2.5 * np.arange(16), [0.0, 0.55]).ravel() + 0.02 * rng.normal(size=32)
+    nu = scale * (np.cos(5.75 * t + 0.4) + 0.3 * rng.normal(size=32))
+    fit = Fit()
+    for at, each in zip((5.1 * t).tolist(), nu.tolist(), strict=True):
+        fit = fit.after(each, instant=at)
+    assert fit.periodicity > TUNING.largest_repetition > fit.repetition
     assert fit.statistic < TUNING.largest_statistic
     assert fit.is_misfit
 

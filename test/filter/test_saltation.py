@@ -17,8 +17,9 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.joint import Joint
 from impact_observer.filter.saltation import Measured, Mirror, StateRates
-from impact_observer.model import System
-from impact_observer.model.parametric_family import Coefficients
+from impact_observer.model import System, parse_model
+from impact_observer.model.free_parameters import impulses_aside
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 
 Array = NDArray[np.float64]
 FORCED = chain(
@@ -200,6 +201,29 @@ def test_velocities_jump_in_the_middle_of_an_impact_that_lasts() -> None:
         rebound = u - (1 + eps) * k * speed
         np.testing.assert_allclose(later, q + lasts / 2 * (u + rebound), atol=1e-15)
         np.testing.assert_allclose(after[n:], rebound, atol=1e-15)
+
+
+def test_an_impulse_beside_that_of_a_stop_is_friction_of_a_body_in_a_plane() -> None:
+    """The stop sees y; x loses a share of the impulse that stops y, over the mass."""
+    model = parse_model(
+        """
+        name: plane
+        coordinates: [x, y]
+        mass: [[0.7, 0], [0, 2]]
+        damping: [[0, 0], [0, 0]]
+        stiffness: [[0, 0], [0, 0]]
+        contacts: [{name: stop, direction: [0, -1], gap: 0.25, restitution: 0.8}]
+        """,
+        "plane",
+    ).system
+    (friction,) = impulses_aside(model)
+    numbers = ParametricFamily(model, (friction,)).coefficients_at(np.array([0.2]))
+    found = Mirror.of(model, ImpactLaw(model).jump((0,)), (0,), numbers)
+    impulse = 2 * 1.5
+    after = found.landed(np.array([0.1, 0.25, 3.0, 1.5]))
+    slowed = float(friction.effect.aside[0, 0]) * 0.2 * impulse / 0.7
+    assert abs(float(friction.effect.aside[0, 0])) == pytest.approx(1.0)
+    np.testing.assert_allclose(after, [0.1, 0.25, 3.0 + slowed, -0.8 * 1.5], atol=1e-14)
 
 
 @pytest.mark.parametrize("eps", [0.0, 0.6])

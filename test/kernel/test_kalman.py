@@ -145,6 +145,31 @@ def test_with_parameters_it_agrees_with_the_general_methods(case: Case) -> None:
         assert_near(P / np.outer(scale, scale), Q / np.outer(scale, scale), error)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_with_impulses_beside_those_of_a_stop_it_agrees_with_the_general_methods(
+    seed: int,
+) -> None:
+    """All parameters are in doubt together, among them a share of the impulse on other bodies."""
+    unknowns, random = doubted(SWAYING, is_wide=True), np.random.default_rng(seed)
+    filter_, p = ImpactFilter(SWAYING, 0.0, unknowns), unknowns.family.size
+    root = (
+        1e-3
+        * np.diag(np.append(np.ones(6), unknowns.deviations))
+        @ random.normal(size=(6 + p,) * 2)
+    )
+    theta = unknowns.family.nominal + 0.3 * unknowns.deviations * random.normal(size=p)
+    theta = filter_.members.parameters.bounded(theta, np.zeros((p, 0)), 0)
+    state = GaussianState(Y, theta, root, np.zeros((6 + p, 0)), (), p)
+    case = Case(filter_, ContactChange(1.0, (), (0,), (), flown=1.0), state, 1e-5)
+    (_, wanted), (_, found) = case.in_general(), case.in_kernel()
+    assert any(name.startswith("impulse-aside") for name in unknowns.family.names)
+    assert_near(found.x, wanted.x, 1e-4)
+    assert_near(found.theta, wanted.theta, 1e-4)
+    scale = np.linalg.norm(wanted.root, axis=1)
+    P, Q = found.root @ found.root.T, wanted.root @ wanted.root.T
+    assert_near(P / np.outer(scale, scale), Q / np.outer(scale, scale), 1e-4)
+
+
 @pytest.mark.parametrize("deviation", [1.0, 1e-6, 1e-12])
 def test_a_sharp_measurement_keeps_its_digits(deviation: float) -> None:
     """A mass of known speed: the posterior variance by fractions."""

@@ -3,6 +3,7 @@
 # ruff: noqa: D102 (overrides have the docstrings of ``Prediction``)
 """The geometric replica beside the filter: where that restarts, and the cheaper estimate."""
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import ClassVar, TypeAlias
@@ -172,6 +173,40 @@ def combined(
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):
         columns += [share * root, share * (x - other)[:, None]]
     return np.hstack(columns)
+
+
+def doubted(by_filter: Part, by_wide: Part) -> Matrix:
+    """A root of the covariance about the filter's estimate, where the model is doubted.
+
+    Args:
+        by_filter: the filter's.
+        by_wide: by the account with all parameters.
+    """
+    weight, away = TUNING.wide_weight_explained, by_filter[0] - by_wide[0]
+    wide = math.sqrt(weight) * np.column_stack([by_wide[1], away])
+    return np.hstack([math.sqrt(1 - weight) * by_filter[1], wide])
+
+
+class DoubtedPrediction(Prediction):
+    """Of the filter; its covariance is that of the account with all parameters, too."""
+
+    def __init__(self, by_filter: Prediction, by_wide: Prediction) -> None:
+        self._by_filter, self._by_wide = by_filter, by_wide
+
+    def state(self, s: float) -> Vector:
+        return self._by_filter.state(s)
+
+    def root(self, s: float) -> Matrix:
+        return doubted(_part(self._by_filter, s), _part(self._by_wide, s))
+
+    def closed(self, s: float) -> Contacts | None:
+        return self._by_filter.closed(s)
+
+    def belief(self, s: float) -> Belief:
+        return self._by_filter.belief(s)
+
+    def silence(self, s: float) -> str:
+        return self._by_filter.silence(s)
 
 
 class MisfitPrediction(Prediction):

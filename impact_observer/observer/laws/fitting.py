@@ -50,6 +50,7 @@ def fitted(
     jumps = likeliest.jump_error
     return before.after(
         normalised,
+        instant=change.t / bank.filter.scales.timescale,
         in_error=error_share(corrected) > TUNING.established_error,
         as_reported=likeliest.ledger.is_as_reported((change.stamp, change.sequence)),
         exact=exact_share(corrected),

@@ -45,8 +45,10 @@ from impact_observer.observer.belief import (
     Prediction,
 )
 from impact_observer.observer.laws.fallback import (
+    DoubtedPrediction,
     MisfitPrediction,
     combined,
+    doubted,
     nearest,
     replica_of,
 )
@@ -324,7 +326,9 @@ class MinimumVariance(Law):
         some = partial(agreeing, hypotheses, self.near(hypotheses[0].state.x))
         found.agreeing = predicted_by(self._bank, t, some, prior)
         if moved is None:
-            return found
+            if account is None:
+                return found
+            return DoubtedPrediction(found, self._accounts.wide.predict(t, account.wide, prior))
 
         def motion(s: float) -> Fallback:
             return moved(ago + s)
@@ -420,6 +424,9 @@ class MinimumVariance(Law):
                 part, explained = (found.x, found.root[:size]), account.few.is_explained
                 shown, whole, names = account.few.published, found.root, few.names
             root = combined(fit, (best.state.x, root), fallback, part, wide, explained=explained)
+        elif account is not None:
+            far = self._accounts.wide.estimate(account.wide)
+            root = doubted((best.state.x, root), (far.x, far.root[:size]))
         if change:
             notes = best.ledger.notes_on((change.stamp, change.sequence))
         return Belief(

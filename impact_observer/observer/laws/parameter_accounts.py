@@ -28,9 +28,11 @@ from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import (
+    STAND_INS,
     UNITS,
     forcing_quadratures,
     harmonic_forces,
+    impulses_aside,
     usual_force,
 )
 from impact_observer.model.system import unit_of
@@ -52,14 +54,13 @@ OF_IMPACTS = {
     "gap": TUNING.gap_deviation,
     "restitution": TUNING.restitution_deviation,
     "contact-time": TUNING.contact_time_deviation,
+    "impulse-aside": TUNING.aside_deviation,
 }
 """Parameters that an account estimates, where a model has them, and their deviations: of a
 constant force relative to the largest force, of a gap to the largest gap, of a contact time to the
 model's time scale."""
 OF_FORCING = {"forcing-amplitude", "forcing-quadrature"}
 """Parameters of the motion that make any amplitude and phase of the forcing."""
-_UNNAMED = {"forcing-quadrature", "harmonic-force"}
-"""Parameters that stand for errors of a model, and are none of a model file."""
 
 
 def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
@@ -78,10 +79,12 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     parts["gap"] = system.q_r * is_plain
     parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
-    kinds = (k for k in deviations if k not in _UNNAMED and np.any(parts.get(k, 1.0)))
+    kinds = (k for k in deviations if k not in STAND_INS and np.any(parts.get(k, 1.0)))
     found = UnknownParameters.named(system, [f"{k}={deviations[k]}" for k in kinds])
     others = [*forcing_quadratures(system)] if is_plain and not is_wide else []
     others += [*harmonic_forces(system)] if is_forced and is_wide else []
+    may_rub = is_forced and system.n <= TUNING.aside_coordinates
+    others += [*impulses_aside(system)] if may_rub and is_wide else []
     if not others:
         return found
     family = found.family.extended(others)
