@@ -113,14 +113,12 @@ class Branching:
                 drafts = [*self._as_reported(h, here)]
                 true += drafts
                 leads += [is_leading] * len(drafts)
-                clocks += [
-                    draft._replace(
-                        weight=draft.weight + TUNING.log_clock_change,
-                        before=h._replace(clock=clock),
-                    )
-                    for draft in drafts
-                    for clock in (self._next_clocks.get(h.clock, ()) if is_leading else ())
-                ]
+                for clock in self._next_clocks.get(h.clock, ()) if is_leading else ():
+                    other = h._replace(clock=clock)
+                    clocks += [
+                        Draft(each.weight + TUNING.log_clock_change, other, *each[2:])
+                        for each in drafts
+                    ]
         weighed = weigh(self._filter, [*true, *clocks], root_energy)
         others = list[Draft]()
         for each, is_leading in zip(weighed, leads, strict=False):

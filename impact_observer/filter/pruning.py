@@ -56,10 +56,10 @@ class Pruning:
         """Those of the branches ``ordered``, the likeliest first, that are corrected."""
         count = min(_likely(ordered), self.most)
         found = [*ordered[:count]]
-        if not self._keeps_exact or all(each.before.is_exact for each in ordered):
+        if not self._keeps_exact:
             return found
         enough = ordered[0].weight + TUNING.log_forlorn
-        exact = [b for b in ordered if b.before.is_exact and b.weight > enough]
+        exact = [b for b in ordered if b.weight > enough and b.before.is_exact]
         exact = exact[: min(_likely(exact), self.most)]
         return found + exact[sum(b.before.is_exact for b in found) :]
 
