@@ -101,6 +101,8 @@ _OF_ANOTHER = 30
 """Most of these motions in the fit of a parameter that was not free."""
 _FEW = 64
 """Impacts of which these motions are at least."""
+_SHARES = 1.0, 0.3
+"""Shares of the usual deviations of parameters with which a motion is smoothed, in order."""
 _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
@@ -312,7 +314,8 @@ class _Search(NamedTuple):
     def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
         if not self._is_often_mislabelled:
-            smoothed = None if self.clock is None else self._smoothed(self.clock)
+            is_near = self.clock is not None and is_crowded(self.whole, self.clock)
+            smoothed = self._smoothed(self.clock) if self.clock is not None and is_near else None
             return smoothed or self._from_events()
         interval = self.whole.problem(self.family).interval
         smoothed = self._smoothed(_SUSPICIOUS * interval if self.clock is None else self.clock)
@@ -419,11 +422,9 @@ class _Search(NamedTuple):
 
     def _searched(self, plain: _Fitted) -> _Fitted:
         """The fit that a search for outliers finds, after a ``plain`` one of all impacts."""
-        if self.clock is None:
-            problem = plain.problem
-            smoothed = self._smoothed(_WRONG * problem.interval)
-            if smoothed and smoothed.identification.converged:
-                return smoothed
+        smoothed = self._smoothed(self.clock)
+        if smoothed and smoothed.identification.converged:
+            return smoothed
         with self.report.at_most(_MOTIONS * self._size):
             return self._without_outliers(plain)
 
@@ -548,25 +549,45 @@ class _Search(NamedTuple):
         clock = self.clock
         return _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
 
-    def _smoothed(self, clock: float) -> _Fitted | None:
-        """The fit that begins at the smoothed motion; None unless no fit may begin at the events.
+    def _smoothed(self, clock: float | None) -> _Fitted | None:
+        """The fit that begins at a smoothed motion; None if there is no such motion.
 
-        That is where stamps are too near each other, or many events name another contact.
-        ``clock`` is the approximate standard deviation of a stamp, s.
+        Impacts alone are smoothed first: samples of a sensor take the smoother much longer. A
+        filter that allows its parameters much may settle at wrong ones, and then one that allows
+        them less is tried. ``clock`` is the approximate standard deviation of a stamp, s; None if
+        unknown.
         """
-        is_apt = self._is_often_mislabelled or is_crowded(self.whole, clock)
-        if self.family.system.guides or not is_apt:
+        if self.family.system.guides:
             return None
-        what = "contacts of impacts" if self._is_often_mislabelled else "bounces that settle"
-        self.report.stage(f"smoothing {what}")
+        fitted: _Fitted | None = None
+        sensed = (self.measurements, self.samples)
+        for beside in (((), ()), sensed) if self.measurements else (sensed,):
+            for share in _SHARES:
+                fitted = self._smoothed_with(*beside, clock, share) or fitted
+                if fitted and fitted.identification.converged:
+                    return fitted
+        return fitted
+
+    def _smoothed_with(
+        self,
+        measurements: Sequence[Measurement],
+        samples: Sequence[SensorSample],
+        clock: float | None,
+        share: float,
+    ) -> _Fitted | None:
+        """The fit that begins at the motion smoothed from impacts and these samples, if any is."""
+        what = "smoothed motion"
+        self.report.stage(what)
         start = smoothed_start(
             self.family,
             self.whole,
             self.events,
             clock,
+            self._least(self.whole.problem(self.family)),
+            share=share,
             trust_events=self.trust_events,
-            measurements=self.measurements,
-            samples=self.samples,
+            measurements=measurements,
+            samples=samples,
             report=self.report,
         )
         if start is None:
@@ -581,8 +602,8 @@ class _Search(NamedTuple):
                     recording, self.family, self.clock, y
                 )
                 problem, solution = gated(problem, solution)
-        except IdentificationError:
-            return None  # too few impacts are left
+        except (IdentificationError, DynamicsError):
+            return None  # too few impacts are left, or the motion goes astray
         identification = _identification(recording, problem, solution, self.clock)
         identification = replace(
             identification, doubted=recording.outliers, accepted=identification.rms
@@ -602,8 +623,8 @@ class _Search(NamedTuple):
                 self.report.stage("spurious and missed impacts")
                 recording, again, refit = without_outliers(recording, self.family, clock)
                 again, refit = gated(again, refit)
-            except IdentificationError:
-                continue  # too few impacts are left, or nothing is found in time
+            except (IdentificationError, DynamicsError):
+                continue  # too few impacts are left, or none is found in time, or by this motion
             doubted = max(doubted, recording.outliers)
             fitted = _Fitted(_identification(recording, again, refit, clock), again, refit)
             if fitted.identification.converged:

@@ -10,6 +10,7 @@ the fit takes a few steps.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.recorded_impacts import Hit, Recording
+from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
@@ -31,6 +33,8 @@ from impact_observer.states import Vector
 
 _CROWDED = 0.1
 """Share of hits that follow another at once from which on no fit can begin at the stamps."""
+_BEGINNING = 32
+"""Events that are smoothed first; then half as many more each time, if a motion explains them."""
 
 
 class SmoothedStart(NamedTuple):
@@ -61,8 +65,10 @@ def smoothed_start(
     family: ParametricFamily,
     recording: Recording,
     events: Sequence[ImpactEvent],
-    clock: float,
+    clock: float | None,
+    widest: float,
     *,
+    share: float = 1.0,
     trust_events: bool = False,
     measurements: Sequence[Measurement] = (),
     samples: Sequence[SensorSample] = (),
@@ -70,11 +76,17 @@ def smoothed_start(
 ) -> SmoothedStart | None:
     """The smoothed motion of a recording, its parameters learned; None if the smoother fails.
 
+    More and more events are smoothed, since to smooth events that no motion explains takes a
+    hundred times as long as to smooth others.
+
+
     Args:
         family: the system and its free parameters.
         recording: its events, none rejected or inserted.
         events: the same events as an observer receives them, and perhaps others.
-        clock: standard deviation of a stamp, s, about.
+        clock: standard deviation of a stamp, s, about; None to learn it.
+        widest: usual distance of stamps from the motion above which the motion is no start, s.
+        share: of the usual deviations, how far each parameter may be from its given value.
         trust_events: whether none is spurious, and none was missed.
         measurements: what sensors measure beside the impacts.
         samples: of these sensors.
@@ -86,9 +98,12 @@ def smoothed_start(
     """
     known = {(key.stamp, key.sequence) for key in recording.episode.keys}
     own = [each for each in events if (each.stamp, each.sequence) in known]
-    end = recording.episode.keys[-1].stamp
     learned = tuple(each for each in family.parameters if is_observed(each.name))
-    declared = min(clock, highest("clock_error"))
+    declared = -1.0 if clock is None else min(clock, highest("clock_error"))
+    unknowns = None
+    if learned:
+        usual = UnknownParameters.of(replace(family, parameters=learned), {})
+        unknowns = replace(usual, covariance=usual.covariance * share**2)
     options = Options(
         clock_error=declared,
         model_error=0.0,
@@ -97,20 +112,23 @@ def smoothed_start(
     )
     if trust_events:
         options = replace(options, missed=0.0, spurious=0.0, mislabelled=0.0)
-    try:
-        *_, motion = smoothed_runs(
-            family.system,
-            own,
-            options,
-            measurements=measurements,
-            samples=[each for each in samples if each.stamp <= end],
-            progress=lambda what, done, total: report(f"{what} {done} of {total}"),
-            unknowns=UnknownParameters.of(replace(family, parameters=learned), {})
-            if learned
-            else None,
-            thorough=False,
-        )
-    except (BagError, DynamicsError):
+    smoothed = partial(
+        _smoothed,
+        family.system,
+        options=options,
+        measurements=measurements,
+        samples=samples,
+        report=report,
+        unknowns=unknowns,
+    )
+    count = min(_BEGINNING, len(own))
+    motion = smoothed(own[:count])
+    while motion is not None and count < len(own):
+        if _shift_of(motion) > widest:
+            return None
+        count = min(count + count // 2, len(own))
+        motion = smoothed(own[:count])
+    if motion is None:
         return None
     explained = _recording(recording, motion, family)
     as_smoothed = [(each.change.stamp, each.change.hit) for each in motion.account.moments]
@@ -120,6 +138,39 @@ def smoothed_start(
     theta = [values.get(each.name, each.value) for each in family.parameters]
     state = motion.smoothed.first.mean[: 2 * family.system.n]
     return SmoothedStart(explained, np.concatenate([state, theta]))
+
+
+def _smoothed(
+    system: System,
+    events: Sequence[ImpactEvent],
+    *,
+    options: Options,
+    measurements: Sequence[Measurement],
+    samples: Sequence[SensorSample],
+    report: Callable[[str], None],
+    unknowns: UnknownParameters | None,
+) -> SmoothedMotion | None:
+    """The smoothed motion of events, with the samples until the last of them, if there is one."""
+    try:
+        *_, motion = smoothed_runs(
+            system,
+            events,
+            options,
+            measurements=measurements,
+            samples=[each for each in samples if each.stamp <= events[-1].stamp],
+            progress=lambda what, done, total: report(f"{what} {done} of {total}"),
+            unknowns=unknowns,
+            thorough=False,
+        )
+    except (BagError, DynamicsError):
+        return None
+    return motion
+
+
+def _shift_of(motion: SmoothedMotion) -> float:
+    """The median distance of the stamps of reported impacts from a motion, s."""
+    reported = [k for k, each in enumerate(motion.account.moments) if not each.is_inserted]
+    return float(np.median([abs(motion.smoothed.instant(k)[0]) for k in reported]))
 
 
 def _recording(

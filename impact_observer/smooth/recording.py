@@ -231,7 +231,7 @@ class _Run:
         """
         few = self._events[:_SEARCHED]
         best = self._tried(few)
-        is_open = thorough or not best.smoothed.is_settled or self._as_motion(best).unexplained
+        is_open = thorough
         is_open = is_open and not isinstance(best.law.system, Robot)  # encoders tell the state
         if is_open and not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)

@@ -13,7 +13,7 @@ from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.identification import identify
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.smoothed_start import is_crowded
-from impact_observer.model import System
+from impact_observer.model import Model, System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer.episode import last_episode
 from impact_observer.plant import SensorModel, simulate_sensor
@@ -77,3 +77,41 @@ def test_parameters_come_from_bounces_that_settle() -> None:
     assert document["settled"] == [[s, "c1"] for s, _ in sorted(found.recording.settled)]
     assert any("filter 3 of" in each for each in said)
     assert any("step 2 of at most" in each for each in said)
+
+
+def lever(stiffness: float) -> Model:
+    """A motor that drives a lever against a stop through a spring, N m/rad."""
+    return parse_model(
+        f"""
+        name: lever
+        unit: rad
+        bodies: [{{name: motor, mass: 0.002}}, {{name: lever, mass: 0.004}}]
+        springs:
+          - {{between: [ground, motor], stiffness: 0.4, damping: 0.0012}}
+          - {{between: [motor, lever], stiffness: {stiffness}, damping: 0.0012}}
+        forces: [{{body: motor, amplitude: 0.12, frequency: 9, phase: 0}}]
+        stops: [{{name: anvil, body: lever, limit: 0.25, side: above, restitution: 0.6}}]
+        """,
+        "lever",
+    )
+
+
+@pytest.mark.parametrize("clock", [0.001, None])
+def test_a_wrong_stiffness_is_found_though_a_tenth_of_the_impacts_is_missed(
+    clock: float | None,
+) -> None:
+    """The spring is 5 % off, too far for a search that begins at the given values."""
+    plant, guess = lever(1.6).system, lever(1.68)
+    made = run(plant, [0.0, 0.0], [0.0, 0.0], seconds=30.0, rate=1.0)
+    sensor = SensorModel(jitter=0.001, missed=0.1)
+    last = int(made.stamps[-1])
+    messages = simulate_sensor(sensor, plant, made.switchings, epoch=EPOCH, last=last, seed=1)
+    events = [each.event for each in messages]
+    free = ["stiffness.motor-lever", "restitution"]
+    found = identify(parametric_family(guess.system, free, guess.elements), events, clock=clock)
+    assert found.converged
+    assert np.all(np.abs(found.values - [1.6, 0.6]) < 4 * found.errors)
+    assert np.all(found.errors < [0.02, 0.04])
+    recording = found.recording
+    assert not recording.rejected
+    assert len(recording.inserted) == len(made.switchings) - len(events)
