@@ -66,6 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser, "a model file or a sample, to be put into the bag")
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
     add("--epoch", metavar="S", type=stamp, help=epoch)
+    pulses = (
+        "topic of the index pulses of a drive, std_msgs/Header, in a bag; the first is the epoch"
+    )
+    add("--pulses", metavar="TOPIC", help=f"{pulses} (default: /phase_reference)")
     add_part(
         parser, zero="the epoch, or without one after the first message; of a signal, file time"
     )
@@ -135,6 +139,7 @@ def _in_bag(
             args.output,
             model=model,
             epoch=args.epoch or 0,
+            pulses=args.pulses,
             start=args.start,
             duration=args.duration,
             flush=args.flush,
@@ -148,10 +153,13 @@ def _in_signal(
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal
+    from impact_observer.errors import UsageError
     from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signal_file import SignalFile
     from impact_observer.stamps import text
 
+    if args.pulses is not None:
+        raise UsageError(f"--pulses: {args.bag} is a signal without topics; give --epoch")
     signal = SignalFile(args.bag, table_form(args), args.time_zero)
     if args.start is not None or args.duration is not None:
         signal.part = BagPart.between(signal.zero, args.start, args.duration)

@@ -9,7 +9,7 @@ from pathlib import Path
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY, SignalTrace
-from impact_observer.errors import BagError, UnfitBagError
+from impact_observer.errors import BagError, UnfitBagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import BagPart, TimeZero, read_part, sensor_zero
 from impact_observer.io.live_inputs import first_pulse
@@ -93,6 +93,7 @@ def detect_bag(
     *,
     model: Model | None = None,
     epoch: int = 0,
+    pulses: str | None = None,
     start: float | None = None,
     duration: float | None = None,
     flush: float = FLUSH,
@@ -112,6 +113,8 @@ def detect_bag(
         model: the model of the new bag; None for the model of the bag that is read, if any.
         epoch: stamp of the forcing's ``t = 0``, ns. With 0 the first pulse of a drive is the
             epoch; without a pulse the epoch is unknown.
+        pulses: topic of the index pulses of a drive; they are copied to ``phase_reference`` too.
+            None for ``phase_reference`` itself.
         start: of the part that is read, s after the epoch, or without one after the first message
             of the sensors; None for the beginning of the bag.
         duration: of the part, s; None for all.
@@ -120,7 +123,8 @@ def detect_bag(
         progress: called with the messages read and how many there are.
 
     Raises:
-        UsageError: a source does not fit the bag or the model, or something is at ``output``.
+        UsageError: a source or the pulses do not fit the bag or the model, or something is at
+            ``output``.
         BagError: no impact was found, or a bag cannot be read or written. Then no bag is left.
     """
     types = {topic: info.type for topic, info in reader.topics.items()}
@@ -130,6 +134,8 @@ def detect_bag(
         known = model or model_of(reader)
         check_contacts(known, declared)
     topics = [*dict.fromkeys(source.topic for source in declared)]
+    pulses = None if pulses is None else _checked_pulses(reader, pulses)
+    epoch = epoch or first_pulse(reader, pulses)
     zero = partial(sensor_zero, topics=topics, epoch=epoch)
     part = read_part(
         reader,
@@ -141,7 +147,7 @@ def detect_bag(
     )
     detector = Detector(
         declared,
-        epoch=epoch or first_pulse(reader),
+        epoch=epoch,
         traced=traced,
         joins_late=part is not None and part.is_late,
     )
@@ -149,7 +155,9 @@ def detect_bag(
     result.zero = zero(reader) if traced else None
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
-        _run(reader, writer, detector, copied=copied, progress=progress)
+        if pulses is not None:
+            writer.declare(interfaces.PHASE_REFERENCE.topic)
+        _run(reader, writer, detector, copied=copied, pulses=pulses, progress=progress)
         result.finish(reader.path, detector, known)
     return result
 
@@ -180,6 +188,25 @@ def present(
             f"{path}: {'; '.join(missing)}; topics in it: {', '.join(types) or 'none'}"
         )
     return complete, missing
+
+
+def _checked_pulses(reader: BagReader, topic: str) -> str | None:
+    """The absolute name of the topic of a drive's pulses; None for ``phase_reference`` itself.
+
+    Raises:
+        UsageError: the bag has no such topic, or a type that is none of pulses, or has pulses on
+            ``phase_reference`` too.
+    """
+    name, own = interfaces.absolute(topic), interfaces.PHASE_REFERENCE
+    if name not in reader.topics:
+        raise UsageError(f"pulses: no topic {name}; topics in it: {', '.join(reader.topics)}")
+    if (found := reader.topics[name].type) != own.type:
+        raise UsageError(f"pulses: {name} has {found}; expected {own.type}")
+    if name == own.topic:
+        return None
+    if own.topic in reader.topics:
+        raise UsageError(f"pulses: {name} given, but there is {own.topic}, too; leave one out")
+    return name
 
 
 def check_contacts(model: Model, sources: Sequence[Source]) -> None:
@@ -226,6 +253,7 @@ def _run(
     detector: Detector,
     *,
     copied: set[str],
+    pulses: str | None,
     progress: Callable[[int, int], None],
 ) -> None:
     """Feed the detector with every message of the bag, and write the new bag."""
@@ -244,6 +272,8 @@ def _run(
         write(detector.advance(raw.log_time))
         if raw.topic in copied:
             writer.write_raw(*raw)
+        if raw.topic == pulses:
+            writer.write_raw(*raw._replace(topic=interfaces.PHASE_REFERENCE.topic))
         if raw.topic in topics:
             message = decoders[raw.topic](raw.data)
             for index in indices[raw.topic]:

@@ -130,13 +130,17 @@ def give_efforts(reader: BagReader, live: LiveSignals, topic: str) -> Iterator[s
         yield part_left_out(count, reader.topics[name].count, what, why)
 
 
-def first_pulse(reader: BagReader) -> int:
+def first_pulse(reader: BagReader, topic: str | None = None) -> int:
     """The stamp of the first pulse of a drive in a bag, ns; 0 without a pulse.
+
+    Args:
+        reader: of the bag.
+        topic: of the pulses; None for ``phase_reference``.
 
     Raises:
         BagError: the bag is damaged.
     """
-    topic = reader.find(interfaces.PHASE_REFERENCE)
+    topic = topic or reader.find(interfaces.PHASE_REFERENCE)
     for _, message in () if topic is None else reader.messages(topic):
         with suppress(MessageError):
             return read_pulse(message)

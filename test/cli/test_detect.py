@@ -12,6 +12,7 @@ import pytest
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter, JointState, Quality
+from impact_observer.io.live_inputs import read_pulse
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.io.typestores import typestore
@@ -23,6 +24,7 @@ MS = 1_000_000
 EPOCH = 1_000_000_000
 TYPES = cast("dict[str, Callable[..., object]]", typestore().types)
 BOOL, FLOAT, IMU = "std_msgs/msg/Bool", "std_msgs/msg/Float64", "sensor_msgs/msg/Imu"
+HEADER = "std_msgs/msg/Header"
 
 
 def scalar(type_name: str, value: float) -> object:
@@ -35,7 +37,7 @@ def imu(stamp: int, acceleration: tuple[float, float, float]) -> object:
     zero = np.zeros(9)
     vector = TYPES["geometry_msgs/msg/Vector3"]
     return TYPES[IMU](
-        header=TYPES["std_msgs/msg/Header"](stamp=bag_messages().time(stamp), frame_id=""),
+        header=TYPES[HEADER](stamp=bag_messages().time(stamp), frame_id=""),
         orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
         orientation_covariance=zero,
         angular_velocity=vector(x=0.0, y=0.0, z=0.0),
@@ -288,3 +290,42 @@ def test_times_in_another_unit_and_a_missing_epoch_are_warnings(
         warnings = [each for each in said if each.startswith("warning: ")]
         assert len(warnings) == len(wanted)
         assert all(f"warning: {each}" in warnings[0] for each in wanted)
+
+
+def with_tacho(path: Path) -> Path:
+    """A switch that closes at 3 s, and a tachometer with a pulse at 1.25 s and one at 2.5 s."""
+    recording = Recording()
+    for stamp, closed in ((2000, False), (3000, True), (3010, False), (4000, True)):
+        recording.add("/switch", BOOL, stamp * MS, scalar(BOOL, closed))
+    for stamp in (1250, 2500):
+        recording.add("/tacho", HEADER, stamp * MS, bag_messages().pulse(stamp * MS))
+    return recording.write(path)
+
+
+def test_pulses_of_another_topic_say_the_epoch_and_drive_the_observer(tmp_path: Path) -> None:
+    """The pulses are in the new bag under the name by which observers know pulses."""
+    bag, made = with_tacho(tmp_path / "bag"), tmp_path / "made"
+    given = ["--contact", "stop", "--topic", "/switch", "--model", "two_mass"]
+    assert main(["detect", str(bag), *given, "--pulses", "tacho", "-o", str(made)]) == 0
+    with BagReader(made) as reader:
+        assert {each.epoch for each in events_in(reader)} == {1250 * MS}
+        pulses = [read_pulse(message) for _, message in reader.messages("/phase_reference")]
+    assert pulses == [1250 * MS, 2500 * MS]
+
+
+@pytest.mark.parametrize(
+    ("topic", "said"),
+    [
+        ("/index", "pulses: no topic /index; topics in it: /switch, /tacho"),
+        ("/switch", "pulses: /switch has std_msgs/msg/Bool; expected std_msgs/msg/Header"),
+    ],
+)
+def test_pulses_that_are_none_are_refused(
+    topic: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line says what was found, and no bag is made."""
+    bag, made = with_tacho(tmp_path / "bag"), tmp_path / "made"
+    given = ["--contact", "stop", "--topic", "/switch", "--pulses", topic, "-o", str(made)]
+    assert main(["detect", str(bag), *given]) == 2
+    assert said in capsys.readouterr().err
+    assert not made.exists()

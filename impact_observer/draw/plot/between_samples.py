@@ -3,7 +3,9 @@
 
 Between two neighbours the positions are a cubic with the neighbours' positions and velocities
 (Hermite's). The cubic is off by ``(omega dt)^4 / 384`` of an amplitude: 1 % with four samples a
-period. To an impact between two neighbours the model's motion leads from both sides.
+period. To an impact between two neighbours the model's motion leads from both sides. Where the
+velocity of the cubic would leave the range of its neighbours', as at an impact that no sensor
+reported, the line stays straight.
 """
 
 import numpy as np
@@ -25,8 +27,8 @@ motions are farther apart, the stamp of the impact is wrong, and the line stays 
 _COARSE = 0.3
 """Disagreement of positions and velocities, over the change of velocities, above which the samples
 are too few: some 3 a period."""
-
-
+_JUMP = 2.0
+"""Change of a velocity in an interval, over the usual one, from which it may be a jump."""
 _ELSEWHERE = 4.0
 """Change of velocities in an interval, over that in the one beside with the stamp of a jump, from
 which the jump is in the former."""
@@ -71,9 +73,12 @@ def with_states_between(
     dt = (np.diff(stamps) / NS_PER_S)[:, None]
     count = np.diff(np.searchsorted(jumps, stamps, "right"))
     smooth = (count == 0) & ~_beside_stamps(count, np.linalg.norm(np.diff(u, axis=0), axis=1))
-    off = np.abs(np.diff(q, axis=0) - dt * (u[1:] + u[:-1]) / 2)[smooth]
-    if off.size == 0 or np.sum(off) > _COARSE * np.sum((dt * np.abs(np.diff(u, axis=0)))[smooth]):
+    off = np.abs(np.diff(q, axis=0) - dt * (u[1:] + u[:-1]) / 2)
+    change = np.abs(np.diff(u, axis=0))
+    if not smooth.any() or np.sum(off[smooth]) > _COARSE * np.sum((dt * change)[smooth]):
         return stamps, x
+    largest = np.maximum(change, _JUMP * np.median(change[smooth], axis=0))
+    smooth &= ~np.any(6 * off > dt * largest, axis=1)
     parts = np.arange(1, PARTS)[:, None] / PARTS
     between = (stamps[:-1] + np.round(parts * np.diff(stamps)).astype(np.int64))[:, smooth].ravel()
     cubic = CubicHermiteSpline((stamps - stamps[0]) / NS_PER_S, q, u)

@@ -88,3 +88,19 @@ def test_a_jump_beside_its_stamp_gets_no_peak() -> None:
     assert at.size > 60
     assert states[:, 1].max() <= x[:, 1].max() + 1e-9
     assert states[:, 1].min() >= x[:, 1].min() - 1e-9
+
+
+@pytest.mark.parametrize("share", [0.02, 0.25, 0.5, 0.9])
+def test_an_impact_that_nobody_reported_makes_no_spike(share: float) -> None:
+    """A ball rises from a floor at a ``share`` of an interval: no speed is above its samples'."""
+    fall, g = (3 + share) / 10, 9.81
+    t = np.arange(8) / 10
+    up, since = t >= fall, t - fall
+    speed = 0.8 * g * fall
+    q = np.where(up, speed * since - g / 2 * since**2, g / 2 * (fall**2 - t**2))
+    x = np.column_stack([q, np.where(up, speed - g * since, -g * t)])
+    stamps = (1e9 + 1e8 * np.arange(8)).astype(np.int64)
+    at, states = with_states_between(stamps, x, NO_JUMPS)
+    assert at.size > stamps.size
+    assert np.min(states[:, 1]) >= np.min(x[:, 1]) - 1e-9
+    assert np.max(states[:, 1]) <= np.max(x[:, 1]) + 1e-9
