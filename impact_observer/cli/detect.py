@@ -97,11 +97,13 @@ def run(args: argparse.Namespace) -> int:
     model = None if args.model is None else read_model(args.model)
     with Progress() as progress, all_together():
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
-        each = zip(result.sources, result.counts, result.suppressed, strict=True)
-        for source, counts, suppressed in each:
+        each = zip(result.sources, result.counts, result.suppressed, result.rises, strict=True)
+        for source, counts, suppressed, rise in each:
             what = f"{source.topic}, {source.kind}, dead time {source.dead_time:g} s"
             if suppressed:
                 what += f", {suppressed} suppressed in it"
+            if rise > 0:
+                what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average"
             progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
         if result.part is not None:
             progress.line(f"part: {result.part.words}")

@@ -36,6 +36,7 @@ class BagDetection:
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
         suppressed: how many peaks, changes or messages of each source lay in dead times.
+        rises: mean times from where peaks of each source reached the threshold to their stamps, s.
         traces: signals of the sources, if they were to be kept.
         zero: the time zero of the traces, as of a part; None without them.
         part: the part that was read; None for all.
@@ -49,6 +50,7 @@ class BagDetection:
     rows: int = 0
     seconds: float = 0.0
     suppressed: list[int] = field(default_factory=list)
+    rises: list[float] = field(default_factory=list)
     traces: list[SignalTrace] = field(default_factory=list)
     zero: TimeZero | None = None
     part: BagPart | None = None
@@ -80,6 +82,7 @@ class BagDetection:
             if why := detector.no_impact(k):
                 self.problems.append(f"{source.contact}: {why}")
         self.suppressed = [detector.suppressed(k) for k in range(len(self.sources))]
+        self.rises = [detector.rise(k) for k in range(len(self.sources))]
         self.traces = detector.traces
         if not any(counts.impacts for counts in self.counts):
             why = "; ".join(self.problems + self.doubts)

@@ -173,6 +173,11 @@ class Detector:
         """How many peaks, changes of a switch or messages lay in dead times."""
         return self._sensors[index].dead_times.suppressed
 
+    def rise(self, index: int) -> float:
+        """The mean time from where peaks of a source reached the threshold to their stamps, s."""
+        rises = self._sensors[index].dead_times.rises
+        return seconds_between(0, rises) / max(self.counts[index].impacts, 1)
+
     def left_out(self, index: int) -> list[str]:
         """How many messages of a source were left out, of how many, and why, a line each."""
         source, counts = self.sources[index], self.counts[index]

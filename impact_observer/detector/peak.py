@@ -224,6 +224,7 @@ class PeakSensor(Sensor):
             self.dead_times.turned += 1
             self.dead_times.latest = max(self.dead_times.latest, self._top - onset)
         stamp = onset if self._source.instant == "onset" else self._top
+        self.dead_times.rises += stamp - peak.begin.stamp
         if self.trace is not None:
             self.trace.impacts.append(stamp)
             self.trace.dead.append((self._top, self._dead_until))

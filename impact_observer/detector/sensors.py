@@ -71,6 +71,7 @@ class DeadTimes:
         loud_ends: dead times of peaks at whose end the signal still exceeded the threshold.
         turned: peaks whose top has another sign than their onset.
         latest: largest time from the onset of such a peak to its top, ns.
+        rises: from where peaks reached the threshold to their stamps, ns, added up.
     """
 
     suppressed: int = 0
@@ -78,6 +79,7 @@ class DeadTimes:
     loud_ends: int = 0
     turned: int = 0
     latest: int = 0
+    rises: int = 0
 
     def suppress(self, since: int) -> None:
         """Count one that came ``since`` ns after an impact."""

@@ -56,7 +56,7 @@ def test_peaks_in_the_dead_time_are_counted_and_found_with_a_shorter_one(
     (tmp_path / "long").mkdir()
     assert len(detect(tmp_path / "long")) == 8
     said = capsys.readouterr().out
-    assert "anvil: 8 impacts (/az, peak, dead time 0.02 s, 4 suppressed in it)" in said
+    assert "anvil: 8 impacts (/az, peak, dead time 0.02 s, 4 suppressed in it, stamps" in said
     assert "warning: anvil: 4 peaks higher than the ringing lay in the dead time of 0.02 s" in said
     assert "0.0136 s or more after an impact" in said
     stamps = detect(tmp_path, "--dead-time", "0.008")
