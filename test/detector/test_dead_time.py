@@ -63,7 +63,7 @@ def test_peaks_in_the_dead_time_are_counted_and_found_with_a_shorter_one(
     assert len(stamps) == len(HITS)
     assert np.abs(errors(stamps)).max() < 0.001
     said = capsys.readouterr().out
-    assert "(/az, peak, dead time 0.008 s)" in said
+    assert "(/az, peak, dead time 0.008 s, stamps" in said
     assert "lay in the dead time" not in said
 
 
