@@ -19,6 +19,7 @@ from impact_observer.identify.first_guess import least_gaps_from, state_of_least
 from impact_observer.identify.least_squares import weighed
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.model.free_parameters import is_phase
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector
 
 _SPARE = 6
@@ -27,6 +28,8 @@ _FIRST = 12
 """Least number of impacts of the first fit."""
 _GRID = 64
 """About how many combinations of phases are tried; of a single phase a quarter."""
+_AROUND = {1: 12, 2: 6}
+"""Phases on the circle at which a motion is smoothed, by the number of free phases."""
 _BEST = 4
 """Most of them from which a fit begins."""
 Explains = Callable[[Problem, Solution], bool]
@@ -83,6 +86,19 @@ def stage_of(problem: Problem) -> str:
 def phases_of(problem: Problem) -> list[int]:
     """Indices of the free parameters that are phases."""
     return [k for k, name in enumerate(problem.family.names) if is_phase(name)]
+
+
+def turns_of(family: ParametricFamily) -> Iterator[Vector]:
+    """Changes of the parameters, shape (p,), that turn free phases around the circle; first none.
+
+    Of many phases only no change is given.
+    """
+    free = [k for k, name in enumerate(family.names) if is_phase(name)]
+    steps = np.linspace(0.0, 2 * np.pi, _AROUND.get(len(free), 1), endpoint=False)
+    for change in product(steps, repeat=len(free)):
+        turns = np.zeros(family.size)
+        turns[free] = change
+        yield turns
 
 
 def _starts(problem: Problem) -> Iterator[Vector]:

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product, starmap
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from impact_observer.errors import (
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
 from impact_observer.identify.fit_progress import FitProgress
-from impact_observer.identify.growing import Grown, grown, phases_of, stage_of
+from impact_observer.identify.growing import Grown, grown, phases_of, stage_of, turns_of
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import is_lost, usual_size, weighed
 from impact_observer.identify.other_parameters import (
@@ -334,13 +335,15 @@ class _Search(NamedTuple):
         whole, closings = self.whole, as_closings(self.whole, self.family.system)
         if has_rows(whole, self.family.system):
             begins = (whole, closings) if whole.dead_time else (whole,)
-            if rowed := next(filter(None, map(self._with_rows, begins)), None):
+            tried = starmap(self._with_rows, product(begins, turns_of(self.family)))
+            if rowed := next(filter(None, tried), None):
                 return rowed
         fitted = self._replace(whole=opened(whole)).fit_as_reported()
         is_short = self.is_grown and len(whole.episode.keys) <= _UNDECLARED
         if fitted.identification.converged or whole.dead_time or not is_short:
             return fitted
-        rowed = self._with_rows(closings) if closings.is_debounced else None
+        unturned = np.zeros(self.family.size)
+        rowed = self._with_rows(closings, unturned) if closings.is_debounced else None
         return rowed if rowed and dead_time_of(rowed.identification.recording) else fitted
 
     def fit_as_reported(self) -> _Fitted:
@@ -366,7 +369,7 @@ class _Search(NamedTuple):
         own = replace(fitted.identification, reached=reached if is_part else None)
         return fitted._replace(identification=own)
 
-    def _with_rows(self, recording: Recording) -> _Fitted | None:
+    def _with_rows(self, recording: Recording, turns: Vector) -> _Fitted | None:
         """The fit with the bounces that the sensor does not report; None if it explains nothing.
 
         The search begins without bounces: a contact that closes rests, until it hits again where
@@ -375,25 +378,28 @@ class _Search(NamedTuple):
         self.report.stage("bounces that are not reported")
         try:
             with self.report.at_most(_MOTIONS * self._size):
-                fitted = self._rowed(recording)
+                fitted = self._rowed(recording, turns)
         except (IdentificationError, DynamicsError, ModelError, linalg.LinAlgError):
             return None
         is_one = fitted.identification.recording.rows and self._explains(*fitted[1:])
         return fitted if is_one else None
 
-    def _rowed(self, recording: Recording) -> _Fitted:
+    def _rowed(self, recording: Recording, turns: Vector) -> _Fitted:
         """The fit with the bounces that it makes itself, begun without any, and with given values.
+
+        These are turned by ``turns``, shape (p,), where phases are free.
 
         A contact that does not bounce says nothing of its restitution.
         """
-        given, n2 = replace(self.family, parameters=()), 2 * self.family.system.n
+        n2, begin = 2 * self.family.system.n, self.family.nominal + turns
+        given = ParametricFamily(self.family.system_at(begin), ())
         problem, solution = fit(recording.problem(given))
         if not problem.has_closings and is_lost(problem, solution.shifts, solution.freedom):
             raise IdentificationError(
                 "bounces of a motion that is far from the events say nothing"
             )
         for family in (given, self.family):
-            y = np.concatenate([solution.y[:n2], family.nominal])
+            y = np.concatenate([solution.y[:n2], begin[: family.size]])
             failures = 0
             for _ in range(_ROW_ROUNDS):
                 after = with_rows(recording, problem, solution, self.clock or 0.0)
@@ -554,16 +560,17 @@ class _Search(NamedTuple):
 
         Impacts alone are smoothed first: samples of a sensor take the smoother much longer. A
         filter that allows its parameters much may settle at wrong ones, and then one that allows
-        them less is tried. ``clock`` is the approximate standard deviation of a stamp, s; None if
-        unknown.
+        them less is tried. Phases that are free begin all around the circle. ``clock`` is the
+        approximate standard deviation of a stamp, s; None if unknown.
         """
         if self.family.system.guides:
             return None
         fitted: _Fitted | None = None
         sensed = (self.measurements, self.samples)
-        for beside in (((), ()), sensed) if self.measurements else (sensed,):
-            for share in _SHARES:
-                fitted = self._smoothed_with(*beside, clock, share) or fitted
+        besides = (((), ()), sensed) if self.measurements else (sensed,)
+        for turns, beside in product(turns_of(self.family), besides):
+            for share in _SHARES[:1] if np.any(turns) else _SHARES:
+                fitted = self._smoothed_with(*beside, clock, turns, share) or fitted
                 if fitted and fitted.identification.converged:
                     return fitted
         return fitted
@@ -573,6 +580,7 @@ class _Search(NamedTuple):
         measurements: Sequence[Measurement],
         samples: Sequence[SensorSample],
         clock: float | None,
+        turns: Vector,
         share: float,
     ) -> _Fitted | None:
         """The fit that begins at the motion smoothed from impacts and these samples, if any is."""
@@ -584,6 +592,7 @@ class _Search(NamedTuple):
             self.events,
             clock,
             self._least(self.whole.problem(self.family)),
+            turns=turns,
             share=share,
             trust_events=self.trust_events,
             measurements=measurements,

@@ -68,6 +68,7 @@ def smoothed_start(
     clock: float | None,
     widest: float,
     *,
+    turns: Vector,
     share: float = 1.0,
     trust_events: bool = False,
     measurements: Sequence[Measurement] = (),
@@ -86,6 +87,7 @@ def smoothed_start(
         events: the same events as an observer receives them, and perhaps others.
         clock: standard deviation of a stamp, s, about; None to learn it.
         widest: usual distance of stamps from the motion above which the motion is no start, s.
+        turns: changes of the family's values at which the filter begins, shape (p,).
         share: of the usual deviations, how far each parameter may be from its given value.
         trust_events: whether none is spurious, and none was missed.
         measurements: what sensors measure beside the impacts.
@@ -100,9 +102,9 @@ def smoothed_start(
     own = [each for each in events if (each.stamp, each.sequence) in known]
     learned = tuple(each for each in family.parameters if is_observed(each.name))
     declared = -1.0 if clock is None else min(clock, highest("clock_error"))
-    unknowns = None
+    system, unknowns = family.system_at(family.nominal + turns), None
     if learned:
-        usual = UnknownParameters.of(replace(family, parameters=learned), {})
+        usual = UnknownParameters.of(ParametricFamily(system, learned), {})
         unknowns = replace(usual, covariance=usual.covariance * share**2)
     options = Options(
         clock_error=declared,
@@ -114,7 +116,7 @@ def smoothed_start(
         options = replace(options, missed=0.0, spurious=0.0, mislabelled=0.0)
     smoothed = partial(
         _smoothed,
-        family.system,
+        system,
         options=options,
         measurements=measurements,
         samples=samples,
@@ -135,7 +137,7 @@ def smoothed_start(
     if explained.hits() != as_smoothed:
         return None
     values = {name: value for name, value, _ in motion.parameters}
-    theta = [values.get(each.name, each.value) for each in family.parameters]
+    theta = turns + [values.get(each.name, each.value) for each in family.parameters]
     state = motion.smoothed.first.mean[: 2 * family.system.n]
     return SmoothedStart(explained, np.concatenate([state, theta]))
 

@@ -9,6 +9,7 @@ from impact_observer.events import ImpactEvent, Switch
 from impact_observer.identify import fit_report
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.identification import Identification, identify
+from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.plant import SensorModel, simulate_sensor
 
@@ -94,3 +95,39 @@ def test_one_sensor_of_two_contacts_needs_a_declared_share(clock: float | None) 
     assert not fitted.recording.outliers
     errors = fitted.values - [*RESTITUTIONS, 0.3, 0.25]
     assert np.all(np.abs(errors) < np.minimum(4 * fitted.errors, 0.02))
+
+
+def gears(phase: float, restitution: float) -> Model:
+    """A tooth between two flanks."""
+    return parse_model(
+        f"""
+        name: gears
+        unit: rad
+        bodies: [{{name: tooth, mass: 0.01}}]
+        springs: [{{between: [ground, tooth], stiffness: 0.2, damping: 0.01}}]
+        forces: [{{body: tooth, amplitude: 0.4, frequency: 25, phase: {phase}}}]
+        stops:
+          - {{name: left, body: tooth, limit: -0.05, side: below, restitution: {restitution}}}
+          - {{name: right, body: tooth, limit: 0.05, side: above, restitution: {restitution}}}
+        """,
+        "gears",
+    )
+
+
+@pytest.mark.slow
+def test_one_sensor_of_two_flanks_tells_the_phase_of_the_drive_too() -> None:
+    """Up to half a turn, since the mirrored motion hits the other flank at the same times."""
+    rig = gears(2.0, 0.7).system
+    made = run(rig, [0.0], [0.0], seconds=8.0, rate=1.0)
+    sensor, last = SensorModel(jitter=CLOCK), int(made.stamps[-1])
+    sent = simulate_sensor(sensor, rig, made.switchings, epoch=EPOCH, last=last, seed=1)
+    events = [
+        ImpactEvent(each.event.stamp, (Switch("left"),), each.event.sequence, 1, EPOCH)
+        for each in sent
+    ]
+    family = parametric_family(gears(5.1, 0.5).system, ("forcing-phase", "restitution"))
+    fitted = identify(family, events, clock=CLOCK, mislabelled=0.5)
+    assert check_fit(fitted).fits
+    turned = (fitted.values[0] + 5.1 - 2.0 + np.pi / 2) % np.pi - np.pi / 2
+    assert abs(turned) < 4 * fitted.errors[0] < 0.01
+    assert np.all(np.abs(fitted.values[1:] - 0.7) < 4 * fitted.errors[1:])

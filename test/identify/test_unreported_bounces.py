@@ -48,6 +48,20 @@ def events(hits: list[tuple[int, Kind]], contact: str = "die") -> list[ImpactEve
     ]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [0.3, pytest.param(4.0, marks=pytest.mark.long)])
+def test_rows_of_bounces_tell_the_phase_of_the_drive_too(phase: float) -> None:
+    """The model's drive is ahead of the press's by up to most of a turn."""
+    reported = first_edges(hits_of(press(), -0.2, 10.0))
+    free, guess = ("forcing-phase", "restitution"), press(restitution=0.35).system
+    begin = parametric_family(guess, free[:1]).system_at(np.array([phase]))
+    fitted = identify(parametric_family(begin, free), events(reported), clock=CLOCK)
+    assert check_fit(fitted).fits
+    error = (fitted.values[0] + phase + np.pi) % (2 * np.pi) - np.pi
+    assert abs(error) < 4 * fitted.errors[0] < 0.001
+    assert abs(fitted.values[1] - 0.3) < 4 * fitted.errors[1] < 0.01
+
+
 @pytest.mark.parametrize("opens", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_rows_of_bounces_inside_a_closed_contact_tell_its_restitution(
     opens: bool, capsys: pytest.CaptureFixture[str]
