@@ -88,7 +88,9 @@ def run(args: argparse.Namespace) -> int:
         for line in (*measured.problems, *unused_lines(observer), *odd):
             progress.line(f"warning: {line}")
         noted = [f"note: {assumed.note}"] * bool(assumed.note)
-        for line in (*noted, *considered_lines(read, observer.law.uncertainty.unknowns)):
+        exact = exact_torques(read) if observer.law.has_covariance else ()
+        considered = considered_lines(read, observer.law.uncertainty.unknowns)
+        for line in (*noted, *considered, *exact):
             progress.line(line)
 
         def show(done: int, total: int) -> None:
@@ -197,6 +199,15 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
         names = not_considered(model.uncertainty)
     if names:
         yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
+
+
+def exact_torques(model: "Model") -> "Iterator[str]":
+    """The warning that an observer with deviations takes the torques of a robot for exact."""
+    if model.robot is not None and not model.robot.torque_deviation.any():
+        yield (
+            "warning: torque_deviation is zero in the model: its torques and efforts count as"
+            " exact, so deviations are too small; give one, as both err"
+        )
 
 
 def odd_lines(

@@ -33,7 +33,7 @@ from impact_observer.states import Vector
 
 _CROWDED = 0.1
 """Share of hits that follow another at once from which on no fit can begin at the stamps."""
-_BEGINNING = 32
+_BEGINNING = 12
 """Events that are smoothed first; then half as many more each time, if a motion explains them."""
 
 

@@ -3,6 +3,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -282,3 +283,25 @@ def test_observe_and_compare_the_sample_by_command(
     (found,) = json.loads(capsys.readouterr().out).values()
     assert found["velocity_after_hits"] < 0.12
     assert main(["plot", output, "-o", str(tmp_path / "picture.png")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("law", "warns"), [("minimum-variance", True), ("measured-position", False)]
+)
+def test_torques_that_count_as_exact_are_said_where_deviations_are_published(
+    law: str, warns: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a model without ``torque_deviation``."""
+    config = Path(__file__).parents[2] / "config"
+    lines = (config / "hammer_arm.yaml").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith("torque_deviation")]
+    assert len(kept) == len(lines) - 1
+    model = tmp_path / "arm.yaml"
+    model.write_text("\n".join(kept), encoding="utf-8")
+    shutil.copy(config / "hammer_arm.urdf", tmp_path)
+    bag, given = config.parent / "bags" / "hammer_arm", ["--duration", "1.2", "-o"]
+    said = ["observe", str(bag), "--law", law, "--model", str(model)]
+    said += ["--measurements", "hammer_arm", *given, str(tmp_path / "estimates")]
+    assert main(said) == 0
+    warning = "torque_deviation is zero in the model: its torques and efforts count as exact"
+    assert (warning in capsys.readouterr().out) == warns
