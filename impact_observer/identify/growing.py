@@ -78,38 +78,38 @@ def first_of(problem: Problem, count: int) -> Problem:
 
 def stage_of(problem: Problem) -> str:
     """What ``grown`` tries, in words."""
-    names = [problem.family.names[k] for k in phases_of(problem)]
+    names = [problem.family.names[k] for k in phases_of(problem.family)]
     around = f", {' and '.join(names)} around the circle" if names else ""
     return f"more and more impacts{around}"
 
 
-def phases_of(problem: Problem) -> list[int]:
+def phases_of(family: ParametricFamily) -> list[int]:
     """Indices of the free parameters that are phases."""
-    return [k for k, name in enumerate(problem.family.names) if is_phase(name)]
+    return [k for k, name in enumerate(family.names) if is_phase(name)]
 
 
-def turns_of(family: ParametricFamily) -> Iterator[Vector]:
-    """Changes of the parameters, shape (p,), that turn free phases around the circle; first none.
+def phase_changes(family: ParametricFamily, count: int | None = None) -> Iterator[Vector]:
+    """Changes of the parameters, shape (p,), that put phases all around the circle; first none.
 
-    Of many phases only no change is given.
+    Each free phase has ``count`` places; None for as many as motions are smoothed at, which of
+    three phases and more is one.
     """
-    free = [k for k, name in enumerate(family.names) if is_phase(name)]
-    steps = np.linspace(0.0, 2 * np.pi, _AROUND.get(len(free), 1), endpoint=False)
-    for change in product(steps, repeat=len(free)):
-        turns = np.zeros(family.size)
-        turns[free] = change
-        yield turns
+    free = phases_of(family)
+    places = _AROUND.get(len(free), 1) if count is None else count
+    steps = np.linspace(0.0, 2 * np.pi, places, endpoint=False)
+    for each in product(steps, repeat=len(free)):
+        change = np.zeros(family.size)
+        change[free] = each
+        yield change
 
 
 def _starts(problem: Problem) -> Iterator[Vector]:
     """Initial states and parameters, shape (2n + p,) each, those first whose gaps are least."""
-    n2, free, nominal = 2 * problem.family.system.n, phases_of(problem), problem.family.nominal
-    count = _GRID // 4 if len(free) == 1 else max(round(_GRID ** (1 / max(len(free), 1))), 2)
-    turns = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
+    family, free = problem.family, len(phases_of(problem.family))
+    count = _GRID // 4 if free == 1 else max(round(_GRID ** (1 / max(free, 1))), 2)
     rows = list[tuple[float, int, Vector]]()
-    for change in product(turns, repeat=len(free)):
-        y = np.concatenate([np.zeros(n2), nominal])
-        y[[n2 + k for k in free]] += change
+    for change in phase_changes(family, count):
+        y = np.concatenate([np.zeros(2 * family.system.n), family.nominal + change])
         y, left = state_of_least_gaps(problem, y)
         rows.append((left if np.isfinite(left) else inf, len(rows), y))
     yield from (y for _, _, y in sorted(rows)[:_BEST])

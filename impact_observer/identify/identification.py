@@ -21,7 +21,7 @@ from impact_observer.errors import (
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
 from impact_observer.identify.fit_progress import FitProgress
-from impact_observer.identify.growing import Grown, grown, phases_of, stage_of, turns_of
+from impact_observer.identify.growing import Grown, grown, phase_changes, phases_of, stage_of
 from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import is_lost, usual_size, weighed
 from impact_observer.identify.other_parameters import (
@@ -299,7 +299,7 @@ class _Search(NamedTuple):
     """The input of ``identify``, and the ways to a fit.
 
     ``whole`` has all events accepted; ``is_grown`` says whether fits of more and more impacts are
-    tried where others fail.
+    tried where others fail, and ``is_smoothed`` whether the smoothed motion is tried no more.
     """
 
     family: ParametricFamily
@@ -311,39 +311,40 @@ class _Search(NamedTuple):
     samples: Sequence[SensorSample]
     report: FitProgress
     is_grown: bool = True
+    is_smoothed: bool = False
 
     def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
         if not self._is_often_mislabelled:
-            is_near = self.clock is not None and is_crowded(self.whole, self.clock)
-            smoothed = self._smoothed(self.clock) if self.clock is not None and is_near else None
-            return smoothed or self._from_events()
+            if self.clock is None or not is_crowded(self.whole, self.clock):
+                return self.fit_from_events()
+            return self._smoothed(self.clock) or self._replace(is_smoothed=True).fit_from_events()
         interval = self.whole.problem(self.family).interval
         smoothed = self._smoothed(_SUSPICIOUS * interval if self.clock is None else self.clock)
         if smoothed and smoothed.identification.converged:
             return smoothed
         try:
-            fitted = self._from_events()
+            fitted = self._replace(is_smoothed=self.clock is not None).fit_from_events()
         except IdentificationError:  # of contacts that no event names, for example
             if smoothed is None:
                 raise
             return smoothed
         return fitted if fitted.identification.converged else smoothed or fitted
 
-    def _from_events(self) -> _Fitted:
+    def fit_from_events(self) -> _Fitted:
         """The fit that begins at the events, by the first way that leads to one."""
         whole, closings = self.whole, as_closings(self.whole, self.family.system)
         if has_rows(whole, self.family.system):
             begins = (whole, closings) if whole.dead_time else (whole,)
-            tried = starmap(self._with_rows, product(begins, turns_of(self.family)))
+            tried = starmap(self._with_rows, product(begins, phase_changes(self.family)))
             if rowed := next(filter(None, tried), None):
                 return rowed
         fitted = self._replace(whole=opened(whole)).fit_as_reported()
         is_short = self.is_grown and len(whole.episode.keys) <= _UNDECLARED
         if fitted.identification.converged or whole.dead_time or not is_short:
             return fitted
-        unturned = np.zeros(self.family.size)
-        rowed = self._with_rows(closings, unturned) if closings.is_debounced else None
+        unchanged = np.zeros(self.family.size)
+        rowed = self._with_rows(closings, unchanged) if closings.is_debounced else None
         return rowed if rowed and dead_time_of(rowed.identification.recording) else fitted
 
     def fit_as_reported(self) -> _Fitted:
@@ -356,7 +357,7 @@ class _Search(NamedTuple):
         if self._explains(problem, solution) or (self.trust_events and first.converged):
             return plain
         reached: Grown | None = None
-        if turns := bool(phases_of(problem)):  # a fit half a turn off rejects what is right
+        if turns := bool(phases_of(self.family)):  # a fit half a turn off rejects what is right
             reached, begun = self._grown(problem)
             if begun is not None:
                 return begun
@@ -369,7 +370,7 @@ class _Search(NamedTuple):
         own = replace(fitted.identification, reached=reached if is_part else None)
         return fitted._replace(identification=own)
 
-    def _with_rows(self, recording: Recording, turns: Vector) -> _Fitted | None:
+    def _with_rows(self, recording: Recording, change: Vector) -> _Fitted | None:
         """The fit with the bounces that the sensor does not report; None if it explains nothing.
 
         The search begins without bounces: a contact that closes rests, until it hits again where
@@ -378,20 +379,20 @@ class _Search(NamedTuple):
         self.report.stage("bounces that are not reported")
         try:
             with self.report.at_most(_MOTIONS * self._size):
-                fitted = self._rowed(recording, turns)
+                fitted = self._rowed(recording, change)
         except (IdentificationError, DynamicsError, ModelError, linalg.LinAlgError):
             return None
         is_one = fitted.identification.recording.rows and self._explains(*fitted[1:])
         return fitted if is_one else None
 
-    def _rowed(self, recording: Recording, turns: Vector) -> _Fitted:
+    def _rowed(self, recording: Recording, change: Vector) -> _Fitted:
         """The fit with the bounces that it makes itself, begun without any, and with given values.
 
-        These are turned by ``turns``, shape (p,), where phases are free.
+        The given values and ``change``, shape (p,), are added.
 
         A contact that does not bounce says nothing of its restitution.
         """
-        n2, begin = 2 * self.family.system.n, self.family.nominal + turns
+        n2, begin = 2 * self.family.system.n, self.family.nominal + change
         given = ParametricFamily(self.family.system_at(begin), ())
         problem, solution = fit(recording.problem(given))
         if not problem.has_closings and is_lost(problem, solution.shifts, solution.freedom):
@@ -428,7 +429,7 @@ class _Search(NamedTuple):
 
     def _searched(self, plain: _Fitted) -> _Fitted:
         """The fit that a search for outliers finds, after a ``plain`` one of all impacts."""
-        smoothed = self._smoothed(self.clock)
+        smoothed = None if self.is_smoothed else self._smoothed(self.clock)
         if smoothed and smoothed.identification.converged:
             return smoothed
         with self.report.at_most(_MOTIONS * self._size):
@@ -568,9 +569,9 @@ class _Search(NamedTuple):
         fitted: _Fitted | None = None
         sensed = (self.measurements, self.samples)
         besides = (((), ()), sensed) if self.measurements else (sensed,)
-        for turns, beside in product(turns_of(self.family), besides):
-            for share in _SHARES[:1] if np.any(turns) else _SHARES:
-                fitted = self._smoothed_with(*beside, clock, turns, share) or fitted
+        for change, beside in product(phase_changes(self.family), besides):
+            for share in _SHARES[:1] if np.any(change) else _SHARES:
+                fitted = self._smoothed_with(*beside, clock, change, share) or fitted
                 if fitted and fitted.identification.converged:
                     return fitted
         return fitted
@@ -580,19 +581,18 @@ class _Search(NamedTuple):
         measurements: Sequence[Measurement],
         samples: Sequence[SensorSample],
         clock: float | None,
-        turns: Vector,
+        change: Vector,
         share: float,
     ) -> _Fitted | None:
         """The fit that begins at the motion smoothed from impacts and these samples, if any is."""
-        what = "smoothed motion"
-        self.report.stage(what)
+        self.report.stage("smoothed motion")
         start = smoothed_start(
             self.family,
             self.whole,
             self.events,
             clock,
             self._least(self.whole.problem(self.family)),
-            turns=turns,
+            change=change,
             share=share,
             trust_events=self.trust_events,
             measurements=measurements,
@@ -601,7 +601,6 @@ class _Search(NamedTuple):
         )
         if start is None:
             return None
-        self.report.stage(what)
         try:
             recording, y = start
             problem, solution = gated(*fit(recording.problem(self.family), y))
@@ -612,7 +611,7 @@ class _Search(NamedTuple):
                 )
                 problem, solution = gated(problem, solution)
         except (IdentificationError, DynamicsError):
-            return None  # too few impacts are left, or the motion goes astray
+            return None  # too few impacts are left, or the motion has no solution
         identification = _identification(recording, problem, solution, self.clock)
         identification = replace(
             identification, doubted=recording.outliers, accepted=identification.rms

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The start of a fit to a recording of bounces that settle: the smoothed motion.
+"""The start of a fit where a fit of all impacts as reported explains nothing: the smoothed motion.
 
-In bounces that settle, flights are as short as the stamps are wrong. A motion that is switched at
-such stamps is far from any that explains the stamps: their order is wrong, and Gauss-Newton steps
-from this motion fail. A filter takes one impact after the other, knows which were missed, and
-finds parameters, state and instants on its way; smoothed, these are a start from which
-the fit takes a few steps.
+With parameters that are wrong and impacts that were missed, a search for outliers rejects right
+impacts. In bounces that settle, flights are as short as the stamps are wrong: the order of stamps
+is wrong, and Gauss-Newton steps from a motion that is switched at such stamps fail. A filter takes
+one impact after the other, finds missed detections and false positives, parameters, state and
+instants on its way; smoothed, these are a start from which the fit takes a few steps.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,6 @@ from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.recorded_impacts import Hit, Recording
-from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
@@ -68,7 +66,7 @@ def smoothed_start(
     clock: float | None,
     widest: float,
     *,
-    turns: Vector,
+    change: Vector,
     share: float = 1.0,
     trust_events: bool = False,
     measurements: Sequence[Measurement] = (),
@@ -80,14 +78,13 @@ def smoothed_start(
     More and more events are smoothed, since to smooth events that no motion explains takes a
     hundred times as long as to smooth others.
 
-
     Args:
         family: the system and its free parameters.
         recording: its events, none rejected or inserted.
         events: the same events as an observer receives them, and perhaps others.
         clock: standard deviation of a stamp, s, about; None to learn it.
         widest: usual distance of stamps from the motion above which the motion is no start, s.
-        turns: changes of the family's values at which the filter begins, shape (p,).
+        change: of the family's values, at which the filter begins, shape (p,).
         share: of the usual deviations, how far each parameter may be from its given value.
         trust_events: whether none is spurious, and none was missed.
         measurements: what sensors measure beside the impacts.
@@ -102,7 +99,7 @@ def smoothed_start(
     own = [each for each in events if (each.stamp, each.sequence) in known]
     learned = tuple(each for each in family.parameters if is_observed(each.name))
     declared = -1.0 if clock is None else min(clock, highest("clock_error"))
-    system, unknowns = family.system_at(family.nominal + turns), None
+    system, unknowns = family.system_at(family.nominal + change), None
     if learned:
         usual = UnknownParameters.of(ParametricFamily(system, learned), {})
         unknowns = replace(usual, covariance=usual.covariance * share**2)
@@ -114,22 +111,32 @@ def smoothed_start(
     )
     if trust_events:
         options = replace(options, missed=0.0, spurious=0.0, mislabelled=0.0)
-    smoothed = partial(
-        _smoothed,
-        system,
-        options=options,
-        measurements=measurements,
-        samples=samples,
-        report=report,
-        unknowns=unknowns,
-    )
+
+    def smoothed(count: int) -> SmoothedMotion | None:
+        """The smoothed motion of the first events, if there is one."""
+        first = own[:count]
+        try:
+            *_, motion = smoothed_runs(
+                system,
+                first,
+                options,
+                measurements=measurements,
+                samples=[each for each in samples if each.stamp <= first[-1].stamp],
+                progress=lambda what, done, total: report(f"{what} {done} of {total}"),
+                unknowns=unknowns,
+                thorough=False,
+            )
+        except (BagError, DynamicsError):
+            return None
+        return motion
+
     count = min(_BEGINNING, len(own))
-    motion = smoothed(own[:count])
+    motion = smoothed(count)
     while motion is not None and count < len(own):
         if _shift_of(motion) > widest:
             return None
         count = min(count + count // 2, len(own))
-        motion = smoothed(own[:count])
+        motion = smoothed(count)
     if motion is None:
         return None
     explained = _recording(recording, motion, family)
@@ -137,36 +144,9 @@ def smoothed_start(
     if explained.hits() != as_smoothed:
         return None
     values = {name: value for name, value, _ in motion.parameters}
-    theta = turns + [values.get(each.name, each.value) for each in family.parameters]
+    theta = change + [values.get(each.name, each.value) for each in family.parameters]
     state = motion.smoothed.first.mean[: 2 * family.system.n]
     return SmoothedStart(explained, np.concatenate([state, theta]))
-
-
-def _smoothed(
-    system: System,
-    events: Sequence[ImpactEvent],
-    *,
-    options: Options,
-    measurements: Sequence[Measurement],
-    samples: Sequence[SensorSample],
-    report: Callable[[str], None],
-    unknowns: UnknownParameters | None,
-) -> SmoothedMotion | None:
-    """The smoothed motion of events, with the samples until the last of them, if there is one."""
-    try:
-        *_, motion = smoothed_runs(
-            system,
-            events,
-            options,
-            measurements=measurements,
-            samples=[each for each in samples if each.stamp <= events[-1].stamp],
-            progress=lambda what, done, total: report(f"{what} {done} of {total}"),
-            unknowns=unknowns,
-            thorough=False,
-        )
-    except (BagError, DynamicsError):
-        return None
-    return motion
 
 
 def _shift_of(motion: SmoothedMotion) -> float:

@@ -83,7 +83,7 @@ def smoothed_runs(
         progress: see ``Progress``.
         give: gives an observer the recorded samples of live inputs.
         unknowns: uncertain parameters; None for those of options and model.
-        thorough: whether other accounts are tried if the motion explains all events.
+        thorough: whether other accounts of the events than the filter's are tried.
 
     Raises:
         UsageError: an option cannot be used.
@@ -226,13 +226,12 @@ class _Run:
 
         The filter's first decisions are uncertain. So other accounts of the first events are
         tried, until no account is likelier: all events as reported, accounts by ``Retracing``, and
-        accounts of filters that begin about the smoothed start. Unless ``thorough``, they are
-        tried only if the motion does not explain all events.
+        accounts of filters that begin about the smoothed start. Unless ``thorough``, none of
+        these is tried.
         """
         few = self._events[:_SEARCHED]
         best = self._tried(few)
-        is_open = thorough
-        is_open = is_open and not isinstance(best.law.system, Robot)  # encoders tell the state
+        is_open = thorough and not isinstance(best.law.system, Robot)  # encoders tell the state
         if is_open and not best.law.uncertainty.trusts_events:
             best = self._searched(best, few)
         doubt = _doubt(best, self._trials)

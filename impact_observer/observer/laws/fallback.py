@@ -175,7 +175,7 @@ def combined(
     return np.hstack(columns)
 
 
-def doubted(by_filter: Part, by_wide: Part) -> Matrix:
+def doubted_root(by_filter: Part, by_wide: Part) -> Matrix:
     """A root of the covariance about the filter's estimate, where the model is doubted.
 
     Args:
@@ -197,7 +197,7 @@ class DoubtedPrediction(Prediction):
         return self._by_filter.state(s)
 
     def root(self, s: float) -> Matrix:
-        return doubted(_part(self._by_filter, s), _part(self._by_wide, s))
+        return doubted_root(_part(self._by_filter, s), _part(self._by_wide, s))
 
     def closed(self, s: float) -> Contacts | None:
         return self._by_filter.closed(s)

@@ -48,7 +48,7 @@ from impact_observer.observer.laws.fallback import (
     DoubtedPrediction,
     MisfitPrediction,
     combined,
-    doubted,
+    doubted_root,
     nearest,
     replica_of,
 )
@@ -426,7 +426,7 @@ class MinimumVariance(Law):
             root = combined(fit, (best.state.x, root), fallback, part, wide, explained=explained)
         elif account is not None:
             far = self._accounts.wide.estimate(account.wide)
-            root = doubted((best.state.x, root), (far.x, far.root[:size]))
+            root = doubted_root((best.state.x, root), (far.x, far.root[:size]))
         if change:
             notes = best.ledger.notes_on((change.stamp, change.sequence))
         return Belief(
