@@ -53,7 +53,7 @@ _SENSORS = {
     "std_msgs/msg/Float64": ("a force or another signal", " --field data --threshold N"),
     "std_msgs/msg/Float32": ("a force or another signal", " --field data --threshold N"),
     "std_msgs/msg/Empty": ("a message a hit", ""),
-    "std_msgs/msg/Header": ("a message a hit", ""),
+    "std_msgs/msg/Header": ("a message a hit, or a turn of a drive (detect --pulses)", ""),
 }
 """Message types that ``detect`` reads: the kind of sensor, and the options of ``detect``."""
 
@@ -238,7 +238,11 @@ class BagCheck:
         if any(interfaces.IMPACTS.fits(topic) for topic in topics):
             return
         others = [t for t, info in topics.items() if info.type == interfaces.IMPACT_EVENT]
-        sensors = [info for info in topics.values() if info.type in _SENSORS]
+        sensors = [
+            info
+            for info in topics.values()
+            if info.type in _SENSORS and not interfaces.PHASE_REFERENCE.fits(info.name)
+        ]
         remedy = "a table of impact times becomes a bag with `impact-observer import CSV -o BAG`"
         if others:
             remedy = f"play the bag with {others[0]} as /impacts, and record that"

@@ -157,6 +157,8 @@ def _remarks(
 ) -> "Iterator[str]":
     """Remarks on a run of a system over ``seconds``, of which a sensor reports ``events``."""
     from impact_observer.check.hit_times import HitTimes, settling
+    from impact_observer.model import System
+    from impact_observer.model.system import unit_of
     from impact_observer.robots.robot import held_joints
 
     if line := system.held_force(seconds):
@@ -167,7 +169,8 @@ def _remarks(
         yield f"note: {line}"
     if not run.switchings and system.m:
         gap, contact = run.nearest(system)
-        yield f"note: no contact closed: smallest gap {gap:.3g} m, at {contact}"
+        unit = unit_of("m", system.unit) if isinstance(system, System) else "m"
+        yield f"note: no contact closed: smallest gap {gap:.3g} {unit}, at {contact}"
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:

@@ -14,6 +14,7 @@ from scipy import linalg, optimize
 
 from impact_observer.identify.problem import LEAST, Problem
 from impact_observer.identify.shooting import Shot
+from impact_observer.model.system import unit_of
 from impact_observer.states import Matrix, Vector
 
 RANK = 1e-9
@@ -134,13 +135,13 @@ def _least_gaps(
     # The solver asks for residuals and derivatives at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)
     usual, moved = float(np.median(np.abs(begin.gaps))), problem.moved(begin)
-    trials = count(1)
+    trials, unit = count(1), unit_of("m", family.system.unit)
 
     @lru_cache(1)
     def made(y: bytes) -> tuple[Vector, Matrix]:
         gaps, by_start = problem.gaps_of(problem.shot(np.frombuffer(y), stamps), moved)
         size = float(np.sqrt(np.mean(gaps**2)))
-        problem.report(f"first guess {next(trials)} of at most {tries}, gaps {size:.2g} m")
+        problem.report(f"first guess {next(trials)} of at most {tries}, gaps {size:.2g} {unit}")
         return gaps, by_start
 
     minimum = optimize.least_squares(

@@ -86,6 +86,7 @@ def remarks(observed: Observability) -> Iterator[ReportLine]:
 
 def _verdict(observed: Observability) -> Iterator[ReportLine]:
     complete, singular = observed.complete, observed.singular[-1]
+    unit = unit_of("m", observed.system.unit)
     if complete is not None:
         yield ReportLine(
             "ok",
@@ -95,7 +96,7 @@ def _verdict(observed: Observability) -> Iterator[ReportLine]:
         yield ReportLine(
             "note",
             f"Least known: {combination(observed, observed.weakest)}. A start that is wrong by"
-            f" that moves the recorded gaps by {singular[-1]:.2g} m in all,"
+            f" that moves the recorded gaps by {singular[-1]:.2g} {unit} in all,"
             f" {observed.condition[-1]:.3g} times less than the best known one.",
         )
         return

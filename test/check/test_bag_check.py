@@ -65,6 +65,16 @@ def test_no_impacts_names_the_sensors_and_the_command() -> None:
     ]
 
 
+def test_no_impacts_tells_the_pulse_of_a_drive_from_a_sensor() -> None:
+    """The topic phase_reference is never a contact; another header may be a turn of a drive."""
+    header = "std_msgs/msg/Header"
+    write(None, types={"/phase_reference": header, "/tacho": header})
+    said = "\n".join(lines(usable=False))
+    assert "note /phase_reference" not in said
+    assert f"note /tacho: {header} looks like a message a hit, or a turn of a drive" in said
+    assert "detect --pulses" in said
+
+
 def test_no_impacts_and_no_sensors_names_import() -> None:
     """A table of times will do."""
     write(None)
