@@ -170,6 +170,17 @@ def _at(q: Vector, robot: Robot) -> tuple[list[float], list[float]]:
         return robot.gaps(q).tolist(), (1.0 / robot.mobility(q)).tolist()
 
 
+def _torques(robot: Robot) -> Iterator[tuple[str, str]]:
+    """Kinds and texts of remarks on torques that an observer does not know."""
+    description, forcing = robot.description, robot.forcing
+    if doubt := description.unknown_torques:
+        driven = forcing.depends_on_time or forcing.constant.any()
+        is_sure = driven and description.forces is None
+        yield "warning" if is_sure else "note", f"{doubt[0].upper()}{doubt[1:]}."
+    if default := description.default_deviation:
+        yield "note", f"{default[0].upper()}{default[1:]}."
+
+
 def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:
     """Kinds and texts of remarks."""
     robot, description = checked.robot, checked.description
@@ -188,15 +199,7 @@ def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:
         limits = f"The URDF has limits of {listed(limited)}, which the model does not use"
         yield "note", f"{limits}: give a contact where the robot hits one."
     yield from inertia_remarks(robot, checked.position)
-    driven = robot.forcing.depends_on_time or robot.forcing.constant.any()
-    if driven and description.forces is None:
-        unseen = (
-            "forcing drives the plant, but without forces an observer takes all torques for zero"
-        )
-        yield "warning", f"{unseen}: give forces: {{topic: /joint_states, field: effort}}."
-    if not robot.torque_deviation.any():
-        exact = "torque_deviation is zero, so an observer takes model and efforts for exact"
-        yield "note", f"{exact}: give one, as both err."
+    yield from _torques(robot)
     known = [math.isfinite(speed) and speed > 0 for speed in robot.fastest.tolist()]
     if slow := [
         name for name, is_known in zip(robot.coordinates, known, strict=True) if not is_known

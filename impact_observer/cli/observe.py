@@ -88,9 +88,9 @@ def run(args: argparse.Namespace) -> int:
         for line in (*measured.problems, *unused_lines(observer), *odd):
             progress.line(f"warning: {line}")
         noted = [f"note: {assumed.note}"] * bool(assumed.note)
-        exact = exact_torques(read) if observer.law.has_covariance else ()
+        torques = torque_lines(read) if observer.law.has_covariance else ()
         considered = considered_lines(read, observer.law.uncertainty.unknowns)
-        for line in (*noted, *considered, *exact):
+        for line in (*noted, *considered, *torques):
             progress.line(line)
 
         def show(done: int, total: int) -> None:
@@ -201,13 +201,13 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
         yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
 
 
-def exact_torques(model: "Model") -> "Iterator[str]":
-    """The warning that an observer with deviations takes the torques of a robot for exact."""
-    if model.robot is not None and not model.robot.torque_deviation.any():
-        yield (
-            "warning: torque_deviation is zero in the model: its torques and efforts count as"
-            " exact, so deviations are too small; give one, as both err"
-        )
+def torque_lines(model: "Model") -> "Iterator[str]":
+    """Lines on the torques of a robot that an observer does not know, or not from the model."""
+    if (robot := model.robot) is not None:
+        if doubt := robot.unknown_torques:
+            yield f"warning: {doubt}"
+        if default := robot.default_deviation:
+            yield f"note: {default}"
 
 
 def odd_lines(
@@ -269,6 +269,8 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
             line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
             if declared is not None:
                 line += f", much larger than the declared {declared:g} {unit}"
+                if observer.robot is not None:
+                    line = f"warning: {line}: {observer.robot.description.larger_errors}"
         yield line
 
 

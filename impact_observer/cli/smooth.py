@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.check.hit_times import doubts, first_times
-    from impact_observer.cli.observe import considered_lines, exact_torques, fitted_lines
+    from impact_observer.cli.observe import considered_lines, fitted_lines, torque_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.reports import figure
     from impact_observer.io.bag_part import read_impacts_part
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         for line in doubts(args.bag, times, read.subject, has_covariance=True):
             progress.line(f"warning: {line}")
         law = make_observer(read, chosen, measurements=sensors).law
-        for line in (*considered_lines(read, law.uncertainty.unknowns), *exact_torques(read)):
+        for line in (*considered_lines(read, law.uncertainty.unknowns), *torque_lines(read)):
             progress.line(line)
         smoothed = smooth_bag(
             reader,

@@ -91,7 +91,7 @@ class ImpactFilter:
         """
         self.system: System = system  # type: ignore[assignment]
         if isinstance(system, Robot):
-            model_error = float(system.torque_deviation.any())
+            model_error = float(system.has_white_torques)
         unknowns = unknowns or UnknownParameters(family_of(system), np.empty((0, 0)))
         self._unknowns = unknowns
         self.members = members_of(unknowns.family, unknowns.considered)

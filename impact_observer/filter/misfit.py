@@ -16,11 +16,17 @@ import numpy as np
 
 from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import TINY
+from impact_observer.model import System
+from impact_observer.robots.robot import Robot
 from impact_observer.states import Vector
 
 MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
     " not the plant's, or the stamps are late or drift; see docs/misfit.md"
+)
+ROBOT_MISFIT = (
+    "the model does not explain the impacts: {}, or restitution or planes are not the"
+    " robot's, or the stamps are late or drift; see docs/misfit.md"
 )
 CONTRADICTION = (
     "an impact came {:.3g} standard deviations or more from its prediction, which the declared"
@@ -240,10 +246,11 @@ class Fit(NamedTuple):
         n, fewest = len(self.innovations), TUNING.fewest
         return f"{n} of {fewest} innovations" if self.by_clock and n < fewest else ""
 
-    def message(self, account: str = "") -> str:
+    def message(self, account: str = "", misfit: str = MISFIT) -> str:
         """The warning of a misfit; empty while the model fits.
 
-        ``account`` is what explains the impacts instead, if that is published.
+        ``account`` is what explains the impacts instead, if that is published, and ``misfit`` the
+        warning of a model that does not fit.
         """
         if not self.is_misfit:
             return STEP.format(self.step) if self.step else ""
@@ -251,7 +258,7 @@ class Fit(NamedTuple):
             return JUMPS
         if (far := max(self.contradictions, default=0.0)) and not account:
             return CONTRADICTION.format(far)
-        return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))
+        return misfit + (account or (_BY_REPLICA if self.prefers_replica else ""))
 
     @property
     def is_compared(self) -> bool:
@@ -295,6 +302,13 @@ class Fit(NamedTuple):
         """The ``latest`` residuals as root sums of squares, each positive."""
         each = zip(*self.residuals[-latest:], strict=True)
         return tuple(math.hypot(TINY, *some) for some in each)
+
+
+def misfit_of(system: System | Robot) -> str:
+    """The warning that the model of a ``system`` does not explain the impacts."""
+    if isinstance(system, Robot):
+        return ROBOT_MISFIT.format(system.description.larger_errors)
+    return MISFIT
 
 
 def _judged(fit: Fit) -> Fit:

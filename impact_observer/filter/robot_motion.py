@@ -50,6 +50,7 @@ class _MotionStep:
     ) -> None:
         """From ``x`` at ``t``, s since the epoch, ``h`` seconds on."""
         self._moving, self._closed, self.before, self.seconds = moving, closed, x, h
+        self._t = t
         self._tau, slope = moving.torques(t, t + h)
         self.after = moving.system.advanced(x, self._tau, h, closed, slope)
 
@@ -88,7 +89,7 @@ class _MotionStep:
     def noise(self) -> Matrix:
         """A root of the covariance of what white torques add, shape (2n, 2n)."""
         n, h = self.before.size // 2, self.seconds
-        inverse = self.faded @ self.kicks * self._moving.system.torque_deviation
+        inverse = self.faded @ self.kicks * self._moving.system.white_torques(self._t)
         added = np.zeros((2 * n, 2 * n))
         added[:n, :n] = h**1.5 / 2 * inverse
         added[:n, n:] = h**1.5 / math.sqrt(12) * inverse
@@ -244,7 +245,7 @@ class RobotMotion(MovingSystem):
         self.longest_step = self.first_window = _LONGEST_STEP * self.scales.timescale
         self.unit = frozen(np.eye(2 * robot.n))
         self.nothing = frozen(np.zeros((2 * robot.n, 2 * robot.n)))
-        self._noisy = bool(robot.torque_deviation.any())
+        self._noisy = robot.has_white_torques
         self._courses: dict[object, _Course] = {}
         self._known: Vector | None = None
 
@@ -317,7 +318,7 @@ class RobotMotion(MovingSystem):
     def diffusion(self, t: float, x: Vector, closed: Contacts, s: float) -> Matrix:
         """A root of what the white torques add in ``s`` seconds from ``x`` at ``t`` on, (2n, 2n).
 
-        The level of this noise is that of the model, ``torque_deviation``.
+        The level of this noise is that of the robot's ``white_torques``.
         """
         if not (self._noisy and s > 0):
             return self.nothing

@@ -60,7 +60,8 @@ class RobotDescription:
         rotor_inertia: reflected inertia of the rotors, shape (n,), kg m^2 or kg.
         contacts: the contacts.
         forces: topic and field of the measured efforts; None if efforts count as zero.
-        torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
+        torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s); None for that of
+            efforts which are held from sample to sample.
         gravity: in the root frame, shape (3,), m/s^2.
         forcing: torques and forces of the plant's drives, N m or N.
         document: the keys of the model file from which this was read, for its text.
@@ -78,7 +79,7 @@ class RobotDescription:
     rotor_inertia: Vector = field(default_factory=lambda: np.zeros(0))
     contacts: tuple[PlaneContact, ...] = ()
     forces: tuple[str, str] | None = None
-    torque_deviation: Vector = field(default_factory=lambda: np.zeros(0))
+    torque_deviation: Vector | None = None
     gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     forcing: Forcing = field(default_factory=lambda: Forcing.none(0))
     document: Mapping[str, Value] = field(default_factory=dict)
@@ -91,6 +92,8 @@ class RobotDescription:
         for name in ("own_damping", "rotor_inertia", "torque_deviation"):
             key = "damping" if name == "own_damping" else name
             given = getattr(self, name)
+            if given is None:
+                continue
             values = finite(key, given if np.size(given) else np.zeros(n), (n,), f"{n} numbers")
             for i in np.flatnonzero(values < 0).tolist():
                 problem = f"is {values[i]:g}; expected a number not below zero"
@@ -165,6 +168,39 @@ class RobotDescription:
                 " joints what moves, in held what rests elsewhere"
             )
         return "; ".join(words)
+
+    @property
+    def unknown_torques(self) -> str:
+        """A warning of torques that an observer does not know, or trusts too much; else empty."""
+        given = self.torque_deviation
+        if self.forces is None:
+            return (
+                "the model has no forces, so its torques count as zero, and encoders of a driven"
+                " robot seem to err: give forces: {topic: /joint_states, field: effort}"
+            )
+        if given is None or given.any():
+            return ""
+        return (
+            "the model has a torque_deviation of zero: its torques and efforts count as exact, so"
+            " deviations are too small; leave it out for that of efforts between samples"
+        )
+
+    @property
+    def default_deviation(self) -> str:
+        """What an observer uses where the model has no ``torque_deviation``; else empty."""
+        if self.torque_deviation is not None or self.forces is None:
+            return ""
+        return (
+            "the model has no torque_deviation: that of changes of efforts from sample to sample"
+            " is used, which covers no errors of masses"
+        )
+
+    @property
+    def larger_errors(self) -> str:
+        """Why encoders of a robot may seem to err by much more than declared."""
+        if self.forces is None:
+            return "the model has no forces, so its torques count as zero"
+        return "efforts or masses of the model err by more than its torque_deviation covers"
 
     def with_urdf(self, text: str) -> "RobotDescription":
         """The robot with the ``text`` of the URDF that came from the topic.

@@ -108,9 +108,13 @@ def _of_joints(section: Section, key: str, joints: tuple[str, ...], urdf: Urdf |
     return np.array([given.get(name, 0.0) for name in joints])
 
 
-def _torque_deviation(section: Section, joints: tuple[str, ...], urdf: Urdf | None) -> Vector:
+def _torque_deviation(
+    section: Section, joints: tuple[str, ...], urdf: Urdf | None
+) -> Vector | None:
     key = "torque_deviation"
-    value = section.value(key) if key in section else {}
+    if key not in section:
+        return None
+    value = section.value(key)
     if isinstance(value, list):
         raise ModelError(
             key, f"{value} found; expected a number, or numbers by joint: {{{joints[0]}: 0.02}}"

@@ -20,10 +20,12 @@ from impact_observer.events import Contacts
 from impact_observer.model import Model, System
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import LiveNames
+from impact_observer.model.live_samples import LiveSamples
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.model.model_source import ModelSource, model_of
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.model.system import checked_parts, per_second
+from impact_observer.robots.held_torques import HeldTorques
 from impact_observer.robots.pinocchio_model import imported_pinocchio, pinocchio_model
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -69,7 +71,6 @@ class Robot:
         damping: ``D``, shape (n,), N m s/rad or N s/m.
         eps: nominal restitution coefficients, shape (m,).
         contact_time: durations of impacts, shape (m,), s.
-        torque_deviation: of white torques, shape (n,), N m sqrt(s) or N sqrt(s).
         forcing: torques and forces of the drives, N m or N: those of the plant, or as measured.
     """
 
@@ -110,7 +111,7 @@ class Robot:
         self._special = {i for i, law in enumerate(self.rebounds) if not law.is_plain}
         self.eps = frozen([law.nominal for law in self.rebounds])
         self.contact_time = frozen([each.contact_time for each in description.contacts])
-        self.torque_deviation = description.torque_deviation
+        self._held: HeldTorques | None = None
         self.forcing = description.forcing
         self._world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         self._model = pinocchio_model(description)
@@ -181,6 +182,11 @@ class Robot:
         """The robot under other torques; both share pinocchio's memory."""
         return self._twin(forcing=forcing)
 
+    def under_efforts(self, samples: LiveSamples) -> "Robot":
+        """The robot under measured efforts, each held until the next."""
+        forcing = replace(self.forcing, sampled=samples)
+        return self._twin(forcing=forcing, _held=HeldTorques(samples))
+
     def with_parameters(self, values: Mapping[str, float]) -> "Robot":
         """The robot with other parameters, by names such as ``restitution.wall``.
 
@@ -222,6 +228,19 @@ class Robot:
         """Torques and forces of the plant's drives at ``t``, s since the epoch, shape (n,)."""
         force: Vector = self.forcing(t)
         return force
+
+    @property
+    def has_white_torques(self) -> bool:
+        """Whether an observer adds white torques: those of the model, or those of held efforts."""
+        given = self.description.torque_deviation
+        return self._held is not None if given is None else bool(given.any())
+
+    def white_torques(self, t: float) -> Vector:
+        """Deviations of white torques at ``t``, shape (n,), N m sqrt(s) or N sqrt(s)."""
+        given = self.description.torque_deviation
+        if given is None:
+            return np.zeros(self.n) if self._held is None else self._held.deviation(t)
+        return given
 
     def held_force(self, t: float) -> str:
         """A warning if ``t``, s since the epoch, is after the last sample of the torques."""
@@ -777,7 +796,7 @@ def connected_robot(robot: Robot) -> tuple[Robot, LiveSignals | None]:
     if robot.live is None:
         return robot, None
     signals = LiveSignals(cast(System, robot), causal=False)
-    return robot.with_forcing(replace(robot.forcing, sampled=signals.samples)), signals
+    return robot.under_efforts(signals.samples), signals
 
 
 def held_joints(system: System | Robot) -> str:

@@ -99,6 +99,7 @@ class ObserverNode(ManagedNode):
         model = with_urdf_of_topic(self, read_model(values.text("model")))
         self._declared_sensors = read_measurements(values.text("measurements"))
         self.observer = make_observer(model, options, measurements=self._declared_sensors)
+        self._say_torques()
         self._sensor_topics = {
             self.resolve_topic_name(each.topic) for each in self._declared_sensors
         }
@@ -226,6 +227,15 @@ class ObserverNode(ManagedNode):
     def _last_stamp(self) -> int:
         """Stamp of the last estimate that was published, ns; 0 before the first one."""
         return self._last.stamp if self._last is not None else 0
+
+    def _say_torques(self) -> None:
+        """Log what the observer of a robot does not know of torques, or not from the model."""
+        robot = self.observer.robot
+        if robot is not None and self.observer.law.has_covariance:
+            if doubt := robot.description.unknown_torques:
+                self.lines.warning(doubt)
+            if default := robot.description.default_deviation:
+                self.lines.info(default)
 
     def _forget_estimates(self) -> None:
         """Return to the state before the first estimate."""

@@ -364,5 +364,7 @@ class SensorIntake:
         if learned and declared.deviation is not None:
             given = f"{declared.deviation:g} is declared"
             unit = unit_of(declared.unit, self._observer.system.unit)
-            return f"samples err by {learned:.3g} {unit}; {given}"
+            robot = self._observer.robot
+            why = f": {robot.description.larger_errors}" if robot is not None else ""
+            return f"samples err by {learned:.3g} {unit}; {given}{why}"
         return f"{new} samples were rejected" if new else ""

@@ -15,7 +15,6 @@ from impact_observer.events import Ruling, SmoothedImpact
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.linear import LinearPrediction
-from impact_observer.filter.misfit import MISFIT
 from impact_observer.filter.uncertainty import LARGEST_DEVIATION
 from impact_observer.kernel._kernel import TINY
 from impact_observer.observer.belief import Belief, Parameters, Prediction
@@ -376,7 +375,7 @@ class SmoothedMotion:
         if (last := self._law.last) is None:
             return ""
         fit = last.fit.uncontradicted
-        return last.misfit if fit is last.fit else fit.message()
+        return last.misfit if fit is last.fit else fit.message(misfit=self._law.misfit)
 
     @property
     def model_doubt(self) -> str:
@@ -384,7 +383,7 @@ class SmoothedMotion:
         last, count = self._law.last, len(self._law.unexplained)
         if count:
             events = "event" if count == 1 else "events"
-            return f"at {count} {events} {self._filter_misfit or MISFIT}"
+            return f"at {count} {events} {self._filter_misfit or self._law.misfit}"
         return _DOUBTED if last and last.fit.is_doubted else ""
 
     @property

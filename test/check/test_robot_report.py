@@ -82,7 +82,7 @@ def test_forcing_that_no_observer_sees_is_a_warning() -> None:
     """The plant's drives without the topic of their efforts."""
     forcing = "{harmonics: [{frequency: 5, sine: [1]}]}"
     unseen = findings(model_of(PENDULUM, "hinge", forcing=forcing))
-    assert [each for each in unseen if each.startswith("warning forcing drives the plant")]
+    assert [each for each in unseen if each.startswith("warning The model has no forces")]
     seen = model_of(
         PENDULUM, "hinge", forcing=forcing, forces="{topic: /joint_states, field: effort}"
     )
@@ -132,12 +132,23 @@ def test_a_start_inside_a_plane_names_file_key_contact_gap_and_remedy(
     )
 
 
-def test_torques_without_a_deviation_are_named() -> None:
-    """An observer would take the model and sampled efforts for exact."""
-    (line,) = (each for each in findings(model_of(PENDULUM, "hinge")) if "torque_dev" in each)
-    assert line == (
-        "note torque_deviation is zero, so an observer takes model and efforts for exact: give"
-        " one, as both err."
-    )
-    given = findings(model_of(PENDULUM, "hinge", torque_deviation="0.02"))
-    assert not [each for each in given if "torque_dev" in each]
+EFFORTS = "{topic: /joint_states, field: effort}"
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({}, "note The model has no forces, so its torques count as zero"),
+        (
+            {"forces": EFFORTS},
+            "note The model has no torque_deviation: that of changes of efforts",
+        ),
+        ({"forces": EFFORTS, "torque_deviation": "0"}, "note The model has a torque_deviation of"),
+        ({"forces": EFFORTS, "torque_deviation": "0.02"}, ""),
+    ],
+)
+def test_torques_that_are_not_known_are_named(given: dict[str, str], found: str) -> None:
+    """What an observer takes for zero or exact, and what it finds by itself."""
+    lines = [each for each in findings(model_of(PENDULUM, "hinge", **given)) if "torque" in each]
+    assert len(lines) == bool(found)
+    assert all(each.startswith(found) for each in lines)

@@ -286,22 +286,34 @@ def test_observe_and_compare_the_sample_by_command(
 
 
 @pytest.mark.parametrize(
-    ("law", "warns"), [("minimum-variance", True), ("measured-position", False)]
+    ("law", "without", "said"),
+    [
+        ("minimum-variance", ("torque_dev",), "note: the model has no torque_deviation: that of"),
+        ("minimum-variance", ("torque_dev", "forces"), "warning: the model has no forces, so its"),
+        ("measured-position", ("torque_dev",), ""),
+    ],
 )
-def test_torques_that_count_as_exact_are_said_where_deviations_are_published(
-    law: str, warns: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_torques_that_are_not_known_are_said_where_deviations_are_published(
+    law: str,
+    without: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of a model without ``torque_deviation``."""
+    """Of a model without ``torque_deviation``, and without ``forces``, in one line."""
     config = Path(__file__).parents[2] / "config"
     lines = (config / "hammer_arm.yaml").read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if not line.startswith("torque_deviation")]
-    assert len(kept) == len(lines) - 1
+    kept = [line for line in lines if not line.startswith(without)]
+    assert len(kept) == len(lines) - len(without)
     model = tmp_path / "arm.yaml"
     model.write_text("\n".join(kept), encoding="utf-8")
     shutil.copy(config / "hammer_arm.urdf", tmp_path)
     bag, given = config.parent / "bags" / "hammer_arm", ["--duration", "1.2", "-o"]
-    said = ["observe", str(bag), "--law", law, "--model", str(model)]
-    said += ["--measurements", "hammer_arm", *given, str(tmp_path / "estimates")]
-    assert main(said) == 0
-    warning = "torque_deviation is zero in the model: its torques and efforts count as exact"
-    assert (warning in capsys.readouterr().out) == warns
+    words = ["observe", str(bag), "--law", law, "--model", str(model)]
+    words += ["--measurements", "hammer_arm", *given, str(tmp_path / "estimates")]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len([line for line in lines if said and line.startswith(said)]) == bool(said)
+    assert ("forces" in without) == any(
+        "warning: elbow" in line and line.endswith("its torques count as zero") for line in lines
+    )

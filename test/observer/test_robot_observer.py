@@ -23,7 +23,7 @@ from benchmarks.robot_filter import (
 )
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.model import read_model
+from impact_observer.model import Model, read_model
 from impact_observer.model.forcing import Forcing
 from impact_observer.observer import make_observer
 from impact_observer.observer.samples import SensorSample
@@ -55,6 +55,50 @@ def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None
     z = np.abs(np.concatenate([last.q, last.u]) - recording.truth.states[-1])
     assert np.all(z < 4 * np.sqrt(np.diag(last.covariance)))
     assert not last.misfit
+
+
+def exactly_modelled(deviation: Vector | None) -> tuple[Model, Recording]:
+    """hammer_arm as it is, with white torques of a declared ``deviation``, at 200 Hz."""
+    model = read_model("hammer_arm")
+    assert model.robot is not None
+    model = replace(model, robot=replace(model.robot, torque_deviation=deviation))
+    truth = Truth.of_plant(Robot(model), model.initial_state(), 200.0, 2.5)
+    return model, truth.recorded(seed=4)
+
+
+def test_deviations_cover_what_happens_between_efforts_without_a_declared_one() -> None:
+    """Torques that swing on between samples: deviations are true, and at most twice too wide.
+
+    Where efforts are declared exact, they are not.
+    """
+    shares, sizes = [], []
+    for declared in (None, np.zeros(2)):
+        model, recording = exactly_modelled(declared)
+        found = filtered(observer_of(model, recording), recording)
+        z = np.abs(found.speeds - recording.truth.states[:, 2:])[100:] / found.deviations[100:]
+        shares.append(np.mean(z < 2, axis=0))
+        sizes.append(np.quantile(z, 0.95, axis=0))
+    assert np.all(shares[0] > 0.9)
+    assert np.all(sizes[0] > 1.0)
+    assert np.all(shares[1] < 0.5)
+
+
+def test_deviations_between_efforts_do_not_depend_on_when_efforts_come() -> None:
+    """All before the first sample, or each with the encoders of its stamp: the same estimates."""
+    model, recording = exactly_modelled(None)
+    before = filtered(observer_of(model, recording), recording)
+    observer = make_observer(model, DECLARED, measurements=encoders(model))
+    samples, events = iter(recording.samples), list(recording.events)
+    assert observer.live is not None
+    for k, stamp in enumerate(recording.truth.stamps.tolist()):
+        for name, value in zip(("shoulder", "elbow"), recording.truth.efforts[k], strict=True):
+            observer.live.add_force(name, stamp, float(value))
+        while events and events[0].stamp <= stamp:
+            observer.receive(events.pop(0))
+        observer.measure([next(samples) for _ in range(2)])
+        now = observer.estimate(stamp)
+        assert np.array_equal(now.u, before.speeds[k])
+        assert np.array_equal(np.sqrt(np.diag(now.covariance)[2:]), before.deviations[k])
 
 
 @pytest.mark.long

@@ -27,7 +27,7 @@ from impact_observer.filter.hypotheses import (
     published,
 )
 from impact_observer.filter.impact_filter import ImpactFilter
-from impact_observer.filter.misfit import Fit, Residual
+from impact_observer.filter.misfit import Fit, Residual, misfit_of
 from impact_observer.filter.model_error import ErrorKind
 from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
 from impact_observer.filter.sample_update import SampleUpdate
@@ -77,6 +77,7 @@ class MinimumVariance(Law):
     Attributes:
         clocks: possible standard deviations of a stamp, s.
         tries_steps: whether the sensor's clock may step.
+        misfit: the warning that the model does not explain the impacts.
     """
 
     name: ClassVar[str] = "minimum-variance"
@@ -103,6 +104,7 @@ class MinimumVariance(Law):
                 " force depends on time: a later clock and a later motion look the same; leave it"
                 " out"
             )
+        self.misfit = misfit_of(system)
         learns_error = self.uncertainty.model_error is None
         filter_ = ImpactFilter(
             system, self.uncertainty.model_error or 0.0, self.uncertainty.unknowns
@@ -283,7 +285,7 @@ class MinimumVariance(Law):
             hypotheses=found,
             fallback=fallback,
             behind=behind,
-            misfit=fit.message("") if fit.is_misfit else "",
+            misfit=fit.message("", self.misfit) if fit.is_misfit else "",
         )
 
     def _caught_up(self, belief: Belief, fallback: Fallback, closed: Contacts) -> Fallback:
@@ -441,7 +443,7 @@ class MinimumVariance(Law):
             hypotheses=hypotheses,
             fallback=fallback,
             account=account,
-            misfit=fit.message(instead),
+            misfit=fit.message(instead, self.misfit),
         )
 
     def _learned(
