@@ -30,7 +30,8 @@ def test_the_sample_has_all_that_its_file_declares() -> None:
     assert [each.velocity for each in robot.urdf_joints] == [20.0, 25.0]
     assert robot.contacts[0].contact_time == 0.001
     assert robot.forces == ("/joint_states", "effort")
-    assert np.array_equal(robot.torque_deviation, [0.02, 0.02])
+    assert robot.torque_deviation is not None
+    assert robot.torque_deviation.tolist() == [0.02, 0.02]
     assert robot.forcing.frequency.size == 2
     assert model.uncertainty is not None
     assert model.uncertainty.deviation_by_name == {"restitution.wall": 0.05}
