@@ -35,6 +35,8 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import measured
 from impact_observer.states import Matrix, Vector
 
+_STEPS = 2
+"""Most steps of a robot's motion to a sample in which a contact that is open now stayed open."""
 _LEAST_RESTITUTION = 1e-3
 """By which a speed after an impact is divided to find the one before."""
 
@@ -308,7 +310,7 @@ class SampleUpdate:
     ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
         """The same of a robot: one motion, and one step of the bank, for all its encoders."""
         known = [self.one.first(each, hypotheses[0].state, each.known) for each in readings]
-        longest = self.bank.filter.members.given.moving.first_window
+        longest = _STEPS * self.bank.filter.members.given.moving.first_window
         if not (all(0 < each.variance < math.inf for each in known) and 0 <= s <= longest):
             return None
         predicted = self.bank.between.undisturbed(hypotheses, since, s)

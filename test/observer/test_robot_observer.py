@@ -137,6 +137,25 @@ def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_within_ten() -> 
     assert recording.error(found.speeds) < 1.1 * recording.error(inflated.speeds)
 
 
+def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A sample of all joints far from the wall: two steps of the motion, and no search for hits."""
+    recording = recorded(seed=1, seconds=0.4)
+    observer, samples, looks = observer_of(CASE.model, recording), iter(recording.samples), []
+    gaps = Robot.gaps_and_directions
+
+    def counted(*args: object) -> object:
+        looks.append(0.0)
+        return gaps(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Robot, "gaps_and_directions", counted)
+    for _ in recording.truth.stamps:
+        observer.measure([next(samples) for _ in range(2)])
+    assert not recording.truth.hits
+    assert len(looks) <= recording.truth.stamps.size + 1
+
+
 def test_samples_in_any_order_give_the_same_estimate() -> None:
     """A late sample is put in its place, and later ones are applied again."""
     recording = recorded(seed=2, seconds=0.1)
