@@ -140,7 +140,7 @@ def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_within_ten() -> 
 def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A sample of all joints far from the wall: two steps of the motion, and no search for hits."""
+    """Far from the wall a sample of all joints takes two steps of the motion, and no search."""
     recording = recorded(seed=1, seconds=0.4)
     observer, samples, looks = observer_of(CASE.model, recording), iter(recording.samples), []
     gaps = Robot.gaps_and_directions
