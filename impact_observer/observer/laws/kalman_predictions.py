@@ -192,6 +192,7 @@ class MissedSwitchPrediction(MixturePrediction):
         self._between = between
         self._first = between.filter.members.given.moving.first_window
         self._searched, self._window = 0.0, self._first
+        self._ahead = list[Dip]()
 
     def state(self, s: float) -> Vector:
         stretch = self._stretch(s)
@@ -230,7 +231,10 @@ class MissedSwitchPrediction(MixturePrediction):
 
     def _stretch(self, s: float) -> _Stretch:
         while self._searched < s:
-            self._search()
+            if self._ahead:
+                self._insert()
+            else:
+                self._search()
         return next(each for each in reversed(self._stretches) if each.since <= s)
 
     @cached_property
@@ -248,20 +252,34 @@ class MissedSwitchPrediction(MixturePrediction):
         return _Stretch(since, start, forecast, state.closed, spread, np.abs(state.x))
 
     def _search(self) -> None:
-        """Search to a missed switch or the end of the window, which then doubles."""
+        """Search the window for missed switches; none counts before its dip begins."""
         if len(self._stretches) > TUNING.most_missed:
             self._give_up()
             return
-        _, start, forecast, _, spread, largest, silent, _ = self._stretches[-1]
+        start, forecast = self._stretches[-1].start, self._stretches[-1].forecast
         dips = forecast.dips(self._window)
-        confident = (dip for dip in dips if dip.depth >= TUNING.confident_depth)
-        for dip in confident:
+        self._ahead = [dip for dip in dips if dip.depth >= TUNING.confident_depth]
+        if self._ahead:
+            self._searched = start + self._ahead[0].began
+        else:
+            self._look_further()
+
+    def _look_further(self) -> None:
+        """Go on after the window, which doubles."""
+        self._searched = self._stretches[-1].start + self._window
+        self._window *= 2
+
+    def _insert(self) -> None:
+        """Insert the first of the missed switches ahead that the impact law allows."""
+        _, start, forecast, _, spread, largest, silent, _ = self._stretches[-1]
+        ahead, self._ahead = self._ahead, []
+        for dip in ahead:
             at, t = dip.began, self._t + start + dip.began
             before = forecast.prediction.prior(at)
             if (inserted := insert_switch(self._filter, t, before, dip)) is not None:
                 break
         else:
-            self._searched, self._window = start + self._window, 2 * self._window
+            self._look_further()
             return
         state, kind, _ = inserted
         since = start + forecast.confident_from(dip, TUNING.confident_depth)
