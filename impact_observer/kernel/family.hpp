@@ -174,8 +174,9 @@ struct Sensitivity {
     std::vector<std::size_t> active;  // parameters with which it changes
     std::size_t size;                 // d
 
-    template <class AffineMapOf>
-    Sensitivity(AffineMapOf map_of, const Vector& theta, const Vector& steps) {
+    // `value_of` finds the value of the map alone, which is all that two changes at once need.
+    template <class AffineMapOf, class ValueOf>
+    Sensitivity(AffineMapOf map_of, ValueOf value_of, const Vector& theta, const Vector& steps) {
         const std::size_t p = theta.size();
         Vector near = theta;
         for (std::size_t j = 0; j < p; ++j) {
@@ -183,19 +184,19 @@ struct Sensitivity {
             near[j] = steps[j] * std::nearbyint(theta[j] / steps[j]);
             active.push_back(j);
         }
-        const auto map_aside = [&](std::size_t j, double one, std::size_t k, double other) {
-            Vector aside = near;
-            aside[j] += one * steps[j], aside[k] += other * steps[k];
-            return map_of(aside);
+        const auto aside = [&](std::size_t j, double one, std::size_t k, double other) {
+            Vector values = near;
+            values[j] += one * steps[j], values[k] += other * steps[k];
+            return values;
         };
         const AffineMap centre = map_of(near);
         const std::size_t k = centre.value.size();
         size = centre.linear.columns;
         first = Matrix(p, k), second.assign(p * p, Vector(k)), mixed.resize(p);
         std::vector<AffineMap> plus(p);
-        for (const std::size_t j : active) plus[j] = map_aside(j, 1.0, j, 0.0);
+        for (const std::size_t j : active) plus[j] = map_of(aside(j, 1.0, j, 0.0));
         for (const std::size_t j : active) {
-            const AffineMap minus = map_aside(j, -1.0, j, 0.0);
+            const AffineMap minus = map_of(aside(j, -1.0, j, 0.0));
             const double h = steps[j];
             mixed[j] = plus[j].linear;
             for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
@@ -207,7 +208,7 @@ struct Sensitivity {
             }
             for (const std::size_t l : active) {
                 if (l == j) break;
-                const Vector both = map_aside(j, 1.0, l, 1.0).value;
+                const Vector both = value_of(aside(j, 1.0, l, 1.0));
                 for (std::size_t i = 0; i < k; ++i) {
                     const double crossed =
                         (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);

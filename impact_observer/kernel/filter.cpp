@@ -167,7 +167,7 @@ Sensitivity sensitivity_of(const py::function& function, const Array& theta, con
         k = image.linear.rows, d = image.linear.columns;
         return image;
     };
-    return {map, about, wide};
+    return {map, [&](const Vector& point) { return map(point).value; }, about, wide};
 }
 
 Matrix noise(const Sensitivity& by, const Array& root, const Array& own) {

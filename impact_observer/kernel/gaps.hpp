@@ -394,9 +394,10 @@ class Gaps {
         const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
         const MatrixView state = whole.part(0, size), own = whole.part(size, q);
-        const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
-            return AffineMap{other.state_after(t, prior.x, flight.s), other.transition(flight.s)};
-        });
+        const Sensitivity by = by_parameters(
+            prior, own,
+            [&](const FreeMotion& other) { return other.state_after(t, prior.x, flight.s); },
+            [&](const FreeMotion& other) { return other.transition(flight.s); });
         const Matrix noise = by.noise(state, own);
         Matrix root = resized(with_moved_state(flight.Phi, whole), whole.columns + noise.columns);
         put(noise, root, 0, whole.columns);
@@ -409,10 +410,16 @@ class Gaps {
     }
 
     // How a map changes with the parameters of the motion, whose errors are the rows of `own`.
-    template <class MapOf>
-    Sensitivity by_parameters(const Prior& prior, const MatrixView& own, MapOf map_of) const {
+    template <class ValueOf, class LinearOf>
+    Sensitivity by_parameters(const Prior& prior, const MatrixView& own, ValueOf value_of,
+                              LinearOf linear_of) const {
         const Vector theta = ConstSpan(prior.constants).part(0, own.rows);
-        return {[&](const Vector& other) { return map_of(*family->member(other)); }, theta,
+        const auto map_of = [&](const Vector& other) {
+            const auto member = family->member(other);
+            return AffineMap{value_of(*member), linear_of(*member)};
+        };
+        return {map_of, [&](const Vector& other) { return value_of(*family->member(other)); },
+                theta,
                 family->parameters.steps(theta, own,
                                          prior.differences.part(motion->size(), own.rows))};
     }
@@ -448,11 +455,14 @@ class Gaps {
         const Matrix whole = leading(prior.root, size, q);
         const MatrixView own = whole.part(size, q);
         const Vector seen = direction(j);
-        const Sensitivity by = by_parameters(prior, own, [&](const FreeMotion& other) {
-            const Vector linear = other.row_times_transition(seen, s);
-            return AffineMap{{dot(seen, other.state_after(t, prior.x, s))},
-                             MatrixView{linear.data(), 1, size}};
-        });
+        const Sensitivity by = by_parameters(
+            prior, own,
+            [&](const FreeMotion& other) {
+                return Vector{dot(seen, other.state_after(t, prior.x, s))};
+            },
+            [&](const FreeMotion& other) {
+                return Matrix(MatrixView{other.row_times_transition(seen, s).data(), 1, size});
+            });
         for (std::size_t k = 0; k < q; ++k) row[size + k] += by.first(k, 0);
         const Matrix noise = by.noise(whole.part(0, size), own);
         return std::hypot(length(product(row, whole)), length(noise.data));

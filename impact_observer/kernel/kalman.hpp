@@ -324,7 +324,8 @@ class Impact {
         Vector steps = family->parameters.steps(theta, own, others);
         for (std::size_t j = 0; j < steps.size(); ++j)
             if (!rests[j] && !lags[j] && length(kicks.row(j)) == 0.0) steps[j] = 0.0;
-        return {jumped, theta, steps};
+        const auto value = [&](const Vector& other) { return jumped(other).value; };
+        return {jumped, value, theta, steps};
     }
 
     // kappa of a law, of which a lag is multiplied by the damping of one of the members.
