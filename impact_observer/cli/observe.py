@@ -2,6 +2,7 @@
 """Run an observer on the impacts in a bag: the same observer that the node runs."""
 
 import argparse
+import gc
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -96,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)
 
+        gc.freeze()  # what is loaded stays: no collection of garbage looks through it again
         count, rulings = observe_bag(
             reader,
             observer,
