@@ -55,6 +55,15 @@ class UrdfJoint:
         return UNITS_BY_TYPE[self.type]
 
 
+def _numbers(element: ET.Element | None, attribute: str) -> list[float]:
+    """The numbers of an attribute; empty without any, or where a word is no number."""
+    text = "" if element is None else element.get(attribute, "")
+    try:
+        return [float(each) for each in text.split()]
+    except ValueError:
+        return []  # the library that makes the robot names the word
+
+
 @dataclass(frozen=True, slots=True)
 class Urdf:
     """The links and joints of a URDF.
@@ -82,6 +91,7 @@ class Urdf:
         for i, link in enumerate(links):
             if not link or link in links[:i]:
                 raise self.wrong(f"link {link!r} found twice or without a name")
+        self._check_masses(root)
         found: dict[str, UrdfJoint] = {}
         for joint in joints:
             if not joint.name or joint.name in found:
@@ -132,11 +142,24 @@ class Urdf:
         """The error that names the file and the ``problem``."""
         return ModelError("urdf", f"{self.source}: {problem}")
 
+    def _check_masses(self, root: ET.Element) -> None:
+        for each in root.iterfind("link"):
+            for mass in _numbers(each.find("inertial/mass"), "value"):
+                if mass < 0:
+                    problem = f"link {each.get('name')!r} has a mass of {mass:g} kg"
+                    raise self.wrong(f"{problem}; expected a number not below zero")
+
     def _joint(self, element: ET.Element) -> UrdfJoint:
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in _TYPES:
             wanted = ", ".join(_TYPES)
             raise self.wrong(f"joint {name!r} has the type {kind!r}; expected one of {wanted}")
+
+        axis = element.find("axis")
+        numbers = _numbers(axis, "xyz")
+        if axis is not None and kind in UNITS_BY_TYPE and numbers and not any(numbers):
+            found = f"joint {name!r} has the axis {axis.get('xyz')!r}"
+            raise self.wrong(f"{found}; expected a direction, such as '0 0 1'")
 
         def number(tag: str, attribute: str, default: float) -> float:
             part = element.find(tag)

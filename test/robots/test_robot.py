@@ -3,6 +3,7 @@
 
 import copy
 import pickle
+import re
 import sys
 from collections.abc import Callable
 
@@ -323,6 +324,20 @@ def test_what_the_parser_of_a_urdf_prints_is_the_error(
         Robot(described(model))
     assert "\n" not in str(found.value)
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('<mass value="', '<mass value="-', r"link '\w+' has a mass of -[\d.]+ kg"),
+        ('<axis xyz="[^"]*"', '<axis xyz="0 0 0.0"', r"joint 'hinge' has the axis '0 0 0.0'"),
+    ],
+)
+def test_a_mass_or_an_axis_that_no_robot_has_is_named(old: str, new: str, fault: str) -> None:
+    """The line has the link or joint, what was found and what was expected."""
+    text = re.sub(old, new, PENDULUM, count=1)
+    with pytest.raises(ModelError, match=f"{fault}.*expected"):
+        model_of(text, "hinge")
 
 
 def test_a_start_inside_a_plane_is_an_error() -> None:
