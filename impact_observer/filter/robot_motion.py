@@ -345,11 +345,12 @@ class RobotMotion(MovingSystem):
             self._known = known
         t, step = float(t), math.copysign(self.longest_step, s)
         asked = t, step, closed, x.tobytes()
-        course = self._courses.get(asked)
+        course = self._courses.pop(asked, None)
         if course is None:
             if len(self._courses) == _KEPT_COURSES:
                 del self._courses[next(iter(self._courses))]
-            course = self._courses[asked] = _Course(self, t, x, step, closed)
+            course = _Course(self, t, x, step, closed)
+        self._courses[asked] = course  # the last to be forgotten
         return course
 
     def torques(self, since: float, until: float) -> tuple[Vector, Vector | None]:

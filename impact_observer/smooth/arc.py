@@ -9,6 +9,8 @@ instant, or too soon after an impact, are left out.
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -223,13 +225,15 @@ class Arc(Linearised):
             if since is not None:
                 moved = self.flight(path, k, since).preceded_by(moved)
         rows, values, deviations = list[Vector](), list[float](), list[float]()
+        about = np.append(self._state_at(path, k, since), path.constants)
         for each in groups[j].readings:
-            flown = self.flight(path, k, each.t, since, noisy=False)
-            about = np.append(self._state_at(path, k, since), path.constants)
-            x = (flown.A @ about + flown.b)[: self._size]
+            x, A = about[: self._size], np.eye(about.size)
+            if each.t != since:
+                flown = self.flight(path, k, each.t, since, noisy=False)
+                x, A = (flown.A @ about + flown.b)[: self._size], flown.A
             row, noise = self._row(path, k, each, x)
-            h = np.concatenate([row.h, row.of_theta, np.zeros(flown.A.shape[0])])[: len(flown.b)]
-            rows.append(h @ flown.A)
+            h = np.concatenate([row.h, row.of_theta, np.zeros(about.size)])[: about.size]
+            rows.append(h @ A)
             deviations.append(noise)
             values.append(each.value - row.value(x) + float(rows[-1] @ about))
         step = measured(np.array(rows), np.array(values), np.array(deviations))
@@ -243,7 +247,9 @@ class Arc(Linearised):
                 readings = [self.samples.readings[i] for i in some]
                 flights[k] = [_Group(None, readings)]
                 if self.noise_after(k) is not None:
-                    flights[k] = [_Group(each.t, [each]) for each in readings]
+                    flights[k] = [
+                        _Group(t, [*same]) for t, same in groupby(readings, attrgetter("t"))
+                    ]
             self._measured = path, flights
         return self._measured[1]
 
