@@ -164,7 +164,7 @@ def unused_lines(observer: "Observer") -> "Iterator[str]":
     law = observer.law
     if observer.samples.sensors and not law.uses_measurements:
         names = ", ".join(each.name for each in observer.samples.sensors)
-        yield f"{law.name} uses no measurements: {names} left out"
+        yield f"{law.name} uses no measurements: {names} left out; --law minimum-variance does"
 
 
 def _names_with_units(model: "Model", unknowns: "UnknownParameters") -> list[str]:

@@ -76,7 +76,7 @@ def _rounding_remarks(labels: list[str]) -> Iterator[ReportLine]:
 def _start_remarks(labels: list[str]) -> Iterator[ReportLine]:
     if labels:
         text = f"V0 of {listed(labels)} is about zero, as the start was near the truth"
-        yield ReportLine("note", f"{text}: V/V0, settling and rates say nothing")
+        yield ReportLine("note", f"{text}: no V/V0, settling and rates")
 
 
 def distance_remarks(labelled: Mapping[str, Comparison]) -> Iterator[ReportLine]:

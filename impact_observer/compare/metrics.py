@@ -44,10 +44,15 @@ class Metric(NamedTuple):
     of_robots: bool = False
 
     def is_shown(self, comparisons: Iterable[Comparison]) -> bool:
-        """Whether the printed table of some ``comparisons`` has a column for the metric."""
-        if not (self.optional or self.of_robots):
+        """Whether the printed table of some ``comparisons`` has a column for the metric.
+
+        Of robots no column is empty: their V falls with no rate.
+        """
+        some = list(comparisons)
+        are_robots = all(isinstance(each.system, Robot) for each in some)
+        if not (self.optional or self.of_robots or are_robots):
             return True
-        return any(self.value_of(each) is not None for each in comparisons)
+        return any(self.value_of(each) is not None for each in some)
 
     def value_of(self, comparison: Comparison) -> Any:  # noqa: ANN401 (as ``value`` gives it)
         """The value; None where the system has no such metric."""

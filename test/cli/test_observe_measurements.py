@@ -243,7 +243,7 @@ def test_open_loop_says_that_it_uses_no_measurements(
     """The command prints one warning."""
     given = ["--law", "open-loop", "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
-    line = "warning: open-loop uses no measurements: encoder, laser, imu, probe left out"
+    line = "warning: open-loop uses no measurements: encoder, laser, imu, probe left out; --law"
     assert line in capsys.readouterr().out
 
 

@@ -125,7 +125,7 @@ def test_other_laws_refuse_a_robot_in_one_line(
     words = f"observe {bag} --law {law} --measurements hammer_arm -o {tmp_path / 'made'}"
     assert main(words.split()) == 2
     said = capsys.readouterr().err.strip()
-    assert f"law {law}: takes no robot, as hammer_arm is; expected minimum-variance" in said
+    assert f"law {law}: takes no robot, as hammer_arm is; expected --law minimum-variance" in said
 
 
 @pytest.mark.parametrize(

@@ -282,6 +282,10 @@ def test_observe_and_compare_the_sample_by_command(
     assert main(["compare", output, "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out).values()
     assert found["velocity_after_hits"] < 0.12
+    assert main(["compare", output]) == 0
+    printed = capsys.readouterr().out
+    assert "undefined" not in printed
+    assert "1/impact" not in printed
     assert main(["plot", output, "-o", str(tmp_path / "picture.png")]) == 0
 
 

@@ -73,8 +73,8 @@ class Law(ABC):
             return
         if issubclass(kind, Robot):
             raise UsageError(
-                f"law {cls.name}: takes no robot, as {name} is; expected minimum-variance or"
-                " measured-position"
+                f"law {cls.name}: takes no robot, as {name} is; expected --law minimum-variance or"
+                " --law measured-position, or the parameter law of a node"
             )
         raise UsageError(
             f"law {cls.name}: takes only robots, and {name} is a linear model; expected another"
