@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a command: a bar on standard error where that is a terminal, else nothing."""
+"""Progress of a command: a bar on standard error where that is a terminal, else a few lines."""
 
 import sys
 import time
@@ -20,6 +20,8 @@ from impact_observer.plain_text import printable, say
 
 _PERIOD = 0.1
 """Least time between two updates of the bar, s: a tight loop may call more often."""
+_LINES = 10.0
+"""Time between two lines where standard error is no terminal, s."""
 
 
 @final
@@ -40,6 +42,7 @@ class Progress:
         self._task: TaskID | None = None
         self._shown = ""
         self._next = 0.0
+        self._next_line = time.monotonic() + _LINES
 
     def __enter__(self) -> "Progress":
         return self
@@ -70,9 +73,14 @@ class Progress:
         self._draw(text, 0.0, None)
 
     def _draw(self, what: str, done: float, total: float | None) -> None:
-        """Draw the bar, if standard error is a terminal."""
+        """Draw the bar; where standard error is no terminal, write a line now and then."""
         # FORCE_COLOR and TTY_COMPATIBLE make any file a terminal for rich.
         if not (sys.stderr.isatty() and self._bar.console.is_terminal):
+            if (now := time.monotonic()) >= self._next_line:
+                self._next_line = now + _LINES
+                share = f": {done / total:.0%}" if total else ""
+                sys.stderr.write(f"{printable(what)}{share}\n")
+                sys.stderr.flush()
             return
         self._bar.start()
         if self._task is None or what != self._shown:

@@ -6,8 +6,12 @@ import pty
 import re
 import subprocess
 import sys
+import time
 
+import numpy as np
 import pytest
+
+from impact_observer.cli.progress import Progress
 
 SCRIPT = """
 import time
@@ -82,3 +86,18 @@ def test_a_file_gets_the_lines_only(forced: str) -> None:
     )
     assert done.stdout == "a line [first]\na line that stays\n"
     assert done.stderr == ""
+
+
+def test_a_file_gets_a_line_every_ten_seconds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A minute of work in a tenth of a second steps: the share, on standard error alone."""
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    with Progress() as progress:
+        for k in range(601):
+            now = k / 10
+            progress.step("a bag", now, 60.0)
+    said = capsys.readouterr()
+    assert said.err.splitlines() == [f"a bag: {share:.0%}" for share in np.arange(1, 7) / 6]
+    assert said.out == ""
