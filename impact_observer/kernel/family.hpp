@@ -92,6 +92,14 @@ struct MotionChange {
     Matrix cosine, sine;
     Vector frequency;
     double rate;  // at most, to the bound of its rates, 1/s
+
+    // Whether it changes forces alone: motions are affine in it, and their differences keep.
+    bool is_force() const {
+        const auto is_zero = [](const Vector& v) {
+            return std::all_of(v.begin(), v.end(), [](double each) { return each == 0.0; });
+        };
+        return is_zero(lower.data) && is_zero(frequency);
+    }
 };
 
 // The members of a family. The accelerations are linear in the parameters, or those of considered
@@ -166,7 +174,8 @@ inline Matrix leading(const MatrixView& root, std::size_t first, std::size_t cou
 }
 
 // How a map of k numbers changes with parameters: central differences about theta, on a grid of
-// parameters, `steps` wide. It does not change with those whose step is zero.
+// parameters, `steps` wide. It does not change with those whose step is zero. It is affine in
+// those that are `affine` together, and its linear part does not change with them.
 struct Sensitivity {
     Matrix first;                     // derivatives of its value, p x k
     std::vector<Matrix> mixed;        // of its linear part, p times k x d
@@ -176,7 +185,9 @@ struct Sensitivity {
 
     // `value_of` finds the value of the map alone, which is all that two changes at once need.
     template <class AffineMapOf, class ValueOf>
-    Sensitivity(AffineMapOf map_of, ValueOf value_of, const Vector& theta, const Vector& steps) {
+    Sensitivity(AffineMapOf map_of, ValueOf value_of, const Vector& theta, const Vector& steps,
+                std::vector<bool> affine = {}) {
+        affine.resize(theta.size());
         const std::size_t p = theta.size();
         Vector near = theta;
         for (std::size_t j = 0; j < p; ++j) {
@@ -194,10 +205,29 @@ struct Sensitivity {
         size = centre.linear.columns;
         first = Matrix(p, k), second.assign(p * p, Vector(k)), mixed.resize(p);
         std::vector<AffineMap> plus(p);
-        for (const std::size_t j : active) plus[j] = map_of(aside(j, 1.0, j, 0.0));
         for (const std::size_t j : active) {
-            const AffineMap minus = map_of(aside(j, -1.0, j, 0.0));
+            const Vector here = aside(j, 1.0, j, 0.0);
+            plus[j] = affine[j] ? AffineMap{value_of(here), {}} : map_of(here);
+        }
+        for (const std::size_t j : active) {
             const double h = steps[j];
+            for (const std::size_t l : active) {
+                if (l == j) break;
+                if (affine[j] && affine[l]) continue;
+                const Vector both = value_of(aside(j, 1.0, l, 1.0));
+                for (std::size_t i = 0; i < k; ++i) {
+                    const double crossed =
+                        (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);
+                    second[j * p + l][i] = second[l * p + j][i] = crossed / (h * steps[l]);
+                }
+            }
+            if (affine[j]) {
+                mixed[j] = Matrix(k, size);
+                for (std::size_t i = 0; i < k; ++i)
+                    first(j, i) = (plus[j].value[i] - centre.value[i]) / h;
+                continue;
+            }
+            const AffineMap minus = map_of(aside(j, -1.0, j, 0.0));
             mixed[j] = plus[j].linear;
             for (std::size_t i = 0; i < mixed[j].data.size(); ++i)
                 mixed[j].data[i] = (mixed[j].data[i] - minus.linear.data[i]) / (2 * h);
@@ -205,15 +235,6 @@ struct Sensitivity {
                 const double on = plus[j].value[i], back = minus.value[i], here = centre.value[i];
                 first(j, i) = (on - back) / (2 * h);
                 second[j * p + j][i] = ((on - here) + (back - here)) / (h * h);
-            }
-            for (const std::size_t l : active) {
-                if (l == j) break;
-                const Vector both = value_of(aside(j, 1.0, l, 1.0));
-                for (std::size_t i = 0; i < k; ++i) {
-                    const double crossed =
-                        (both[i] - plus[j].value[i]) - (plus[l].value[i] - centre.value[i]);
-                    second[j * p + l][i] = second[l * p + j][i] = crossed / (h * steps[l]);
-                }
             }
         }
         for (std::size_t j = 0; j < p; ++j)
@@ -275,5 +296,28 @@ struct Sensitivity {
         return noise;
     }
 };
+
+// How a map of each member changes with the parameters of the motion, about theta.
+template <class ValueOf, class LinearOf>
+Sensitivity by_motion(const Family& family, const Vector& theta, const Vector& steps,
+                      ValueOf value_of, LinearOf linear_of) {
+    std::vector<bool> forces;
+    for (const MotionChange& each : family.changes) forces.push_back(each.is_force());
+    const auto map_of = [&](const Vector& other) {
+        const auto member = family.member(other);
+        return AffineMap{value_of(*member), linear_of(*member)};
+    };
+    return {map_of, [&](const Vector& other) { return value_of(*family.member(other)); }, theta,
+            steps, forces};
+}
+
+// The same of the state s seconds after x at t.
+inline Sensitivity by_motion(const Family& family, const Vector& theta, const Vector& steps,
+                             double t, const Vector& x, double s) {
+    return by_motion(
+        family, theta, steps,
+        [&](const FreeMotion& member) { return member.state_after(t, x, s); },
+        [&](const FreeMotion& member) { return member.transition(s); });
+}
 
 }  // namespace kernel::kalman

@@ -394,10 +394,8 @@ class Gaps {
         const std::size_t size = motion->size(), q = family->moving();
         const Matrix whole = leading(prior.root, size, q);
         const MatrixView state = whole.part(0, size), own = whole.part(size, q);
-        const Sensitivity by = by_parameters(
-            prior, own,
-            [&](const FreeMotion& other) { return other.state_after(t, prior.x, flight.s); },
-            [&](const FreeMotion& other) { return other.transition(flight.s); });
+        const Sensitivity by =
+            by_motion(*family, theta_of(prior), steps_of(prior, own), t, prior.x, flight.s);
         const Matrix noise = by.noise(state, own);
         Matrix root = resized(with_moved_state(flight.Phi, whole), whole.columns + noise.columns);
         put(noise, root, 0, whole.columns);
@@ -409,19 +407,14 @@ class Gaps {
         return root;
     }
 
-    // How a map changes with the parameters of the motion, whose errors are the rows of `own`.
-    template <class ValueOf, class LinearOf>
-    Sensitivity by_parameters(const Prior& prior, const MatrixView& own, ValueOf value_of,
-                              LinearOf linear_of) const {
-        const Vector theta = ConstSpan(prior.constants).part(0, own.rows);
-        const auto map_of = [&](const Vector& other) {
-            const auto member = family->member(other);
-            return AffineMap{value_of(*member), linear_of(*member)};
-        };
-        return {map_of, [&](const Vector& other) { return value_of(*family->member(other)); },
-                theta,
-                family->parameters.steps(theta, own,
-                                         prior.differences.part(motion->size(), own.rows))};
+    // The parameters of the motion, and steps of differences where their errors have the root
+    // `own`.
+    Vector theta_of(const Prior& prior) const {
+        return ConstSpan(prior.constants).part(0, family->moving());
+    }
+    Vector steps_of(const Prior& prior, const MatrixView& own) const {
+        return family->parameters.steps(theta_of(prior), own,
+                                        prior.differences.part(motion->size(), own.rows));
     }
 
     // Standard deviation of gap j after s seconds; white accelerations add the integral of the
@@ -455,8 +448,8 @@ class Gaps {
         const Matrix whole = leading(prior.root, size, q);
         const MatrixView own = whole.part(size, q);
         const Vector seen = direction(j);
-        const Sensitivity by = by_parameters(
-            prior, own,
+        const Sensitivity by = by_motion(
+            *family, theta_of(prior), steps_of(prior, own),
             [&](const FreeMotion& other) {
                 return Vector{dot(seen, other.state_after(t, prior.x, s))};
             },
