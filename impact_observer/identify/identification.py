@@ -29,7 +29,6 @@ from impact_observer.identify.other_parameters import (
     fits_with_others,
     missed_parameters,
 )
-from impact_observer.identify.outliers import outliers_by_observer
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
@@ -80,8 +79,6 @@ _LOST = 0.02
 """Error of stamps, relative to the time between two, above which nothing is explained, unless
 so large an error is declared.
 """
-_WRONG = 0.03
-"""Declared error of the model, as an error of the stamps relative to the time between two."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
 _FIRST = 64
@@ -564,8 +561,6 @@ class _Search(NamedTuple):
         them less is tried. Phases that are free begin all around the circle. ``clock`` is the
         approximate standard deviation of a stamp, s; None if unknown.
         """
-        if self.family.system.guides:
-            return None
         fitted: _Fitted | None = None
         sensed = (self.measurements, self.samples)
         besides = (((), ()), sensed) if self.measurements else (sensed,)
@@ -621,22 +616,15 @@ class _Search(NamedTuple):
     def _without_outliers(self, before: _Fitted) -> _Fitted:
         """The fit without spurious impacts and with missed ones, after one of all impacts."""
         first, problem, _ = before
-        system, clock = self.family.system, self.clock
         fitted, doubted = before._replace(identification=replace(first, converged=False)), 0
-        for wrong in (_WRONG * problem.interval, None):
-            self.report.stage("searching spurious and missed impacts")
-            try:
-                recording = outliers_by_observer(system, self.whole, self.events, wrong)
-                doubted = max(doubted, recording.outliers)
-                self.report.stage("spurious and missed impacts")
-                recording, again, refit = without_outliers(recording, self.family, clock)
-                again, refit = gated(again, refit)
-            except (IdentificationError, DynamicsError):
-                continue  # too few impacts are left, or none is found in time, or by this motion
-            doubted = max(doubted, recording.outliers)
-            fitted = _Fitted(_identification(recording, again, refit, clock), again, refit)
-            if fitted.identification.converged:
-                break
+        self.report.stage("spurious and missed impacts")
+        try:
+            recording, again, refit = without_outliers(self.whole, self.family, self.clock)
+            again, refit = gated(again, refit)
+            own, doubted = _identification(recording, again, refit, self.clock), recording.outliers
+            fitted = _Fitted(own, again, refit)
+        except (IdentificationError, DynamicsError):
+            pass  # too few impacts are left, or none is found in time, or by this motion
         explained = first.converged and first.rms <= _SUSPICIOUS * problem.interval
         if explained and not fitted.identification.converged:
             fitted = before  # a declared clock error that is too small

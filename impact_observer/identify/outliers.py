@@ -1,31 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spurious and missed impacts in a recording, which would spoil any fit.
 
-First the observer of minimum variance, with its model declared to be wrong, weighs every impact
-against being spurious and inserts missed ones. Then the fitted motion decides: an impact whose
-stamp is too far from the instant of the motion's impact is rejected. Where the motion would go
-through a stop, an impact is inserted, or a rejected one accepted again.
+The fitted motion decides: an impact whose stamp is too far from the instant of the motion's impact
+is rejected. Where the motion would go through a stop, an impact is inserted, or a rejected one
+accepted again.
 """
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.events import DECIDING, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.events import Kind
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.identify.least_squares import usual_size
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Hit, Recording
 from impact_observer.model import System
-from impact_observer.observer import Observer, initial_state, replay
-from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector
 
-_LARGEST = 0.1
-"""Most that may be declared of a clock, s."""
-_MODEL_ERROR = 0.01
-"""Noise of accelerations that stands for a wrong model, relative to those of the fastest mode."""
 _GATE = 5.0
 """Standard deviations of a stamp above which it is rejected: one true stamp in a million is."""
 _ROUNDED = 1e-9
@@ -38,75 +30,10 @@ _SEARCHED = 0.01
 """Largest distance of a rejected impact from the predicted instant to be accepted again, s."""
 _PRECISION = 1e-7
 """Largest depth of a penetration that is rounding, relative to the motion."""
-_FLIGHTS = 100
-"""Flights of a motion that take as long as the observer's weighing of an event."""
 _SAMPLES = 24
 """Samples of a motion within a period of the fastest mode."""
 _MOST = 2000
 """Most samples between two moments."""
-
-
-class _LawOfOneClock(MinimumVariance):
-    """The law of least variance for a clock that does not step: a fit has one clock, too."""
-
-    tries_steps = False
-
-
-def outliers_by_observer(
-    system: System, recording: Recording, events: list[ImpactEvent], wrong: float | None
-) -> Recording:
-    """The impacts that an observer of minimum variance rejects and inserts.
-
-    Args:
-        system: of the model.
-        recording: its events.
-        events: the same events, as an observer receives them.
-        wrong: error of the model, declared as an error of the stamps, s; None to declare an
-            error of the accelerations.
-
-    Raises:
-        IdentificationError: the search may take no more time.
-    """
-    n = system.n
-    recording.report.spend(_FLIGHTS * len(recording.episode.keys))
-    reach = 2 * float(np.max(np.abs(system.q_r), initial=0.0)) or 1.0
-    rate = float(np.sqrt(linalg.norm(linalg.solve(system.M, system.K), 2))) or 1.0
-    declared = Uncertainty(
-        deviation=np.repeat([reach, reach * rate], n),
-        clock_error=None if wrong is None else min(wrong, _LARGEST),
-        model_error=_MODEL_ERROR * reach * rate**1.5 if wrong is None else 0.0,
-        dead_time=recording.dead_time,
-        mislabelled=recording.mislabelled,
-    )
-    observer = Observer(
-        system,
-        _LawOfOneClock(system, declared),
-        *initial_state("zero", system),
-        epoch=recording.episode.epoch,
-        history=1.0 + (recording.episode.keys[-1].stamp - recording.episode.start) * 1e-9,
-        ensemble=1,
-    )
-    none = np.empty(0, dtype=np.int64)
-    verdicts = {
-        (v.stamp, v.sequence, v.contact): v
-        for v in replay(observer, events, none)
-        if isinstance(v, Verdict) and v.ruling in DECIDING
-    }  # the last ones
-    index = {name: i for i, name in enumerate(system.contact_names)}
-    received = {(key.stamp, i) for key in recording.episode.keys for i, _ in key.switches}
-    outliers: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
-    struck = dict[Hit, int]()
-    for each in verdicts.values():
-        if each.contact not in index:
-            continue
-        hit = each.stamp, index[each.contact]
-        if each.ruling in outliers:
-            outliers[each.ruling].add(hit)
-        elif each.hit_contact != each.contact:
-            struck[hit] = index[each.hit_contact]
-    return recording.with_outliers(
-        outliers[Ruling.REJECTED] & received, outliers[Ruling.INSERTED] - received
-    ).relabelled(struck)
 
 
 def outliers_by_motion(

@@ -17,7 +17,9 @@ import numpy as np
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling
 from impact_observer.filter.unknown_parameters import UnknownParameters
+from impact_observer.identify.first_guess import state_of_least_gaps
 from impact_observer.identify.recorded_impacts import Hit, Recording
+from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.parametric_family import ParametricFamily
@@ -146,7 +148,27 @@ def smoothed_start(
     values = {name: value for name, value, _ in motion.parameters}
     theta = change + [values.get(each.name, each.value) for each in family.parameters]
     state = motion.smoothed.first.mean[: 2 * family.system.n]
+    if early := first_hits_from_inside(explained, family.system_at(theta), state):
+        explained = explained.with_outliers(explained.rejected - early, explained.inserted)
+        at_rest = np.concatenate([np.zeros_like(state), theta])
+        return SmoothedStart(explained, state_of_least_gaps(explained.problem(family), at_rest)[0])
     return SmoothedStart(explained, np.concatenate([state, theta]))
+
+
+def first_hits_from_inside(recording: Recording, system: System, state: Vector) -> set[Hit]:
+    """The first hits, if rejected, of the stops inside which a motion begins.
+
+    The filter rejects a first hit that its prior makes improbable. The motion that is left passes
+    the stop from inside at the instant of this hit.
+
+    Args:
+        recording: as the smoothed motion explains the events.
+        system: of the model.
+        state: (q, u) of the motion at the start, shape (2n,).
+    """
+    inside = system.penetrated(state[: system.n])
+    first = min((stamp for stamp, contacts in recording.hits() if contacts), default=0)
+    return {hit for hit in recording.rejected if hit[1] in inside and hit[0] < first}
 
 
 def _shift_of(motion: SmoothedMotion) -> float:

@@ -5,14 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import EPOCH, Harmonic, forcing, run, system
+from systems import EPOCH, Harmonic, forcing, run, sample, system
 
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify import fit_report
+from impact_observer.identify.first_guess import state_of_least_gaps
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.identification import identify
 from impact_observer.identify.recorded_impacts import Recording
-from impact_observer.identify.smoothed_start import is_crowded
+from impact_observer.identify.smoothed_start import first_hits_from_inside, is_crowded
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer.episode import last_episode
@@ -115,3 +116,44 @@ def test_a_wrong_stiffness_is_found_though_a_tenth_of_the_impacts_is_missed(
     recording = found.recording
     assert not recording.rejected
     assert len(recording.inserted) == len(made.switchings) - len(events)
+
+
+def test_a_first_hit_is_not_taken_for_the_motion_from_inside_its_stop() -> None:
+    """A motion without the hit leaves the stop then; with the hit accepted the start is right."""
+    model = lever(1.6)
+    made = run(model.system, [0.2, 0.2], [0.0, 2.0], seconds=10.0, rate=1.0)
+    messages = simulate_sensor(
+        SensorModel(),
+        model.system,
+        made.switchings,
+        epoch=EPOCH,
+        last=int(made.stamps[-1]),
+        seed=1,
+    )
+    recording = Recording(last_episode(model.system, [each.event for each in messages]))
+    (first, contacts), *_ = recording.hits()
+    family = parametric_family(model.system, ["restitution"], model.elements)
+    nominal = np.concatenate([np.zeros(4), family.nominal])
+    hit = (first, contacts[0])
+    without = recording.with_outliers({hit}, ())
+    inside, _ = state_of_least_gaps(without.problem(family), nominal)
+    assert model.system.penetrated(inside[:2]) == contacts
+    assert first_hits_from_inside(without, model.system, inside[:4]) == {hit}
+    right, _ = state_of_least_gaps(recording.problem(family), nominal)
+    np.testing.assert_allclose(right[:4], [0.2, 0.2, 0.0, 2.0], atol=1e-6)
+    assert first_hits_from_inside(recording, model.system, right[:4]) == set()
+
+
+@pytest.mark.long
+def test_false_impacts_are_rejected_where_guides_rub() -> None:
+    """Events of a hammer whose carriage sticks and slips."""
+    model = sample("rubbing_guide")
+    plant, sensor = model.system, SensorModel(jitter=2e-4, spurious=0.1)
+    made = run(plant, *model.initial_state(), seconds=60.0, rate=1.0)
+    last = int(made.stamps[-1])
+    messages = simulate_sensor(sensor, plant, made.switchings, epoch=EPOCH, last=last, seed=3)
+    events = [each.event for each in messages]
+    found = identify(parametric_family(plant, ["restitution"]), events, clock=2e-4)
+    assert found.converged
+    assert abs(found.values[0] - 0.6) < 4 * found.errors[0] < 0.01
+    assert found.recording.rejected
