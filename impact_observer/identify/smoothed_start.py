@@ -146,7 +146,8 @@ def smoothed_start(
     if explained.hits() != as_smoothed:
         return None
     values = {name: value for name, value, _ in motion.parameters}
-    theta = change + [values.get(each.name, each.value) for each in family.parameters]
+    found = change + [values.get(each.name, each.value) for each in family.parameters]
+    theta: Vector = np.clip(found, *family.bounds)
     state = motion.smoothed.first.mean[: 2 * family.system.n]
     if early := first_hits_from_inside(explained, family.system_at(theta), state):
         explained = explained.with_outliers(explained.rejected - early, explained.inserted)
