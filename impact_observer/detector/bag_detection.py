@@ -79,6 +79,7 @@ class BagDetection:
             )
         for k, source in enumerate(self.sources):
             self.doubts += [*detector.left_out(k), *detector.dead_time_doubts(k)]
+            self.doubts += detector.switch_doubts(k)
             if why := detector.no_impact(k):
                 self.problems.append(f"{source.contact}: {why}")
         self.suppressed = [detector.suppressed(k) for k in range(len(self.sources))]

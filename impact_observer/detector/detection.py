@@ -26,6 +26,8 @@ _SENSORS: dict[str, type[Sensor]] = {
     PEAK: PeakSensor,
     ARRIVAL: ArrivalSensor,
 }
+_MANY = 5
+"""Impacts of a switch from which on it is doubted that each begins persistent contact."""
 
 
 class Detection(NamedTuple):
@@ -229,6 +231,15 @@ class Detector:
                 " one sign"
             )
         return [f"{source.contact}: {line}" for line in lines]
+
+    def switch_doubts(self, index: int) -> list[str]:
+        """What shows that a switch is closed where it was taken for open, at most a line."""
+        source, counts = self.sources[index], self.counts[index]
+        if source.kind != SWITCH or counts.impacts < _MANY or counts.closings < counts.impacts:
+            return []
+        found = f"{source.contact}: all {counts.impacts} impacts begin persistent contact"
+        remedy = f"its switch {'is not' if source.inverted else 'is'} normally closed (--inverted)"
+        return [f"{found}; if the contact opens again at once, {remedy}"]
 
     @property
     def epoch_doubt(self) -> str:

@@ -166,7 +166,8 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
                 given, joints = each.measurement, ", ".join(own[0][1].name) or "none"
                 problem = f"no {given.quantity} of {given.joint!r} on {topic}"
                 first = f"joints in its first message: {joints}"
-                raise given.wrong("joint", f"{problem}; {first}")
+                remedy = f"; {given.quantity} says which coordinate the joint measures"
+                raise given.wrong("joint", f"{problem}; {first}{remedy}")
             if problem := _clock_problem(each.measurement, made, clock):
                 problems.append(problem)
                 continue

@@ -191,7 +191,9 @@ class Measurement:
                     key = kind if coordinate != self.joint else "joint"
                     names = ", ".join(system.coordinates)
                     problem = f"{coordinate!r} is no coordinate of {system.name}; expected one of"
-                    raise self.wrong(key, f"{problem} {names}")
+                    first = f"{kind}: {{{system.coordinates[0]}: 1}}"
+                    remedy = f", or beside the joint which one it measures, such as {first}"
+                    raise self.wrong(key, f"{problem} {names}{remedy if self.joint else ''}")
         if self.gap and self.gap not in system.contact_names:
             names = ", ".join(system.contact_names) or "none, as it has no contacts"
             problem = f"{self.gap!r} is no contact of {system.name}; expected one of {names}"

@@ -136,7 +136,7 @@ def test_names_differ() -> None:
     [
         (
             ENCODER.replace("x1", "x9") % "",
-            "joint: 'x9' is no coordinate of two_mass; expected one",
+            "joint: 'x9' is no coordinate of two_mass; expected one of x1, x2, or beside the",
         ),
         (ENCODER % ", velocity: {x7: 1}", "velocity: 'x7' is no coordinate of two_mass"),
         (ENCODER % ", gap: anvil", "gap: 'anvil' is no contact of two_mass; expected one of stop"),
