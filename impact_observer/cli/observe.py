@@ -35,6 +35,8 @@ _COMPONENTS = 12
 """Most positions and velocities whose deviations are printed."""
 _SOURCES, _SMALL_SHARE = 3, 0.05
 """Most sources of a deviation that are printed, and the least share of its variance."""
+_DOUBTED, _FEW = 0.3, 5
+"""Share of the events, and least number of them, whose rejection makes the model doubtful."""
 _UNDETERMINED = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
@@ -119,6 +121,13 @@ def run(args: argparse.Namespace) -> int:
             share = (predicted - inserted) / predicted
             decided += f"; {share:.0%} of {predicted} predicted impacts were reported"
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
+        rejected = rulings.get(Ruling.REJECTED, 0)
+        judged = rejected + rulings.get(Ruling.APPLIED, 0)
+        if rejected >= _FEW and rejected > _DOUBTED * judged:
+            progress.line(
+                f"warning: {rejected} of {judged} impacts rejected: a sensor with so many false"
+                " impacts, or a wrong unit, sign, epoch, phase or topic?"
+            )
         for line in closing_lines(read, observer):
             progress.line(line)
         if unexplained := observer.remarks[Remark.MISFIT]:

@@ -7,6 +7,7 @@ the times into the header. Nothing is guessed: a column is that of time if its n
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -247,7 +248,8 @@ class LayoutSearch:
 
     def _is_row_of_units(self, cells: Sequence[str], above: Sequence[str], place: int) -> bool:
         """Whether a header is the row of units below the names, as in ``second,Volt``."""
-        same = len(cells) == len(above) and all(above)
+        is_named = all(name or not unit for name, unit in zip(above, cells, strict=False))
+        same = len(cells) == len(above) and is_named
         return same and unit_named(cells[place]) is not None and above[place].lower() in _AXES
 
     def _units_below(self, k: int) -> TextRow | None:
@@ -262,7 +264,7 @@ class LayoutSearch:
         return row if is_unit else None
 
     def _spelled(self, line: int, names: Sequence[str]) -> list[str]:
-        """The names; those that are wanted as they are wanted."""
+        """The names; those that are wanted as they are wanted, and repeated ones with a number."""
         lower = {each.lower(): each for each in self._wanted}
         spelled = [
             each if each in self._wanted else lower.get(each.lower(), each) for each in names
@@ -270,6 +272,11 @@ class LayoutSearch:
         for name in self._wanted:
             if spelled.count(name) > 1:
                 self._wrong(line, f"two columns {name} found; expected one")
+        counts = Counter[str]()
+        for k, name in enumerate(spelled):
+            counts[name] += 1
+            if name and counts[name] > 1:
+                spelled[k] = f"{name}.{counts[name]}"
         return spelled
 
     def _times(self, row: TextRow, place: int, units: TextRow | None) -> CellTimes:

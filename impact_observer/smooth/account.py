@@ -5,7 +5,6 @@ The observer runs through the recording first. A hypothesis keeps its latest dec
 on older events are the ones of the last hypothesis that still had them.
 """
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -98,7 +97,7 @@ class EventAccount(NamedTuple):
             if not moment.is_inserted:
                 continue
             limit = dead_time + moment.clock
-            is_dead = all(change.t - last.get(i, -math.inf) <= limit for i in change.hit)
+            is_dead = all(i in last and change.t - last[i] <= limit for i in change.hit)
             if is_dead if change.hit else rests.issuperset(change.opened):
                 unreported.add(k)
                 rests |= {*change.hit} & {*change.closed}

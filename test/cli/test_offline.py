@@ -420,3 +420,25 @@ def test_a_misfit_stands_in_the_bag_as_in_the_diagnostics_of_a_node(
     assert all((status.level == 1) is (MISFIT in status.message) for status in statuses)
     texts = [status.message for status in statuses]
     assert all(one != next_ for one, next_ in pairwise(texts))
+
+
+@pytest.mark.slow
+def test_a_model_by_which_many_impacts_are_rejected_is_doubted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The frequency of the forcing is in Hz instead of rad/s."""
+    bag, model = str(tmp_path / "bag"), tmp_path / "hz.yaml"
+    assert main(["simulate", "two_mass", "--duration", "30", "-o", bag]) == 0
+    text = shared("config/two_mass.yaml").read_text()
+    model.write_text(text.replace("frequency: 2.5", "frequency: 0.398"))
+    said = dict[str, str]()
+    for name in ("two_mass", str(model)):
+        output = str(tmp_path / f"observed_{len(said)}")
+        options = ("--law", "minimum-variance", "--rate", "10", "-o", output)
+        assert main(["observe", bag, "--model", name, *options]) == 0
+        said[name] = capsys.readouterr().out
+    assert (
+        "impacts rejected: a sensor with so many false impacts, or a wrong unit"
+        in said[str(model)]
+    )
+    assert "impacts rejected" not in said["two_mass"]

@@ -189,3 +189,16 @@ def test_a_ball_with_uncertain_damping_that_comes_to_rest_is_smoothed(
     *_, found = re.findall(r"damping\.ground-z \[Ns/m\] (\S+) \+- (\S+)", said)
     value, deviation = map(float, found)
     assert abs(value - 0.5) < 3 * deviation
+
+
+@pytest.mark.slow
+def test_an_impact_missed_before_the_first_report_is_in_no_dead_time(tmp_path: Path) -> None:
+    """The contact has reported nothing from which a dead time could count."""
+    bag, output = str(tmp_path / "bag"), tmp_path / "smoothed"
+    faults = ("--missed", "0.4", "--jitter", "0.001", "--seed", "3")
+    assert main(["simulate", "two_mass", "--duration", "20", *faults, "-o", bag]) == 0
+    options = ("--dead-time", "0.05", "--rate", "10")
+    assert main(["smooth", bag, *options, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        verdicts = [*reader.verdicts("/smoother/verdicts")]
+    assert any(each.ruling is Ruling.INSERTED for each in verdicts)

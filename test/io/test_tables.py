@@ -94,6 +94,10 @@ LAYOUTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "skipped.csv": (table("1,2\n3,4\n", plain), ("--skip-rows", "2")),
     "units_row.csv": (table("Time,Hammer\n[ms],[N]\n\n", millis), ()),
     "keysight.csv": (table("x-axis,1\nsecond,Volt\n", lambda _, t, a: f"{t:+.8E},{a:+.5E}"), ()),
+    "rigol_time.csv": (
+        table("X,CH1,CH2,\nSecond,Volt,Volt,\n", lambda _, t, a: f"{t:.5e},{a:.2e},4.88e+00,"),
+        ("--topic", "CH1"),
+    ),
     "rigol.csv": (
         table(
             "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,0.000000e+00,5.000000e-04\n",
@@ -294,6 +298,16 @@ def test_nothing_is_guessed_where_two_readings_are_possible(
         return
     with pytest.raises(UsageError, match=said):
         read_times(tmp_path, text)
+
+
+def test_columns_of_one_name_are_told_apart_by_a_number(tmp_path: Path) -> None:
+    """Two channels called Volt, of which none is taken unasked."""
+    (tmp_path / "scope.csv").write_text("time,Volt,Volt\n0,1,2\n1,3,4\n")
+    form = TableForm()
+    file = TableFile(tmp_path / "scope.csv", form, (), what="rows", expected="time", strict=False)
+    assert file.columns == ("Volt", "Volt.2")
+    rows = [row.cells for row in file.records()]
+    assert rows == [{"Volt": "1", "Volt.2": "2"}, {"Volt": "3", "Volt.2": "4"}]
 
 
 @pytest.mark.parametrize(
