@@ -67,9 +67,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     epoch = "stamp of t = 0 (default: unknown; of a signal, that of the file's time 0)"
     add("--epoch", metavar="S", type=stamp, help=epoch)
     pulses = (
-        "topic of the index pulses of a drive, std_msgs/Header, in a bag; the first is the epoch"
+        "index pulses of a drive, of which the first is the epoch: in a bag a topic of"
+        " std_msgs/Header (default: /phase_reference), of a signal the column whose rising edges"
+        " they are"
     )
-    add("--pulses", metavar="TOPIC", help=f"{pulses} (default: /phase_reference)")
+    add("--pulses", metavar="TOPIC", help=pulses)
     add_part(
         parser, zero="the epoch, or without one after the first message; of a signal, file time"
     )
@@ -154,18 +156,22 @@ def _in_signal(
     args: argparse.Namespace, model: "Model | None", progress: "Progress"
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
-    from impact_observer.detector.signal_detection import detect_signal
-    from impact_observer.errors import UsageError
+    from impact_observer.detector.signal_detection import detect_signal, pulses_in
     from impact_observer.io.bag_part import BagPart
     from impact_observer.io.signal_file import SignalFile
     from impact_observer.stamps import text
 
-    if args.pulses is not None:
-        raise UsageError(f"--pulses: {args.bag} is a signal without topics; give --epoch")
-    signal = SignalFile(args.bag, table_form(args), args.time_zero)
+    def opened() -> SignalFile:
+        return SignalFile(args.bag, table_form(args), args.time_zero)
+
+    signal, pulses = opened(), list[int]()
     if args.start is not None or args.duration is not None:
         signal.part = BagPart.between(signal.zero, args.start, args.duration)
-    epoch = signal.start if args.epoch is None else args.epoch
+    if args.pulses is not None:
+        pulses = pulses_in(opened(), args.pulses)
+        progress.line(f"{args.pulses}: {len(pulses)} pulses, the first at {text(pulses[0])} s")
+    by_default = pulses[0] if pulses else signal.start
+    epoch = by_default if args.epoch is None else args.epoch
 
     def show(rows: int) -> None:
         if rows % 1000 == 0:
@@ -177,6 +183,7 @@ def _in_signal(
         args.output,
         model=model,
         epoch=epoch,
+        pulses=pulses,
         flush=args.flush,
         traced=args.plot is not None,
         progress=show,

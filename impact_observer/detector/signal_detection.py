@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the detector on a signal in a file, and writes a bag with events."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from impact_observer.detector import Detection, Detector, Source
 from impact_observer.detector.bag_detection import (
@@ -23,6 +26,8 @@ from impact_observer.model import Model
 from impact_observer.stamps import seconds_between
 
 _TYPE = "a column of numbers"
+_LEVELS = 0.25, 0.5, 0.75
+"""Of a column's range: below a pulse, at its edge, and in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +44,7 @@ def detect_signal(
     *,
     model: Model | None = None,
     epoch: int = 0,
+    pulses: Sequence[int] = (),
     flush: float = FLUSH,
     traced: bool = False,
     progress: Callable[[int], None] = lambda _: None,
@@ -53,6 +59,8 @@ def detect_signal(
         output: the bag to make.
         model: the model of the new bag, or None.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
+        pulses: stamps of the index pulses of a drive, ns, ascending; written to
+            ``phase_reference``.
         flush: longest time until a message is on the disk, s.
         traced: whether to keep the signals, for a picture.
         progress: called with the number of rows read.
@@ -76,7 +84,9 @@ def detect_signal(
         if model is not None:
             write_model(writer, model, max(signal.first, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)
-        result.rows, first, last = _run(signal, writer, detector, progress)
+        if pulses:
+            writer.declare(interfaces.PHASE_REFERENCE.topic)
+        result.rows, first, last = _run(signal, writer, detector, pulses, progress)
         if not result.rows and part is not None:
             raise UsageError(
                 f"{signal.path}: no row from {part.words}; choose another part with --start and"
@@ -88,15 +98,52 @@ def detect_signal(
     return result
 
 
+def pulses_in(signal: SignalFile, column: str) -> list[int]:
+    """Stamps of the rising edges of a column, such as a drive's index pulses, ns.
+
+    An edge goes from the lowest to the highest quarter of the column's range. Its instant is
+    where the line between two samples crosses the middle.
+
+    Args:
+        signal: the file, of which no row was read yet.
+        column: name of a column, or the topic that the column is taken for.
+
+    Raises:
+        UsageError: the file has no such column, or the column has no rising edge.
+    """
+    names = {topic: name for name, topic in signal.topics.items()}
+    name = names.get(column, column)
+    if name not in signal.topics:
+        raise UsageError(f"pulses: no column {column}; columns: {', '.join(signal.topics)}")
+    rows = [(stamp, value) for stamp, (value,) in signal.rows([name]) if value is not None]
+    stamps = np.array([stamp for stamp, _ in rows] or [0], dtype=np.int64)
+    values = np.array([value for _, value in rows] or [0.0])
+    low, middle, high = (float(x) for x in np.quantile([values.min(), values.max()], _LEVELS))
+    level = np.where(values >= high, 1, np.where(values <= low, -1, 0))
+    known = np.flatnonzero(level)
+    rises = known[1:][(level[known[1:]] > 0) & (level[known[:-1]] < 0)]
+    crossings = np.flatnonzero((values[:-1] < middle) & (values[1:] >= middle))
+    if low == high or not rises.size:
+        raise UsageError(f"pulses: {column} has no rising edge; expected pulses of a drive")
+    k = crossings[np.searchsorted(crossings, rises) - 1]
+    share = (middle - values[k]) / (values[k + 1] - values[k])
+    after = np.round(share * (stamps[k + 1] - stamps[k])).astype(np.int64)
+    return [int(stamp) for stamp in stamps[k] + after]
+
+
 def _run(
-    signal: SignalFile, writer: BagWriter, detector: Detector, progress: Callable[[int], None]
+    signal: SignalFile,
+    writer: BagWriter,
+    detector: Detector,
+    pulses: Sequence[int],
+    progress: Callable[[int], None],
 ) -> tuple[int, int, int]:
     """Feed the detector with every row, as if each were received at its stamp.
 
     Returns:
         The number of rows, and the stamps of the first and the last one, ns.
     """
-    make = bag_messages()
+    make, waiting = bag_messages(), deque(pulses)
     columns = {topic: column for column, topic in signal.topics.items()}
 
     def write(detections: list[Detection]) -> None:
@@ -107,6 +154,9 @@ def _run(
     rows = signal.rows([columns[source.topic] for source in detector.sources])
     for done, (stamp, values) in enumerate(rows, start=1):
         first = first or stamp
+        while waiting and waiting[0] <= stamp:
+            pulse = waiting.popleft()
+            writer.write(interfaces.PHASE_REFERENCE.topic, pulse, make.pulse(pulse))
         for index, value in enumerate(values):
             if value is not None:
                 write(detector.feed(index, _Number(value), stamp))

@@ -11,6 +11,7 @@ from scipy.io import wavfile
 from impact_observer.cli.main import main
 from impact_observer.events import Switch
 from impact_observer.io import BagReader
+from impact_observer.io.messages import read_stamp
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.states import Vector
 
@@ -204,3 +205,39 @@ def test_what_is_no_signal_is_said_to_be_none(
     assert "go with a signal, not with a bag" in capsys.readouterr().err
     assert main(["observe", str(sound), "-o", output]) == 2
     assert "`import` makes one of a table of impact times, `detect`" in capsys.readouterr().err
+
+
+def test_rising_edges_of_a_column_are_the_pulses_of_a_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first edge is the epoch; a noisy channel has as many edges as the generator."""
+    t, a = signal()
+    edges = np.array([0.0123, 0.1023, 0.1923, 0.2823])  # s
+    phase = (t[:, None] - edges) % 1.0
+    noise = 0.3 * np.random.default_rng(1).standard_normal(t.size)
+    ttl = np.where((phase < 0.03).any(axis=1), 4.9, 0.1) + noise
+    rows = [f"{x:.6f},{y:.5f},{z:.5f}" for x, y, z in zip(t, a, ttl, strict=True)]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(["time,CH1,CH2", *rows]))
+    named = ("--contact", "stop", "--topic", "CH1")
+    impact_times(path, *named, "--pulses", "CH2")
+    assert "CH2: 4 pulses, the first at 1.012" in capsys.readouterr().out
+    with BagReader(tmp_path / "bag") as reader:
+        pulses = [read_stamp("", m.stamp) for _, m in reader.messages("/phase_reference")]
+        assert {event.epoch for event in events_in(reader)} == {pulses[0]}
+    np.testing.assert_allclose((np.array(pulses) - SECOND) / SECOND, edges, atol=1 / RATE)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [("CH3", "no column CH3; columns: CH1, CH2"), ("CH2", "CH2 has no rising edge; expected")],
+)
+def test_a_column_without_pulses_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str, said: str
+) -> None:
+    """It names the columns, or what was expected."""
+    path, output = tmp_path / "scope.csv", str(tmp_path / "bag")
+    path.write_text("time,CH1,CH2\n0,0,1\n0.001,50,1\n0.002,0,1\n")
+    named = ("--contact", "stop", "--topic", "CH1", "--threshold", "30", "--pulses", column)
+    assert main(["detect", str(path), *named, "-o", output]) == 2
+    assert said in capsys.readouterr().err
