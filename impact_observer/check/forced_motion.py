@@ -68,6 +68,10 @@ class ForcedMotion:
         pressed = (self.pull > 0) & (self.shake > 0) & (self.shake < self.pull)
         return _where(pressed)
 
+    def never_returned_to(self) -> list[int]:
+        """Contacts from which a body without springs is pulled away, where none is pulled to."""
+        return [] if np.any(self.pull > 0) else _where(self.pull < 0)
+
     def too_fast(self) -> list[int]:
         """Contacts with a speed that no machine has."""
         return _where((self.speed > _FAST) & np.isfinite(self.speed))

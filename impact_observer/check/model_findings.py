@@ -237,6 +237,13 @@ def _forced(system: System) -> Iterator[ReportLine]:
             f" {figure(motion.speed[i], unit_of('m/s', system.unit))}: are all {lengths}, and"
             " frequencies in rad/s?",
         )
+    for i in motion.never_returned_to()[:_SHOWN]:
+        yield ReportLine(
+            "warning",
+            f"Constant forces pull away from {names[i]} with"
+            f" {figure(-motion.pull[i], acceleration)}, and no spring brings a body back. Is the"
+            " sign of the force right, and the order of the bodies of the stop?",
+        )
     rests = [i for i in motion.never_left() if not system.rebounds[i].drives]
     for i in rests[:_SHOWN]:
         yield ReportLine(

@@ -302,7 +302,7 @@ def add_force(parser: argparse.ArgumentParser, *outputs: str) -> None:
         outputs: the arguments that name files to write, which are checked before the command runs.
     """
     parser.set_defaults(outputs=outputs)
-    parser.add_argument("--force", action="store_true", help="replace existing files")
+    parser.add_argument("--force", action="store_true", help="replace existing files, but no bag")
 
 
 def add_flush(parser: argparse.ArgumentParser) -> None:

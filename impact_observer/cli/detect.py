@@ -105,7 +105,8 @@ def run(args: argparse.Namespace) -> int:
             if suppressed:
                 what += f", {suppressed} suppressed in it"
             if rise > 0:
-                what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average"
+                what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average:"
+                what += " a constant part is --latency"
             progress.line(f"{source.contact}: {_in_words(counts)} ({what})")
         if result.part is not None:
             progress.line(f"part: {result.part.words}")

@@ -310,3 +310,21 @@ def test_a_file_that_is_no_model_is_wrong_use(tmp_path: Path) -> None:
             parsed(written(tmp_path, CORNER.replace("restitution: 0", "restitution: 7")))
         )
     assert absent.value.exit_code == broken.value.exit_code == 2
+
+
+@pytest.mark.parametrize(("force", "warned"), [(-1.0791, False), (1.0791, True)])
+def test_a_free_body_that_is_pulled_away_from_its_stop_is_doubted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], force: float, warned: bool
+) -> None:
+    """Gravity with the wrong sign above a table that moves."""
+    path = tmp_path / "ball.yaml"
+    path.write_text(
+        f"""
+        name: ball
+        bodies: [{{name: ball, mass: 0.11}}]
+        grounds: [{{name: table, motion: {{harmonics: [{{amplitude: 0.004, frequency: 88}}]}}}}]
+        forces: [{{body: ball, constant: {force}}}]
+        stops: [{{name: plate, between: [table, ball], gap: 0, restitution: 0.6}}]
+        """
+    )
+    assert ("pull away from plate with 9.81 m/s^2" in printed(capsys, str(path))) == warned
