@@ -23,6 +23,7 @@ from impact_observer.options import AUTO, VERDICTS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from impact_observer.filter.contradiction import Contradiction
     from impact_observer.filter.unknown_parameters import UnknownParameters
     from impact_observer.io.reader import BagReader
     from impact_observer.model import Model, System
@@ -139,10 +140,16 @@ def run(args: argparse.Namespace) -> int:
 
 def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
     """What is said of the estimate, of what was learned, and of data used twice."""
+    from impact_observer.filter.contradiction import contradictions
     from impact_observer.stamps import seconds_between
 
     yield from source_lines(observer)
     yield from parameter_lines(observer)
+    if observer.last_event:
+        declared = observer.law.uncertainty.declared_constants
+        learned = observer.estimate(observer.last_event).parameters
+        unit = model.system.unit if model.robot is None else model.robot.units[0]
+        yield from contradiction_lines(contradictions(learned, declared), unit)
     yield from sample_lines(observer)
     yield from fitted_lines(model, (observer.last_event,))
     if model.robot is None and observer.last_event and observer.epoch:
@@ -300,3 +307,26 @@ def parameter_lines(observer: "Observer") -> "Iterator[str]":
         words = "learned" if is_learned else "not determined by these impacts"
         known = figure(value, deviation=deviation)
         yield f"{words}: {with_unit(name, observer.system.unit)} {known}"
+
+
+def contradiction_lines(found: "Sequence[Contradiction]", unit: str) -> "Iterator[str]":
+    """A line that names the learned values that contradict the declared ones."""
+    from impact_observer.draw.reports import figure
+    from impact_observer.model.free_parameters import with_unit
+
+    if not found:
+        return
+    texts = []
+    for each in found:
+        own, learned = each.declared, figure(each.value, deviation=each.deviation)
+        given = figure(own.value, deviation=own.deviation)
+        bounds = ", outside its bounds" if each.is_outside else ""
+        texts.append(
+            f"{with_unit(own.name, unit)} {learned}, declared {given} ({each.far:.1f}"
+            f" deviations{bounds})"
+        )
+    yield (
+        f"warning: learned values contradict the declared ones: {'; '.join(texts)}: as"
+        " declared the model does not explain the impacts: declare wider deviations, or"
+        " --model-error where a restitution scatters from hit to hit; see docs/misfit.md"
+    )

@@ -8,6 +8,7 @@ owner /smoother: state, joint_states, verdicts, impacts.
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_bag_output,
@@ -19,6 +20,12 @@ from impact_observer.cli.arguments import (
     add_part,
     observer_options,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from impact_observer.model import Model
+    from impact_observer.smooth.smoothed_motion import SmoothedMotion
 
 LAW = "minimum-variance"
 
@@ -39,14 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
     from impact_observer.check.hit_times import doubts, first_times
-    from impact_observer.cli.observe import considered_lines, fitted_lines, torque_lines
+    from impact_observer.cli.observe import considered_lines, torque_lines
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.reports import figure
     from impact_observer.io.bag_part import read_impacts_part
     from impact_observer.io.observed_bag import MOST_ESTIMATES
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.model.free_parameters import with_unit
     from impact_observer.model.measurements_file import read_measurements
     from impact_observer.observer import make_observer
     from impact_observer.smooth.bag_smoothing import smooth_bag
@@ -82,23 +87,31 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {smoothed.estimates} estimates, verdicts: {verdicts}")
         for line in smoothed.problems:
             progress.line(f"warning: {line}")
-        unit = read.system.unit if read.robot is None else read.robot.units[0]
         for each in smoothed.runs:
-            for line in fitted_lines(read, (m.change.stamp for m in each.account.moments)):
+            for line in _about_run(read, each):
                 progress.line(line)
-            for name, value, deviation in each.parameters:
-                progress.line(
-                    f"learned: {with_unit(name, unit)} {figure(value, deviation=deviation)}"
-                )
-            if not each.smoothed.is_settled:
-                progress.line(
-                    "warning: the last linearisation still changed the motion by"
-                    f" {each.smoothed.change:.2g} standard deviations"
-                )
-            for name, value, deviation in each.filtered_parameters:
-                learned = f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
-                progress.line(f"learned by the filter: {learned}")
-            far = each.misfit if each.unexplained else ""
-            for line in filter(None, (far, each.model_doubt, each.early_doubt[0])):
-                progress.line(f"warning: {line}")
     return 0
+
+
+def _about_run(model: "Model", run: "SmoothedMotion") -> "Iterator[str]":
+    """What was learned in a run of the sender, and what is in doubt."""
+    from impact_observer.cli.observe import contradiction_lines, fitted_lines
+    from impact_observer.draw.reports import figure
+    from impact_observer.model.free_parameters import with_unit
+
+    unit = model.system.unit if model.robot is None else model.robot.units[0]
+    yield from fitted_lines(model, (each.change.stamp for each in run.account.moments))
+    for name, value, deviation in () if run.fallback else run.parameters:
+        yield f"learned: {with_unit(name, unit)} {figure(value, deviation=deviation)}"
+    if not run.smoothed.is_settled:
+        yield (
+            "warning: the last linearisation still changed the motion by"
+            f" {run.smoothed.change:.2g} standard deviations"
+        )
+    for name, value, deviation in run.filtered_parameters:
+        learned = f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
+        yield f"learned by the filter: {learned}"
+    yield from contradiction_lines(run.contradictions, unit)
+    far = run.misfit if run.unexplained else ""
+    for line in filter(None, (run.fallback, far, run.model_doubt, run.early_doubt[0])):
+        yield f"warning: {line}"

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import UsageError
+from impact_observer.filter.contradiction import Declared
 from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
@@ -120,6 +121,24 @@ class Uncertainty:
     def estimates_parameters(self) -> bool:
         """Whether parameters of the model are estimated with the state."""
         return self.unknowns is not None and bool(self.unknowns.estimated)
+
+    @property
+    def declared_constants(self) -> tuple[Declared, ...]:
+        """What is declared of parameters and of the clock's offset.
+
+        A parameter that drifts may end anywhere, and is left out.
+        """
+        unknowns, rows = self.unknowns, list[Declared]()
+        if unknowns is not None and not unknowns.drift:
+            family = unknowns.family
+            columns = (family.nominal, unknowns.deviations, *family.bounds)
+            each = zip(family.names, *(column.tolist() for column in columns), strict=True)
+            rows += [Declared(*row) for row in each]
+        if self.clock_offset_error:
+            rows.append(
+                Declared("clock_offset", 0.0, self.clock_offset_error, -math.inf, math.inf)
+            )
+        return tuple(rows)
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).

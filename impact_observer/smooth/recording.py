@@ -2,7 +2,7 @@
 """The smoothed events of a recording: their account, and the motion that explains them all."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -15,7 +15,13 @@ from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Observer, Options, initial_state, make_observer
+from impact_observer.observer import (
+    Observer,
+    Options,
+    initial_state,
+    make_observer,
+    replay_batches,
+)
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.make_observer import encoder_start
@@ -28,6 +34,7 @@ from impact_observer.smooth.backward import Retracing
 from impact_observer.smooth.smoothed_motion import NO_DOUBT, Doubt, SmoothedMotion
 from impact_observer.smooth.smoother import OTHER, Smoothed, smooth, with_remainders
 from impact_observer.stamps import MAX_STAMP, Elapsed
+from impact_observer.states import Estimates, Stamps
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the name of the job, the part done, and the total."""
@@ -249,7 +256,17 @@ class _Run:
             start=start,
             epoch=best.epoch or start,
             doubt=doubt,
+            filtered=self._filtered,
         )
+
+    def _filtered(self, stamps: Stamps) -> Iterator[Estimates]:
+        """The estimates of the filter at ``stamps``, ns."""
+        observer, law = self._observer()
+        law.forget()
+        made = replay_batches(
+            observer, self._events, stamps, rejects=True, by_stamps=True, samples=self._samples
+        )
+        yield from (each for each in made if isinstance(each, Estimates))
 
     def _searched(self, best: "_Trial", events: Sequence[ImpactEvent]) -> "_Trial":
         """The likeliest account of ``events``, in a search that begins with ``best``."""

@@ -3,7 +3,8 @@
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache, cached_property, partial
 from itertools import chain, takewhile
 from typing import NamedTuple
@@ -12,6 +13,7 @@ import numpy as np
 from scipy import linalg, special
 
 from impact_observer.events import Ruling, SmoothedImpact
+from impact_observer.filter.contradiction import Contradiction, contradictions
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.linear import LinearPrediction
@@ -43,6 +45,10 @@ _ONE_MOTION_IN = 1e-3
 _IMPLAUSIBLE = (
     "fewer than one in a thousand true motions explain the impacts as badly as the smoothed one,"
     " and where guides rub another may be likelier: declare the start (--initial, --deviation);"
+    " see docs/smoothing.md"
+)
+_BY_FILTER = (
+    "the smoothed motion {}: the states are the filter's, from the impacts before each instant;"
     " see docs/smoothing.md"
 )
 _FAR = 5.0
@@ -106,10 +112,14 @@ class SmoothedMotion:
         start: int,
         epoch: int,
         doubt: Doubt = NO_DOUBT,
+        filtered: Callable[[Stamps], Iterator[Estimates]] = lambda _: iter(()),
     ) -> None:
-        """A motion by ``law``; stamps (ns) of the first state, and of ``t = 0``."""
+        """A motion by ``law``; stamps (ns) of the first state, and of ``t = 0``.
+
+        ``filtered`` gives the filter's estimates at stamps.
+        """
         self.smoothed, self.account, self.start = smoothed, account, start
-        self.doubt = doubt
+        self.doubt, self._filtered = doubt, filtered
         self._law, self._epoch = law, epoch
         self._names = law.system.contact_names
         applied = {
@@ -126,7 +136,9 @@ class SmoothedMotion:
     def impacts(self) -> Iterator[SmoothedImpact]:
         """All impacts and releases, in the order of the moments."""
         for k, moment in enumerate(self.account.moments):
-            _, deviation = self.smoothed.instant(k)
+            early, deviation = self.smoothed.instant(k)
+            if self.fallback:
+                deviation = math.hypot(self._widened * deviation, early)
             change = moment.change
             reported, ruling = change.stamp, Ruling.APPLIED
             if moment.is_inserted:
@@ -144,9 +156,16 @@ class SmoothedMotion:
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
         """The states at ``stamps`` (ns, ascending, shape (samples,)); none before the start.
 
-        The state at an impact is that just after the impact.
+        The state at an impact is that just after the impact. Where the motion cannot be used, the
+        states are those of the filter.
         """
         stamps = stamps[np.searchsorted(stamps, self.start) :]
+        if self.fallback:
+            misfit = self.misfit or self.fallback
+            for each in self._filtered(stamps):
+                first = replace(each.first, law=LAW, synchronized=False, misfit=misfit)
+                yield replace(each, first=first)
+            return
         order = np.maximum.accumulate(self._jumps) if self._jumps.size else self._jumps
         flights = np.searchsorted(order, stamps, side="right") - 1
         last = len(self.account.moments) - 1
@@ -304,6 +323,23 @@ class SmoothedMotion:
         if len(deviations) > len(names):
             rows.append(("clock_offset", self._constants.offset, deviations[-1]))
         return tuple(rows)
+
+    @cached_property
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """Smoothed parameters that are too far from the declared ones."""
+        size, rows = 2 * self._law.system.n, self._law.uncertainty.declared_constants
+        prior = self.smoothed.arc.first.deviations[size:].tolist()
+        used = {row[0]: d for row, d in zip(self.parameters, prior, strict=True)}
+        return contradictions(
+            self.parameters, (each._replace(deviation=used[each.name]) for each in rows)
+        )
+
+    @property
+    def fallback(self) -> str:
+        """Why the states are those of the filter, in words; empty if they are smoothed."""
+        if self.contradictions:
+            return _BY_FILTER.format("needs values that contradict the declared ones")
+        return _BY_FILTER.format("has not settled") if self.smoothed.has_failed else ""
 
     @cached_property
     def early_doubt(self) -> tuple[str, int]:

@@ -113,6 +113,11 @@ class Smoothed(NamedTuple):
         """
         return self.change < (_AGREES if self.arc.filter.system.guides else _SETTLING)
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether another linearisation would change the motion by more than its deviations."""
+        return self.change >= _SETTLING
+
     def is_better(self, other: "Smoothed") -> bool:
         """Whether this motion explains the same events better than another one."""
         if self.is_settled != other.is_settled:

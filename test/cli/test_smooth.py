@@ -66,6 +66,24 @@ def test_a_wrong_restitution_is_warned_of(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("command", ["observe --law minimum-variance", "smooth"])
+def test_a_learned_value_that_contradicts_the_declared_one_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    """The restitution is 0.7, and declared as 0.6 +- 0.02: impacts of two_mass say so."""
+    model = tmp_path / "wrong.yaml"
+    right = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    model.write_text(right.replace("restitution: 0.7", "restitution: 0.6"), "utf-8")
+    given = ["--estimate-parameters", "restitution=0.02", "--rate", "1", "--model", str(model)]
+    bag = str(shared("bags/jitter"))
+    assert main([*command.split(), bag, *given, "-o", str(tmp_path / "estimated")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (warning,) = [line for line in lines if "contradict the declared ones: rest" in line]
+    assert re.search(r"restitution\.stop 0\.[67]\d+ \+- \S+, declared 0\.600? \+- 0\.02 ", warning)
+    assert any("the states are the filter's" in line for line in lines) is (command == "smooth")
+
+
+@pytest.mark.slow
 def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
     """The second run uses the same events, with other options."""
     first, second = tmp_path / "first", tmp_path / "second"
