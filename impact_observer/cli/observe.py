@@ -290,6 +290,10 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
                 if observer.robot is not None:
                     line = f"warning: {line}: {observer.robot.description.larger_errors}"
         yield line
+        deviation = learned.get(sensor.name, sensor.measurement.deviation or 0.0)
+        doubt = sensor.measurement.contradiction(counts["samples"], counts["rejected"], deviation)
+        if doubt and observer.robot is None:
+            yield f"warning: {doubt}"
 
 
 def parameter_lines(observer: "Observer") -> "Iterator[str]":

@@ -7,6 +7,7 @@ owner /smoother: state, joint_states, verdicts, impacts.
 """
 
 import argparse
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from impact_observer.model import Model
+    from impact_observer.observer.laws.law import Law
     from impact_observer.smooth.smoothed_motion import SmoothedMotion
 
 LAW = "minimum-variance"
@@ -88,13 +90,13 @@ def run(args: argparse.Namespace) -> int:
         for line in smoothed.problems:
             progress.line(f"warning: {line}")
         for each in smoothed.runs:
-            for line in _about_run(read, each):
+            for line in _about_run(read, law, each):
                 progress.line(line)
     return 0
 
 
-def _about_run(model: "Model", run: "SmoothedMotion") -> "Iterator[str]":
-    """What was learned in a run of the sender, and what is in doubt."""
+def _about_run(model: "Model", law: "Law", run: "SmoothedMotion") -> "Iterator[str]":
+    """What was learned in a run of the sender, what became of samples, and what is in doubt."""
     from impact_observer.cli.observe import contradiction_lines, fitted_lines
     from impact_observer.draw.reports import figure
     from impact_observer.model.free_parameters import with_unit
@@ -106,12 +108,26 @@ def _about_run(model: "Model", run: "SmoothedMotion") -> "Iterator[str]":
     if not run.smoothed.is_settled:
         yield (
             "warning: the last linearisation still changed the motion by"
-            f" {run.smoothed.change:.2g} standard deviations"
+            f" {run.smoothed.change:.2g} standard deviations{_remedy(law)}"
         )
     for name, value, deviation in run.filtered_parameters:
         learned = f"{with_unit(name, unit)} {figure(value, deviation=deviation)}"
         yield f"learned by the filter: {learned}"
+    for sensor in run.sensors:
+        yield sensor.text
     yield from contradiction_lines(run.contradictions, unit)
+    warned = chain.from_iterable(sensor.warnings for sensor in run.sensors)
     far = run.misfit if run.unexplained else ""
-    for line in filter(None, (run.fallback, far, run.model_doubt, run.early_doubt[0])):
+    for line in filter(None, (*warned, run.fallback, far, run.model_doubt, run.early_doubt[0])):
         yield f"warning: {line}"
+
+
+def _remedy(law: "Law") -> str:
+    """What to do about parameters that are so uncertain that the motion does not settle."""
+    unknowns = law.uncertainty.unknowns
+    if unknowns is None:
+        is_forced = law.system.own_forcing.frequency.size > 0
+        return "; if a phase is unknown, identify --free forcing-phase" if is_forced else ""
+    names = ",".join(unknowns.family.names)
+    learned = f"--estimate-parameters {names} or " if any(unknowns.considered) else ""
+    return f"; find the uncertain parameters by {learned}identify --free {names}"

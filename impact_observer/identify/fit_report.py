@@ -235,13 +235,20 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
             for name, (count, mean, rms) in check.by_contact.items()
         },
         "worst_contact": check.worst,
-        "sensors": [{**asdict(each), "fits": each.fits} for each in fitted.sensors],
+        "sensors": [*map(_sensor_for_json, fitted.sensors)],
         "shifts": {
             "seconds": fitted.stamps.tolist(),
             "shift": fitted.shifts.tolist(),
             "contacts": [list(each) for each in fitted.contacts],
         },
     }
+
+
+def _sensor_for_json(fit: SensorFit) -> dict[str, object]:
+    """How the samples of a sensor fit, as values of ``--json``."""
+    own = asdict(fit)
+    del own["sensor"]
+    return {"name": fit.name, **own, "fits": fit.fits}
 
 
 def print_parameters(fitted: Identification, check: FitCheck) -> None:
@@ -422,7 +429,10 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
             f"Only the first {first} impacts were searched. Of the {fitted.unsearched} others"
             " eight parts of 32 were fitted, and no motion explains any.",
         )
-    yield from map(_about_sensor, fitted.sensors)
+    for each in fitted.sensors:
+        yield _about_sensor(each)
+        for warning in filter(None, (each.doubt, each.correlation.warning(each.name))):
+            yield ReportLine("warning", f"{warning[0].upper()}{warning[1:]}.")
     unknowns = 2 * fitted.family.system.n + fitted.family.size
     is_short = not fitted.sensors and len(fitted.shifts) < unknowns + _SPARE
     if is_short:
@@ -553,8 +563,8 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
         if fit.size < DOUBTED:
             ratio = fit.rms / fit.deviation
             yield f"errors of {fit.name} are {ratio:.3g} times the declared deviation"
-        if fit.white < DOUBTED:
-            yield f"neighbouring errors of {fit.name} are correlated"
+        if fit.correlation.warning(fit.name) or not fit.fits:
+            yield f"errors of {fit.name} are correlated"
     if not (fitted.declared or check.large):
         yield "without --clock-error an error of the model looks like one of the clock"
 

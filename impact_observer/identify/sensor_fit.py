@@ -6,12 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from impact_observer.filter.error_correlation import ErrorCorrelation
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.residuals import DOUBTED, REJECTED, whiteness
-from impact_observer.states import Vector
-
-_LAGS = 4.0
-"""Number of the autocorrelations that count, at a hundred samples."""
+from impact_observer.model.measurement import Measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +17,7 @@ class SensorFit:
     """The samples of one sensor under a fitted motion.
 
     Attributes:
-        name: of the sensor.
+        sensor: its declaration.
         samples: how many were compared.
         near: how many were left out near impacts.
         rejected: how many its gate rejected.
@@ -28,10 +26,10 @@ class SensorFit:
         rms: of the errors over their degrees of freedom, in its unit.
         size: probability of errors this large under the declared deviation; 1 without one.
         white: probability of autocorrelations this large of independent errors (Ljung and Box).
-        correlated: factor by which neighbours that are alike make a mean less certain.
+        correlation: of the errors, and what it does to the standard errors.
     """
 
-    name: str
+    sensor: Measurement
     samples: int
     near: int
     rejected: int
@@ -40,18 +38,30 @@ class SensorFit:
     rms: float
     size: float
     white: float
-    correlated: float
+    correlation: ErrorCorrelation
+
+    @property
+    def name(self) -> str:
+        """Name of the sensor."""
+        return self.sensor.name
+
+    @property
+    def doubt(self) -> str:
+        """The warning that the sensor contradicts impacts and model; empty if it does not."""
+        every = self.samples + self.near + self.rejected
+        return self.sensor.contradiction(every, self.rejected, self.rms)
 
     @property
     def fits(self) -> bool:
-        """Whether neither test rejects the model."""
-        return self.size >= REJECTED and self.white >= REJECTED
+        """Whether neither test rejects the model; errors of counts need not be independent."""
+        is_explained = self.white >= REJECTED or self.correlation.count > 0.0
+        return self.size >= REJECTED and is_explained
 
     @property
     def widening(self) -> float:
         """Factor of the standard errors: 1 where white noise of its size explains the errors."""
         larger = self.rms / self.deviation if self.size < DOUBTED else 1.0
-        return larger * (self.correlated if self.white < DOUBTED else 1.0)
+        return larger * self.correlation.factor
 
 
 def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
@@ -66,7 +76,7 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
             size = float(stats.chi2.sf(squares, max(freedom, 1.0)))
         fits.append(
             SensorFit(
-                each.sensor.name,
+                each.sensor,
                 errors.size,
                 each.near,
                 each.rejected,
@@ -75,23 +85,7 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
                 rms,
                 size,
                 whiteness(errors),
-                _correlated(errors),
+                ErrorCorrelation.of_errors(each.t, errors, each.values),
             )
         )
     return tuple(fits)
-
-
-def _correlated(errors: Vector) -> float:
-    """Standard deviation of a mean of ``errors``, over that of independent ones of this size.
-
-    Newey and West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
-    consistent covariance matrix, 1987.
-    """
-    power = float(errors @ errors)
-    if not power:
-        return 1.0
-    lags = min(int(_LAGS * (errors.size / 100) ** (2 / 9)) + 1, errors.size - 1)
-    total = 1.0
-    for k in range(1, lags + 1):
-        total += 2 * (1 - k / (lags + 1)) * float(errors[k:] @ errors[:-k]) / power
-    return float(np.sqrt(max(total, 1.0)))

@@ -17,6 +17,8 @@ QUANTITIES = (POSITION, VELOCITY)
 STAMPS = ("header", "receive")
 LONGEST = 10.0
 """Longest delay and blanking that may be declared, s: the longest ``history`` of an observer."""
+_MANY_REJECTED, _LARGER = 0.1, 3.0
+"""Share of rejected samples, and deviation relative to the declared one, of a contradiction."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Coefficients: TypeAlias = tuple[tuple[str, float], ...]
 """Names of coordinates, each with a number."""
@@ -178,6 +180,25 @@ class Measurement:
         """The unit of ``y`` for coordinates in m."""
         orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
         return ("m", "m/s", "m/s^2")[orders[-1]]
+
+    def contradiction(self, samples: int, rejected: int, deviation: float) -> str:
+        """The warning that samples contradict impacts and model; empty where they do not.
+
+        Args:
+            samples: their number.
+            rejected: how many the gate rejects.
+            deviation: of the noise as the samples show it, in the unit of ``y``.
+        """
+        larger = deviation / self.deviation if self.deviation else 1.0
+        if rejected < _MANY_REJECTED * samples and larger < _LARGER:
+            return ""
+        counts = f"{rejected} of {samples} samples are rejected"
+        size = f" and the errors are {larger:.2g} times the declared deviation"
+        return (
+            f"{self.name} contradicts the impacts and the model: {counts}"
+            f"{size if larger >= _LARGER else ''}; check sign, unit, coordinate, offset and delay"
+            " in the file of measurements, see docs/measurements.md"
+        )
 
     def check(self, system: NamedSystem) -> None:
         """Check that the system has the named coordinates and the named contact.

@@ -165,6 +165,15 @@ class Arc(Linearised):
         samples = self.samples._replace(rejected=frozenset(rejected))
         return Arc(self.filter, self._t, self._state, self.moments, samples)
 
+    def sample_errors(self, path: Path) -> list[tuple[Reading, float]]:
+        """The used samples, each with its error: what is measured, less what a path has there."""
+        errors = list[tuple[Reading, float]]()
+        for k, some in self._flights(*self._places(path)).items():
+            for each in (self.samples.readings[i] for i in some):
+                row, _ = self._row(path, k, each, x := self._state_at(path, k, each.t))
+                errors.append((each, each.value - row.value(x)))
+        return errors
+
     def left_out(self, path: Path) -> float:
         """Logarithm of the density of the samples that are not used."""
         used = sum(len(g.readings) for some in self._groups(path).values() for g in some)

@@ -25,6 +25,7 @@ from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
 from impact_observer.smooth.arc import Node
 from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
+from impact_observer.smooth.sensor_summary import SensorSummary, sensor_summaries
 from impact_observer.smooth.smoother import Smoothed, at_samples
 from impact_observer.stamps import Elapsed, from_seconds
 from impact_observer.stamps import text as stamp_text
@@ -314,11 +315,21 @@ class SmoothedMotion:
         return self._state(self.smoothed.first, -1)
 
     @cached_property
+    def sensors(self) -> tuple[SensorSummary, ...]:
+        """What became of the samples of each sensor."""
+        return sensor_summaries(self.smoothed)
+
+    @property
+    def _correlated(self) -> float:
+        """Factor of all deviations for errors of samples that are correlated."""
+        return max((each.correlation.factor for each in self.sensors), default=1.0)
+
+    @cached_property
     def parameters(self) -> tuple[tuple[str, float, float], ...]:
         """Parameters estimated beside the state: name, value, standard deviation, SI units."""
         names = self._law.filter.members.family.names
         size, theta = 2 * self._law.system.n, self._constants.theta.tolist()
-        deviations = self.smoothed.first.deviations[size:].tolist()
+        deviations = (self._correlated * self.smoothed.first.deviations[size:]).tolist()
         rows = [*zip(names, theta, deviations, strict=False)]
         if len(deviations) > len(names):
             rows.append(("clock_offset", self._constants.offset, deviations[-1]))
@@ -386,10 +397,15 @@ class SmoothedMotion:
 
     @cached_property
     def _widened(self) -> float:
-        """Factor of all deviations; above 1 if the motion does not explain the stamps."""
+        """Factor of all deviations.
+
+        It is above 1 if the motion does not explain the stamps, or errors of samples are
+        correlated.
+        """
         squares = [each * each for each in self._residuals.values()]
         rms = math.sqrt(sum(squares) / len(squares)) if self.unexplained else 1.0
-        factor = max(1.0, rms, 1.0 if self.smoothed.is_settled else self.smoothed.change)
+        change = 1.0 if self.smoothed.is_settled else self.smoothed.change
+        factor = max(self._correlated, rms, change)
         return min(factor, LARGEST_DEVIATION)
 
     @cached_property

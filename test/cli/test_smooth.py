@@ -2,6 +2,7 @@
 """smooth: a bag in, a bag with the best estimates out."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -220,3 +221,74 @@ def test_an_impact_missed_before_the_first_report_is_in_no_dead_time(tmp_path: P
     with BagReader(output) as reader:
         verdicts = [*reader.verdicts("/smoother/verdicts")]
     assert any(each.ruling is Ruling.INSERTED for each in verdicts)
+
+
+def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Observer and smoother say how many samples are rejected, and what may be wrong."""
+    bag, wrong = tmp_path / "bag", tmp_path / "wrong.yaml"
+    text = shared("config/measurements/encoder.yaml").read_text(encoding="utf-8")
+    wrong.write_text(text.replace("quantity: position", "quantity: position, position: {x1: -1}"))
+    given = ["--measurements", "encoder", "--measurement-rate", "50", "-o", str(bag)]
+    assert main(["simulate", "two_mass", "--duration", "6", "--jitter", "0.0005", *given]) == 0
+    for sensor, is_wrong in (("encoder", False), (str(wrong), True)):
+        for command in ("smooth", "observe --law minimum-variance"):
+            output = tmp_path / f"{command[:6]}_{is_wrong}"
+            capsys.readouterr()
+            options = ["--measurements", sensor, "--clock-error", "0.0005", "--rate", "10"]
+            assert main([*command.split(), str(bag), *options, "-o", str(output)]) == 0
+            said = capsys.readouterr().out
+            assert re.search(r"^encoder: 3\d\d samples: \d+ accepted", said, re.MULTILINE)
+            assert ("warning: encoder contradicts the impacts and the model" in said) is is_wrong
+            assert ("check sign, unit, coordinate, offset and delay" in said) is is_wrong
+
+
+def test_the_deviations_of_a_coarse_encoder_on_a_periodic_motion_are_widened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hundred samples come again in each of twenty periods: the error is that of a hundred."""
+    model, sensor, bag = tmp_path / "lever.yaml", tmp_path / "sensor.yaml", tmp_path / "bag"
+    model.write_text(
+        "name: lever\nbodies: [{name: x, mass: 1}]\n"
+        "springs: [{between: [ground, x], stiffness: 20, damping: 1}]\n"
+        f"forces: [{{body: x, amplitude: 8, frequency: {math.pi}}}]\n"
+        "stops: [{name: stop, body: x, limit: 0.3, side: above, restitution: 0.4}]\n"
+        "initial_state: {position: [0.1], velocity: [0]}\n"
+    )
+    sensor.write_text(
+        "measurements:\n"
+        "  - {name: encoder, topic: /encoder, joint: x, quantity: position, deviation: 0.006}\n"
+    )
+    given = f"--measurements {sensor}"
+    faults = "--jitter 0.001 --measurement-noise 0 --measurement-quantisation 0.02"
+    made = f"simulate {model} --duration 40 {faults} --measurement-rate 50 {given} -o {bag}"
+    assert main(made.split()) == 0
+    options = "--clock-error 0.001 --rate 20 --deviation 0.1,0.5"
+    assert main(f"smooth {bag} {given} {options} -o {tmp_path / 'smoothed'}".split()) == 0
+    said = capsys.readouterr().out
+    (warning,) = [line for line in said.splitlines() if "errors of encoder" in line]
+    assert "repeat with the motion" in warning
+    assert "count 0.02" in warning
+    factor = float(re.findall(r"by a factor of (\d\.?\d*)", warning)[0])
+    assert 3.0 < factor < 7.0
+
+
+def test_a_phase_that_nobody_knows_is_named_where_the_motion_does_not_settle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The remedy is learned parameters, or identify."""
+    model = tmp_path / "phase.yaml"
+    model.write_text(
+        "name: rig\nbodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]\n"
+        "springs:\n"
+        "  - {between: [ground, x1], stiffness: 10, damping: 0.1}\n"
+        "  - {between: [x1, x2], stiffness: 10, damping: 0.1}\n"
+        "forces:\n"
+        "  - {body: x2, amplitude: 4, frequency: 2.5, phase: {value: 3.1, deviation: 1.8}}\n"
+        "stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]\n"
+    )
+    given = ["--model", str(model), "--clock-error", "0.001", "--rate", "1", "--duration", "8"]
+    main(["smooth", str(shared("bags/jitter")), *given, "-o", str(tmp_path / "out")])
+    said = capsys.readouterr().out
+    assert "--estimate-parameters forcing-phase.1 or identify --free forcing-phase.1" in said
