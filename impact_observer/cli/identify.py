@@ -143,6 +143,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import save
+    from impact_observer.draw.reports import listed
     from impact_observer.identify import fit_report
     from impact_observer.identify.fit_check import check_fit
     from impact_observer.identify.fit_picture import fit_picture
@@ -179,6 +180,13 @@ def run(args: argparse.Namespace) -> int:
             raise type(error)(f"{args.bag}: {error}") from None
     checked = check_fit(fit)
     _print(args, fit, checked)
+    if given.unused and not fit.converged:
+        say(
+            f"note: {args.bag} has joints on {listed(given.unused)}: if they are of an encoder,"
+            " declare them by --measurements FILE, whose samples find a motion where impacts alone"
+            " do not (docs/measurements.md)",
+            file=lines,
+        )
     good = not fit_report.why_useless(fit) and (checked.fits or args.accept)
     with all_together():
         if args.output is not None:
@@ -201,6 +209,7 @@ class _Given(NamedTuple):
         measurements: what sensors measure beside the impacts.
         samples: of these sensors.
         zero: time zero of the fit.
+        unused: topics of joint states, no estimates, that no measurement takes.
     """
 
     text: "ModelText"
@@ -210,6 +219,7 @@ class _Given(NamedTuple):
     measurements: "Sequence[Measurement]"
     samples: "Sequence[SensorSample]"
     zero: "TimeZero"
+    unused: "Sequence[str]"
 
 
 def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
@@ -217,7 +227,7 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.io.bag_part import TimeZero, assumed_epoch, read_impacts_part
     from impact_observer.io.live_inputs import with_recorded
-    from impact_observer.io.measured_samples import samples_in
+    from impact_observer.io.measured_samples import joint_topics, samples_in
     from impact_observer.io.observed_bag import events_from
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import epoch_of, text_of_model
@@ -242,8 +252,9 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
         hits = doubts(args.bag, HitTimes(events), system, has_covariance=True)
         for line in (*lost, *recorded.problems, *hits):
             tell(f"warning: {line}")
+        unused = joint_topics(reader, declared)
     zero = TimeZero(epoch, assumed.instant)
-    return _Given(given, model, system, events, declared, recorded.samples, zero)
+    return _Given(given, model, system, events, declared, recorded.samples, zero, unused)
 
 
 def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck") -> None:

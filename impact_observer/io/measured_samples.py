@@ -90,6 +90,18 @@ class SensorReader:
         return values[0]
 
 
+def joint_topics(reader: BagReader, declared: Sequence[Measurement]) -> list[str]:
+    """The topics of joints in a bag that may be of encoders: no states, and not ``declared``."""
+    taken = {interfaces.absolute(each.topic) for each in declared}
+    return [
+        topic
+        for topic, info in sorted(reader.topics.items())
+        if info.type == interfaces.JOINT_STATE
+        and topic not in taken
+        and not any(each.fits(topic) for each in interfaces.INTERFACES)
+    ]
+
+
 class RecordedSamples(NamedTuple):
     """The samples of a bag.
 

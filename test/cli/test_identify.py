@@ -377,3 +377,22 @@ def test_help_lists_every_parameter_of_a_model(
         kind, *owner = parameter.name.split(".")
         form = ".".join([kind, *("[A-Z]" for _ in owner)])
         assert re.search(f"[:,]{form}", said), parameter.name
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_joints_that_could_be_samples_are_named_where_impacts_alone_explain_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The topic of the encoder, and not that of the true states, which no rig has."""
+    made = "simulate two_mass --duration 10 --seed 1 --jitter 0.001 --measurements encoder -o rig"
+    assert main(made.split()) == 0
+    model = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    assert "frequency: 2.5" in model
+    Path("other.yaml").write_text(model.replace("frequency: 2.5", "frequency: 4.1"), "utf-8")
+    given = "--model other.yaml --free restitution --clock-error 0.001"
+    capsys.readouterr()
+    assert main(f"identify rig {given}".split()) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "no motion of the model explains these stamps" in said
+    assert "note: rig has joints on /encoder: if they are of an encoder" in said
+    assert "--measurements FILE" in said
