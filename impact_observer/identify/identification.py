@@ -50,7 +50,7 @@ from impact_observer.identify.search import (
 )
 from impact_observer.identify.sensor_fit import SensorFit, sensor_fits
 from impact_observer.identify.sensor_rows import used_samples
-from impact_observer.identify.smoothed_start import is_crowded, smoothed_start
+from impact_observer.identify.smoothed_start import enough_samples, is_crowded, smoothed_start
 from impact_observer.identify.unreported import (
     as_closings,
     dead_time_of,
@@ -461,6 +461,12 @@ class _Search(NamedTuple):
         return reached, _Fitted(own, problem, solution) if own.converged else None
 
     @property
+    def _within(self) -> list[SensorSample]:
+        """The samples up to the last event."""
+        last = self.whole.episode.keys[-1].stamp
+        return [each for each in self.samples if each.stamp <= last]
+
+    @property
     def _size(self) -> int:
         """Flights of a motion of all impacts, as a search counts them."""
         return max(len(self.whole.episode.keys), _FEW)
@@ -556,15 +562,17 @@ class _Search(NamedTuple):
     def _smoothed(self, clock: float | None) -> _Fitted | None:
         """The fit that begins at a smoothed motion; None if there is no such motion.
 
-        Impacts alone are smoothed first: samples of a sensor take the smoother much longer. A
-        filter that allows its parameters much may settle at wrong ones, and then one that allows
-        them less is tried. Phases that are free begin all around the circle. ``clock`` is the
-        approximate standard deviation of a stamp, s; None if unknown.
+        Where there are samples, a few of them are smoothed with the impacts: wrong phases are
+        given up after the first impacts. Impacts alone follow. A filter that allows its parameters
+        much may settle at wrong ones, and then one that allows them less is tried. Phases that are
+        free begin all around the circle. ``clock`` is the approximate standard deviation of a
+        stamp, s; None if unknown.
         """
         fitted: _Fitted | None = None
-        sensed = (self.measurements, self.samples)
-        besides = (((), ()), sensed) if self.measurements else (sensed,)
-        for change, beside in product(phase_changes(self.family), besides):
+        events = len(self.whole.episode.keys)
+        sensed = (self.measurements, enough_samples(self._within, events))
+        besides = (sensed, ((), ())) if self.measurements else (sensed,)
+        for beside, change in product(besides, [*phase_changes(self.family)]):
             for share in _SHARES[:1] if np.any(change) else _SHARES:
                 fitted = self._smoothed_with(*beside, clock, change, share) or fitted
                 if fitted and fitted.identification.converged:

@@ -37,6 +37,10 @@ _BEGINNING = 12
 """Events that are smoothed first; then half as many more each time, if a motion explains them."""
 
 
+_OF_A_FLIGHT = 8
+"""Samples of a sensor in the time between two events that are enough for a start."""
+
+
 class SmoothedStart(NamedTuple):
     """The start of a fit.
 
@@ -59,6 +63,19 @@ def is_crowded(recording: Recording, clock: float) -> bool:
             soon += i in last and stamp - last[i] < width
             last[i] = stamp
     return soon > _CROWDED * hits
+
+
+def enough_samples(samples: Sequence[SensorSample], events: int) -> list[SensorSample]:
+    """Every so-manieth sample of each sensor, as many as a start needs between two of ``events``.
+
+    A fit from that start has all samples. A filter takes a hundred times as long as the fit for
+    each.
+    """
+    kept = list[SensorSample]()
+    for sensor in sorted({each.sensor for each in samples}):
+        own = [each for each in samples if each.sensor == sensor]
+        kept += own[:: max(len(own) // (_OF_A_FLIGHT * max(events, 1)), 1)]
+    return sorted(kept, key=lambda each: each.stamp)
 
 
 def smoothed_start(

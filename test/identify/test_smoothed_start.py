@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fit in a recording of bounces that settle begins at its smoothed motion."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,15 @@ from impact_observer.identify.first_guess import state_of_least_gaps
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.identification import identify
 from impact_observer.identify.recorded_impacts import Recording
-from impact_observer.identify.smoothed_start import first_hits_from_inside, is_crowded
+from impact_observer.identify.smoothed_start import (
+    enough_samples,
+    first_hits_from_inside,
+    is_crowded,
+)
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer.episode import last_episode
+from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import SensorModel, simulate_sensor
 
 JITTER = 1e-4
@@ -157,3 +163,15 @@ def test_false_impacts_are_rejected_where_guides_rub() -> None:
     assert found.converged
     assert abs(found.values[0] - 0.6) < 4 * found.errors[0] < 0.01
     assert found.recording.rejected
+
+
+def test_a_start_takes_a_few_samples_of_each_sensor_between_two_events() -> None:
+    """All of a slow sensor, evenly spaced ones of a fast sensor, in the order of their stamps."""
+    fast = [SensorSample(0, 1000 * k, float(k)) for k in range(2000)]
+    slow = [SensorSample(1, 100_000 * k + 1, 0.0) for k in range(20)]
+    kept = enough_samples([*fast, *slow], events=10)
+    assert [each for each in kept if each.sensor == 1] == slow
+    few = [each.stamp for each in kept if each.sensor == 0]
+    assert 80 <= len(few) < 160
+    assert len({b - a for a, b in itertools.pairwise(few)}) == 1
+    assert kept == sorted(kept, key=lambda each: each.stamp)
