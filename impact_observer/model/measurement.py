@@ -190,7 +190,7 @@ class Measurement:
             deviation: of the noise as the samples show it, in the unit of ``y``.
         """
         larger = deviation / self.deviation if self.deviation else 1.0
-        if rejected < _MANY_REJECTED * samples and larger < _LARGER:
+        if not samples or (rejected < _MANY_REJECTED * samples and larger < _LARGER):
             return ""
         counts = f"{rejected} of {samples} samples are rejected"
         size = f" and the errors are {larger:.2g} times the declared deviation"

@@ -15,6 +15,11 @@ PERIOD = 0.005
 COUNT = 2 * np.pi / 2000
 
 
+def instants(count: int) -> Array:
+    """Instants of so many samples, s."""
+    return np.asarray(PERIOD * np.arange(count), dtype=np.float64)
+
+
 def motion(t: Array) -> Array:
     """A periodic motion of 1.5 Hz with a harmonic."""
     return np.asarray(0.5 * np.sin(3 * np.pi * t) + 0.2 * np.sin(6 * np.pi * t + 1.0))
@@ -26,7 +31,7 @@ def test_white_errors_are_not_widened(seed: int, size: int, left_out: float) -> 
     """Of whatever distribution and number, with gaps in the recording."""
     rng = np.random.default_rng(seed)
     kept = rng.random(size) >= left_out
-    t = PERIOD * np.arange(size)[kept]
+    t = instants(size)[kept]
     for errors in (rng.normal(size=t.size), rng.uniform(-1, 1, t.size)):
         assert ErrorCorrelation.of_errors(t, errors, motion(t)).factor < 1.03
 
@@ -34,7 +39,7 @@ def test_white_errors_are_not_widened(seed: int, size: int, left_out: float) -> 
 @pytest.mark.parametrize("alike", [0.5, 0.9, -0.5])
 def test_correlated_errors_are_widened_as_the_scatter_of_estimates_is(alike: float) -> None:
     """The oracle: least squares of size and mean of the motion, over many draws of the errors."""
-    rng, t = np.random.default_rng(5), PERIOD * np.arange(4000)
+    rng, t = np.random.default_rng(5), instants(4000)
     weights = np.column_stack(
         [motion(t) / np.linalg.norm(motion(t)), np.full(t.size, t.size**-0.5)]
     )
@@ -47,7 +52,7 @@ def test_correlated_errors_are_widened_as_the_scatter_of_estimates_is(alike: flo
 @pytest.mark.parametrize("repetitions", [5, 30])
 def test_errors_that_repeat_with_the_motion_do_not_average_out(repetitions: int) -> None:
     """Sampled at 400 instants of three periods, an encoder says no more when these come again."""
-    t = PERIOD * np.arange(400 * repetitions)
+    t = instants(400 * repetitions)
     values = COUNT * np.rint(motion(t) / COUNT)
     found = ErrorCorrelation.of_errors(t, values - motion(t), values)
     assert found.factor == pytest.approx(np.sqrt(repetitions), rel=0.2)
@@ -59,8 +64,8 @@ def test_errors_that_repeat_with_the_motion_do_not_average_out(repetitions: int)
 def test_the_error_of_a_coarse_encoder_is_within_the_widened_deviations() -> None:
     """At rates at which samples hardly ever repeat, errors of counts do not average out either."""
     ratios = []
-    for rate in np.linspace(0.91, 1.09, 12):
-        t = PERIOD * rate * np.arange(6000)
+    for rate in np.linspace(0.91, 1.09, 12).tolist():
+        t = rate * instants(6000)
         values = COUNT * np.rint(motion(t) / COUNT)
         errors, weights = values - motion(t), motion(t) / np.linalg.norm(motion(t))
         wide = ErrorCorrelation.of_errors(t, errors, values).factor * np.std(errors)
@@ -70,7 +75,7 @@ def test_the_error_of_a_coarse_encoder_is_within_the_widened_deviations() -> Non
 
 def test_errors_that_are_larger_than_counts_are_not_those_of_an_encoder() -> None:
     """An error of the model beside the quantisation is no count."""
-    t = PERIOD * np.arange(4000)
+    t = instants(4000)
     values = COUNT * np.rint(motion(t) / COUNT)
     errors = values - motion(t) + 0.01 * np.sin(6 * np.pi * t)
     found = ErrorCorrelation.of_errors(t, errors, values)
