@@ -68,7 +68,7 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
-from impact_observer.stamps import seconds_between
+from impact_observer.stamps import from_seconds, seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
 _SUSPICIOUS = 0.01
@@ -79,6 +79,8 @@ _LOST = 0.02
 """Error of stamps, relative to the time between two, above which nothing is explained, unless
 so large an error is declared.
 """
+_TWICE = 0.1
+"""Time between two impacts, relative to the usual one, within which they may be one."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
 _FIRST = 64
@@ -278,10 +280,12 @@ def identify(
     )
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
-    identification, problem, solution = found = search.unexplained() or search.explaining_fit()
+    fitted = search.unexplained() or search.with_fewer_outliers(search.explaining_fit())
+    identification, problem, solution = fitted
     is_checked = identification.converged or trust_events
     checked = last_impacts(problem, solution, held_back) if is_checked else None
-    return search.with_others(_Fitted(replace(identification, held_back=checked), *found[1:]))
+    own = replace(identification, held_back=checked)
+    return search.with_others(_Fitted(own, problem, solution))
 
 
 class _Fitted(NamedTuple):
@@ -327,6 +331,27 @@ class _Search(NamedTuple):
                 raise
             return smoothed
         return fitted if fitted.identification.converged else smoothed or fitted
+
+    def with_fewer_outliers(self, fitted: _Fitted) -> _Fitted:
+        """The fit, or that of the motion smoothed with its values if this has fewer outliers.
+
+        A fit that began with wrong values may have a hit twice: rejected, and inserted beside.
+        """
+        found = fitted.identification
+        reach = from_seconds(_TWICE * self.whole.problem(self.family).interval)
+        is_twice = any(
+            contact == other and abs(stamp - at) <= reach
+            for stamp, contact in found.recording.rejected
+            for at, other in found.recording.inserted
+        )
+        if not found.converged or not is_twice or self.trust_events:
+            return fitted
+        change = found.values - self.family.nominal
+        again = self._smoothed_with((), (), self.clock, change, _SHARES[-1])
+        if again is None or not again.identification.converged:
+            return fitted
+        is_better = again.identification.recording.outliers < found.recording.outliers
+        return again if is_better and self._explains(*again[1:]) else fitted
 
     def fit_from_events(self) -> _Fitted:
         """The fit that begins at the events, by the first way that leads to one."""
