@@ -21,7 +21,7 @@ MICROSECONDS = """
 10534300 10621292 10780067 10889348 10980846 11137794 11241160 11256980 11345595 11463303
 11596589 11612748 11700184 11832099
 """
-"""Stamps; of 99 hits one at 10.557 s, of 0.06 m/s, was too soft to be heard."""
+"""Stamps; of 99 impacts the one at 10.557 s, of 0.06 m/s, is a missed detection."""
 RESTITUTION, AMPLITUDE = 0.63, 1.03
 """Of that simulator; the amplitude over that of the model."""
 MODEL = """
