@@ -173,12 +173,10 @@ def _at(q: Vector, robot: Robot) -> tuple[list[float], list[float]]:
 def _torques(robot: Robot) -> Iterator[tuple[str, str]]:
     """Kinds and texts of remarks on torques that an observer does not know."""
     description, forcing = robot.description, robot.forcing
-    if doubt := description.unknown_torques:
-        driven = forcing.depends_on_time or forcing.constant.any()
-        is_sure = driven and description.forces is None
-        yield "warning" if is_sure else "note", f"{doubt[0].upper()}{doubt[1:]}."
-    if default := description.default_deviation:
-        yield "note", f"{default[0].upper()}{default[1:]}."
+    driven = forcing.depends_on_time or forcing.constant.any()
+    is_sure = driven and description.forces is None
+    for kind, text in description.torque_remarks:
+        yield kind if is_sure else "note", f"{text[0].upper()}{text[1:]}."
 
 
 def _findings(checked: RobotCheck) -> Iterator[tuple[str, str]]:

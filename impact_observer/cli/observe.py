@@ -148,8 +148,7 @@ def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
     if observer.last_event:
         declared = observer.law.uncertainty.declared_constants
         learned = observer.estimate(observer.last_event).parameters
-        unit = model.system.unit if model.robot is None else model.robot.units[0]
-        yield from contradiction_lines(contradictions(learned, declared), unit)
+        yield from contradiction_lines(contradictions(learned, declared), observer.system.unit)
     yield from sample_lines(observer)
     yield from fitted_lines(model, (observer.last_event,))
     if model.robot is None and observer.last_event and observer.epoch:
@@ -222,10 +221,7 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
 def torque_lines(model: "Model") -> "Iterator[str]":
     """Lines on the torques of a robot that an observer does not know, or not from the model."""
     if (robot := model.robot) is not None:
-        if doubt := robot.unknown_torques:
-            yield f"warning: {doubt}"
-        if default := robot.default_deviation:
-            yield f"note: {default}"
+        yield from (f"{kind}: {text}" for kind, text in robot.torque_remarks)
 
 
 def odd_lines(
@@ -291,7 +287,7 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
                     line = f"warning: {line}: {observer.robot.description.larger_errors}"
         yield line
         deviation = learned.get(sensor.name, sensor.measurement.deviation or 0.0)
-        doubt = sensor.measurement.contradiction(counts["samples"], counts["rejected"], deviation)
+        doubt = sensor.measurement.doubt(counts["samples"], counts["rejected"], deviation)
         if doubt and observer.robot is None:
             yield f"warning: {doubt}"
 

@@ -101,7 +101,7 @@ def _about_run(model: "Model", law: "Law", run: "SmoothedMotion") -> "Iterator[s
     from impact_observer.draw.reports import figure
     from impact_observer.model.free_parameters import with_unit
 
-    unit = model.system.unit if model.robot is None else model.robot.units[0]
+    unit = law.system.unit
     yield from fitted_lines(model, (each.change.stamp for each in run.account.moments))
     for name, value, deviation in () if run.fallback else run.parameters:
         yield f"learned: {with_unit(name, unit)} {figure(value, deviation=deviation)}"

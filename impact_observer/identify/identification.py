@@ -29,6 +29,7 @@ from impact_observer.identify.other_parameters import (
     fits_with_others,
     missed_parameters,
 )
+from impact_observer.identify.outliers import has_hit_twice
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
@@ -68,7 +69,7 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
 from impact_observer.options import Options
-from impact_observer.stamps import from_seconds, seconds_between
+from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
 _SUSPICIOUS = 0.01
@@ -79,8 +80,6 @@ _LOST = 0.02
 """Error of stamps, relative to the time between two, above which nothing is explained, unless
 so large an error is declared.
 """
-_TWICE = 0.1
-"""Time between two impacts, relative to the usual one, within which they may be one."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
 _FIRST = 64
@@ -338,13 +337,8 @@ class _Search(NamedTuple):
         A fit that began with wrong values may have a hit twice: rejected, and inserted beside.
         """
         found = fitted.identification
-        reach = from_seconds(_TWICE * self.whole.problem(self.family).interval)
-        is_twice = any(
-            contact == other and abs(stamp - at) <= reach
-            for stamp, contact in found.recording.rejected
-            for at, other in found.recording.inserted
-        )
-        if not found.converged or not is_twice or self.trust_events:
+        interval = self.whole.problem(self.family).interval
+        if not found.converged or not has_hit_twice(found.recording, interval):
             return fitted
         change = found.values - self.family.nominal
         again = self._smoothed_with((), (), self.clock, change, _SHARES[-1])
@@ -649,19 +643,18 @@ class _Search(NamedTuple):
     def _without_outliers(self, before: _Fitted) -> _Fitted:
         """The fit without spurious impacts and with missed ones, after one of all impacts."""
         first, problem, _ = before
-        fitted, doubted = before._replace(identification=replace(first, converged=False)), 0
+        # Right impacts are rejected where the declared clock error is too small.
+        explained = first.converged and first.rms <= _SUSPICIOUS * problem.interval
+        left = before._replace(identification=replace(first, converged=explained))
         self.report.stage("spurious and missed impacts")
         try:
             recording, again, refit = without_outliers(self.whole, self.family, self.clock)
             again, refit = gated(again, refit)
-            own, doubted = _identification(recording, again, refit, self.clock), recording.outliers
-            fitted = _Fitted(own, again, refit)
         except (IdentificationError, DynamicsError):
-            pass  # too few impacts are left, or none is found in time, or by this motion
-        explained = first.converged and first.rms <= _SUSPICIOUS * problem.interval
-        if explained and not fitted.identification.converged:
-            fitted = before  # a declared clock error that is too small
-        own = replace(fitted.identification, doubted=doubted, accepted=first.accepted)
+            return left  # too few impacts are left, or none is found in time, or by this motion
+        found = _identification(recording, again, refit, self.clock)
+        fitted = left if explained and not found.converged else _Fitted(found, again, refit)
+        own = replace(fitted.identification, doubted=recording.outliers, accepted=first.accepted)
         return fitted._replace(identification=own)
 
 

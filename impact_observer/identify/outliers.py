@@ -36,6 +36,19 @@ _MOST = 2000
 """Most samples between two moments."""
 
 
+def has_hit_twice(recording: Recording, interval: float) -> bool:
+    """Whether some hit is rejected, and inserted beside.
+
+    ``interval`` is the usual time between two moments, s.
+    """
+    reach = from_seconds(_NEAR * interval)
+    return any(
+        contact == other and abs(stamp - at) <= reach
+        for stamp, contact in recording.rejected
+        for at, other in recording.inserted
+    )
+
+
 def outliers_by_motion(
     recording: Recording, problem: Problem, solution: Solution, clock: float | None
 ) -> Recording:

@@ -49,7 +49,7 @@ class SensorFit:
     def doubt(self) -> str:
         """The warning that the sensor contradicts impacts and model; empty if it does not."""
         every = self.samples + self.near + self.rejected
-        return self.sensor.contradiction(every, self.rejected, self.rms)
+        return self.sensor.doubt(every, self.rejected, self.rms)
 
     @property
     def fits(self) -> bool:

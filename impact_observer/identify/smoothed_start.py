@@ -35,8 +35,6 @@ _CROWDED = 0.1
 """Share of hits that follow another at once from which on no fit can begin at the stamps."""
 _BEGINNING = 12
 """Events that are smoothed first; then half as many more each time, if a motion explains them."""
-
-
 _OF_A_FLIGHT = 8
 """Samples of a sensor in the time between two events that are enough for a start."""
 
@@ -66,10 +64,9 @@ def is_crowded(recording: Recording, clock: float) -> bool:
 
 
 def enough_samples(samples: Sequence[SensorSample], events: int) -> list[SensorSample]:
-    """Every so-manieth sample of each sensor, as many as a start needs between two of ``events``.
+    """Evenly chosen samples of each sensor, as many as a start needs between two of ``events``.
 
-    A fit from that start has all samples. A filter takes a hundred times as long as the fit for
-    each.
+    The fit from the start uses all samples. Of a sample the filter takes a hundred times as long.
     """
     kept = list[SensorSample]()
     for sensor in sorted({each.sensor for each in samples}):

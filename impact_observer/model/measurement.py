@@ -18,7 +18,7 @@ STAMPS = ("header", "receive")
 LONGEST = 10.0
 """Longest delay and blanking that may be declared, s: the longest ``history`` of an observer."""
 _MANY_REJECTED, _LARGER = 0.1, 3.0
-"""Share of rejected samples, and deviation relative to the declared one, of a contradiction."""
+"""Share of rejected samples, and deviation relative to the declared one, of a doubtful sensor."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Coefficients: TypeAlias = tuple[tuple[str, float], ...]
 """Names of coordinates, each with a number."""
@@ -181,7 +181,7 @@ class Measurement:
         orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
         return ("m", "m/s", "m/s^2")[orders[-1]]
 
-    def contradiction(self, samples: int, rejected: int, deviation: float) -> str:
+    def doubt(self, samples: int, rejected: int, deviation: float) -> str:
         """The warning that samples contradict impacts and model; empty where they do not.
 
         Args:

@@ -196,6 +196,12 @@ class RobotDescription:
         )
 
     @property
+    def torque_remarks(self) -> tuple[tuple[str, str], ...]:
+        """Kinds (warning, note) and texts of what an observer does not know of torques."""
+        kinds = ("warning", self.unknown_torques), ("note", self.default_deviation)
+        return tuple((kind, text) for kind, text in kinds if text)
+
+    @property
     def larger_errors(self) -> str:
         """Why encoders of a robot may seem to err by much more than declared."""
         if self.forces is None:

@@ -232,10 +232,9 @@ class ObserverNode(ManagedNode):
         """Log what the observer of a robot does not know of torques, or not from the model."""
         robot = self.observer.robot
         if robot is not None and self.observer.law.has_covariance:
-            if doubt := robot.description.unknown_torques:
-                self.lines.warning(doubt)
-            if default := robot.description.default_deviation:
-                self.lines.info(default)
+            say = {"warning": self.lines.warning, "note": self.lines.info}
+            for kind, text in robot.description.torque_remarks:
+                say[kind](text)
 
     def _forget_estimates(self) -> None:
         """Return to the state before the first estimate."""

@@ -44,7 +44,7 @@ class SensorSummary:
     @property
     def warnings(self) -> Iterator[str]:
         """What is wrong with the sensor, or with its declaration."""
-        doubt = self.sensor.contradiction(self.samples, self.rejected, self.deviation)
+        doubt = self.sensor.doubt(self.samples, self.rejected, self.deviation)
         return filter(None, (doubt, self.correlation.warning(self.sensor.name)))
 
 
