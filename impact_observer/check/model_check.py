@@ -27,7 +27,8 @@ from impact_observer.check.impact_expansion import (
 )
 from impact_observer.check.undamped_modes import UndampedModes
 from impact_observer.model import Model, System
-from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.free_parameters import is_phase, parametric_family
+from impact_observer.model.parameter_places import Place, parameter_places
 from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -87,6 +88,7 @@ class ModelCheck:
         nonexpansive: whether no impact ever raises ``V``; None if the search did not decide.
         growths: the largest rise of ``V`` for each set of contacts whose impact can raise ``V``.
         declared: parameters whose standard deviations the model declares, with these.
+        phases: paths and phases of the harmonics of elements and grounds, rad.
     """
 
     system: System
@@ -103,6 +105,7 @@ class ModelCheck:
     nonexpansive: bool | None
     growths: tuple[Growth, ...]
     declared: tuple[tuple[ModelParameter, float], ...]
+    phases: tuple[tuple[Place, float], ...]
 
     @property
     def damped(self) -> bool:
@@ -134,6 +137,7 @@ def check_model(model: Model | System) -> ModelCheck:
         nonexpansive=_nonexpansive(system, raising.is_empty),
         growths=tuple(growth(closing, contacts) for contacts in raising.sets),
         declared=tuple(_declared(model)),
+        phases=tuple(_phases(model)),
     )
 
 
@@ -141,6 +145,14 @@ def _declared(model: Model) -> Iterator[tuple[ModelParameter, float]]:
     if known := model.uncertainty:
         parameters = parametric_family(model.system, known.names, model.elements).parameters
         yield from zip(parameters, known.deviations.tolist(), strict=True)
+
+
+def _phases(model: Model) -> Iterator[tuple[Place, float]]:
+    frame = model.system.frame
+    written = {} if frame is None else {"grounds": frame.grounds.written}
+    for place in parameter_places({**model.element_form, **written}, model.system):
+        if is_phase(place.name):
+            yield place.path, place.offset
 
 
 def _nonexpansive(system: System, constant: bool | None) -> bool | None:

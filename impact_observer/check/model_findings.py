@@ -2,7 +2,7 @@
 """Remarks on a checked model: each a fact with its consequence for an observer."""
 
 from collections.abc import Iterator, Sequence
-from math import degrees, tau
+from math import degrees, radians, tau
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.draw.reports import ReportLine, counted, figure, listed
 from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
+from impact_observer.model.parameter_places import key_of
 from impact_observer.model.system import unit_of
 from impact_observer.states import Vector
 
@@ -30,6 +31,7 @@ def findings(checked: ModelCheck) -> list[ReportLine]:
         *_modes(checked),
         *_unseen(checked),
         *_angles(checked.system),
+        *_phases(checked),
         *_forced(checked.system),
         *_size(checked.system),
     ]
@@ -207,6 +209,17 @@ def _angles(system: System) -> Iterator[ReportLine]:
                 "warning",
                 f"{contact.name} has a gap of {gap:.4g} rad, which is {degrees(gap):.4g} degrees."
                 f" If {gap:.4g} degrees are meant, write unit: deg: it converts all angles.",
+            )
+
+
+def _phases(checked: ModelCheck) -> Iterator[ReportLine]:
+    """Phases beyond a turn, which hardly anybody means in rad."""
+    for place, phase in checked.phases:
+        if abs(phase) > tau:
+            yield ReportLine(
+                "warning",
+                f"{key_of(place)} is {phase:g}, more than a turn. Phases are in rad, also with"
+                f" unit: deg: if {phase:g} degrees are meant, write {radians(phase):.7g}.",
             )
 
 

@@ -92,6 +92,20 @@ def hammer(limit: float = 0.5, frequency: float = 2.5) -> str:
     )
 
 
+def test_a_phase_beyond_a_turn_is_doubted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a force and of a ground, with the number in rad; a phase of 6 rad is none of degrees."""
+    motion = "{harmonics: [{amplitude: 0.1, frequency: 9, phase: 450}]}"
+    text = f"grounds: [{{name: table, motion: {motion}}}]\n{hammer()}".replace("[ground", "[table")
+    said = printed(capsys, written(tmp_path, text.replace("2.5}", "2.5, phase: -90}")))
+    assert "warning forces[0].phase is -90, more than a turn. Phases are in rad" in said
+    assert f"if -90 degrees are meant, write {-math.pi / 2:.6f}." in said
+    assert "grounds[0].motion.harmonics[0].phase is 450" in said
+    text = text.replace("450", "6").replace("2.5}", "2.5, phase: -6}")
+    assert "turn" not in printed(capsys, written(tmp_path, text))
+
+
 FORCES = "constant and harmonic forces move its gap of 500 m by 1.06 at most"
 
 
