@@ -212,7 +212,9 @@ class Detector:
                 f" ringing lay in the {length}, {nearest:.3g} s or more after an impact, left out;"
                 f" {remedy}"
             )
-        if dead.loud_ends:
+        if 4 * dead.loud_ends < impacts and (ringing := dead.bunches.doubt):
+            lines.append(ringing)
+        elif dead.loud_ends:
             remedy = (
                 "a higher threshold"
                 if dead.suppressed

@@ -219,7 +219,9 @@ class PeakSensor(Sensor):
         assert self._peak is not None
         peak, self._peak = self._peak, None
         self._top, onset = peak.whole.instant(), peak.first.instant()
-        self._dead_until = self._top + from_seconds(self._dead_time)
+        dead_time = from_seconds(self._dead_time)
+        self._dead_until = self._top + dead_time
+        self.dead_times.bunches.note_peak(self._top, peak.whole.top[1], dead_time)
         if peak.is_turned and self._source.direction == "both":
             self.dead_times.turned += 1
             self.dead_times.latest = max(self.dead_times.latest, self._top - onset)

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from impact_observer.detector.bunches import Bunches
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds
@@ -72,6 +73,7 @@ class DeadTimes:
         turned: peaks whose top has another sign than their onset.
         latest: largest time from the onset of such a peak to its top, ns.
         rises: from where peaks reached the threshold to their stamps, ns, added up.
+        bunches: of peaks that are impacts.
     """
 
     suppressed: int = 0
@@ -80,6 +82,7 @@ class DeadTimes:
     turned: int = 0
     latest: int = 0
     rises: int = 0
+    bunches: Bunches = field(default_factory=Bunches)
 
     def suppress(self, since: int) -> None:
         """Count one that came ``since`` ns after an impact."""

@@ -79,6 +79,41 @@ def test_a_dead_time_that_ends_in_the_ringing_is_said(
     assert "times the signal still rose above the threshold when the dead time of 0.002 s" in said
 
 
+def test_a_dead_time_shorter_than_a_period_of_the_ringing_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every period of the ringing is an impact then, and the signal is low at each end."""
+    assert len(detect(tmp_path, "--dead-time", "0.0001")) > 4 * len(HITS)
+    said = capsys.readouterr().out
+    assert "intervals that do not shrink, in bunches 0.0" in said
+    assert "give a dead time (--dead-time) longer than a bunch, which lasts up to 0.00" in said
+
+
+@pytest.mark.parametrize(
+    ("intervals", "ratio"),
+    [(0.02 * 0.8 ** np.arange(11), 0.8), (np.full(11, 0.004), 1.0)],
+    ids=["bounces that settle", "bursts of equal strokes"],
+)
+def test_rows_of_real_hits_are_no_ringing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], intervals: Vector, ratio: float
+) -> None:
+    """Distances of bounces shrink, and strokes in bursts are as high as the first one."""
+    row = np.concatenate([[0.1], 0.1 + np.cumsum(intervals)])
+    hits = np.concatenate([row, row + 0.5, row + 1.0])
+    t = np.arange(0, 1.5, 1 / RATE)
+    a = np.zeros(t.size)
+    for k, hit in enumerate(hits):
+        near = np.abs(t - hit) < 0.0004
+        a[near] += 1000 * ratio ** (k % len(row)) * np.cos((t[near] - hit) * np.pi / 0.0008)
+    path = tmp_path / "rows.csv"
+    path.write_text("time,az\n" + "\n".join(f"{x:.4f},{y:.3f}" for x, y in zip(t, a, strict=True)))
+    given = ["--contact", "anvil", "--threshold", "30", "--dead-time", "0.001"]
+    assert main(["detect", str(path), *given, "-o", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert f"anvil: {len(hits)} impacts" in said
+    assert "warning" not in said
+
+
 def test_a_clean_peak_has_no_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A half-sine, with a flat signal before and after, and a dead time that is over later."""
     t = np.arange(0, 0.2, 1 / RATE)
