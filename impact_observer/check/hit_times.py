@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the times of impacts suit a model and a filter: a wrong unit, bounces that settle."""
+"""Whether the times of impacts suit a model and a filter: wrong units, bounces that settle."""
 
 import math
 from collections import Counter
@@ -31,6 +31,8 @@ _HOPELESS = 3.0
 """Factor of ``longest_interval`` above which no filter is tried."""
 _SPEED = 30.0
 """Fastest speed at which a flight under a constant force may begin, as a rule, m/s."""
+_VAGUE = 0.1
+"""Least clock error that is doubted, in median times between impacts."""
 _UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 _ENOUGH = 5000
 """First events of a bag that are looked at."""
@@ -89,7 +91,12 @@ class HitTimes:
 
 
 def doubts(
-    bag: Path, times: HitTimes, system: System | RobotDescription, *, has_covariance: bool
+    bag: Path,
+    times: HitTimes,
+    system: System | RobotDescription,
+    *,
+    has_covariance: bool,
+    clock_error: float = 0.0,
 ) -> Iterator[str]:
     """Warnings about times of impacts that are unlikely for a model or costly for a filter.
 
@@ -99,6 +106,7 @@ def doubts(
         system: the model.
         has_covariance: whether a filter is to use the impacts. A filter takes longer with bounces,
             and with the impacts that the filter inserts in a long silence.
+        clock_error: declared for the filter, s.
 
     Raises:
         BagError: far more time passes between impacts than the model makes likely, and a filter
@@ -117,6 +125,14 @@ def doubts(
         )
     if has_covariance and (line := settling(times)):
         yield line
+    below = 2 * times.median
+    if has_covariance and 0 < _VAGUE * below < clock_error:
+        yield (
+            f"a clock error of {clock_error:g} s is declared, and half of the times between"
+            f" impacts are below {below:.2g} s: such stamps hardly say which impact is which;"
+            " --clock-error is the standard deviation of a stamp in s, and is estimated if it is"
+            " left out"
+        )
 
 
 def first_times(reader: BagReader, epoch: int) -> HitTimes:

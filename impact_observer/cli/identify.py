@@ -249,7 +249,13 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
         system = with_recorded(reader, model.system, epoch_of(events), lost.append)
         if assumed.note:
             tell(f"note: {assumed.note}")
-        hits = doubts(args.bag, HitTimes(events), system, has_covariance=True)
+        hits = doubts(
+            args.bag,
+            HitTimes(events),
+            system,
+            has_covariance=True,
+            clock_error=args.clock_error,
+        )
         for line in (*lost, *recorded.problems, *hits):
             tell(f"warning: {line}")
         unused = joint_topics(reader, declared)

@@ -235,7 +235,8 @@ def odd_lines(
     system = model.system
     has_covariance = observer.law.has_covariance
     times = first_times(reader, options.epoch)
-    yield from doubts(reader.path, times, system, has_covariance=has_covariance)
+    error = options.clock_error
+    yield from doubts(reader.path, times, system, has_covariance=has_covariance, clock_error=error)
     yield from far_start(system, options)
 
 

@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
         times = first_times(reader, chosen.epoch)
-        for line in doubts(args.bag, times, read.subject, has_covariance=True):
+        error = chosen.clock_error
+        for line in doubts(args.bag, times, read.subject, has_covariance=True, clock_error=error):
             progress.line(f"warning: {line}")
         law = make_observer(read, chosen, measurements=sensors).law
         for line in (*considered_lines(read, law.uncertainty.unknowns), *torque_lines(read)):

@@ -99,6 +99,27 @@ def test_filters_are_not_begun_where_milliseconds_were_taken_for_seconds(
 
 
 @pytest.mark.usefixtures("in_tmp_path")
+def test_a_clock_error_as_long_as_the_time_between_impacts_is_doubted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By every command with a filter; replicas do not use it, and a hundredth is no doubt."""
+    times = np.cumsum(0.3 * 0.9 ** np.arange(6))
+    Path("ball.csv").write_text("\n".join(f"{t:.5f}" for t in times), encoding="utf-8")
+    assert main(["import", "ball.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
+    doubted = "and half of the times between impacts are below 0.27 s"
+    filtered = ["--law", "minimum-variance", "--rate", "9", "-o"]
+    for k, words in enumerate(
+        (["observe", "bag", *filtered], ["smooth", "bag", *filtered[2:]], ["identify", "bag"])
+    ):
+        for error in ("0.1", "0.005"):
+            end = ["--check"] if words[0] == "identify" else [f"out{k}-{error}"]
+            assert main([*words, *end, "--clock-error", error]) in {0, 1}
+            assert (doubted in capsys.readouterr().out) == (error == "0.1")
+    assert main(["observe", "bag", "--clock-error", "0.1", "--rate", "9", "-o", "out"]) == 0
+    assert doubted not in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("in_tmp_path")
 def test_check_does_not_ask_to_debounce_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:
     """The bounces of a simulation die out; simulate counts as many impacts as check does."""
     words = ["simulate", "bouncing_ball", "--duration", "10", "--impacts-only", "--rate", "1"]
