@@ -267,7 +267,13 @@ def print_parameters(fitted: Identification, check: FitCheck) -> None:
 
 
 def print_check(fitted: Identification, check: FitCheck) -> None:
-    """Print how well each contact's impacts fit, and whether the model is rejected."""
+    """Print how well each contact's impacts fit, and whether the model is rejected.
+
+    Where no motion explains the impacts, there is nothing to tell of single contacts.
+    """
+    if not fitted.converged:
+        print_facts([*_verdict(fitted, check), *_about_search(fitted)])
+        return
     rows = [
         (name, str(count), f"{mean:.3g}", f"{rms:.3g}")
         for name, (count, mean, rms) in check.by_contact.items()
@@ -414,6 +420,17 @@ def _about_start(fitted: Identification) -> ReportLine:
     return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 
 
+def _about_search(fitted: Identification) -> Iterator[ReportLine]:
+    """How many impacts were searched for a motion, where that is not all."""
+    if fitted.unsearched:
+        first = len(fitted.recording.episode.keys)
+        yield ReportLine(
+            "note",
+            f"Only the first {first} impacts were searched. Of the {fitted.unsearched} others"
+            " eight parts of 32 were fitted, and no motion explains any.",
+        )
+
+
 def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
     """How well stamps and samples fit, and which impacts were rejected or inserted."""
     stamps = counted(len(fitted.shifts), "stamp")
@@ -422,13 +439,7 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
         f"{stamps} differ from the model's impacts by {figure(fitted.rms, 's')} rms"
         f"{_declared(fitted)}.",
     )
-    if fitted.unsearched:
-        first = len(fitted.recording.episode.keys)
-        yield ReportLine(
-            "note",
-            f"Only the first {first} impacts were searched. Of the {fitted.unsearched} others"
-            " eight parts of 32 were fitted, and no motion explains any.",
-        )
+    yield from _about_search(fitted)
     for each in fitted.sensors:
         yield _about_sensor(each)
         for warning in filter(None, (each.doubt, each.correlation.warning(each.name))):

@@ -341,7 +341,20 @@ def test_check_ends_with_1_where_the_model_does_not_fit(
     assert "The model fits." in capsys.readouterr().out
     words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-3"]
     assert main(words) == 1
-    assert "does not fit; worst: stop" in capsys.readouterr().out
+    assert "The model does not fit" in capsys.readouterr().out
+
+
+def test_a_check_without_a_motion_prints_no_table(
+    model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error alone: shifts of single contacts from no motion mean nothing."""
+    model.write_text(model.read_text().replace("gap: 0.5", "gap: 5"))
+    words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-6"]
+    assert main([*words, "--horizon", "12"]) == 1
+    said = capsys.readouterr().out
+    assert "no motion of the model explains these stamps" in said
+    assert "rms [s]" not in said
+    assert "probability" not in said
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,14 @@ from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.residuals import independence, whiteness
 from impact_observer.io.bag_part import TimeZero
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in
 from impact_observer.model import System, parse_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
 from impact_observer.options import Options
 from impact_observer.plant import Run, SensorModel, simulate_sensor
+from impact_observer.resources import shared
 from impact_observer.smooth import smoothed_runs
 from impact_observer.stamps import from_seconds
 
@@ -393,6 +396,23 @@ def test_the_picture_shows_every_contact() -> None:
         "right",
         "2 standard deviations",
     ]
+
+
+def test_the_picture_shows_rejected_and_inserted_impacts() -> None:
+    """On the axis of time, as many as the sensor of that bag has made up and missed."""
+    model = sample("two_mass").system
+    family = parametric_family(model, ["restitution"])
+    with BagReader(shared("bags") / "missed_and_spurious") as reader:
+        found = identify(family, events_in(reader), clock=1e-5)
+    axes = fit_picture(found, title="two", zero=TimeZero(0, "the epoch")).axes[0]
+    marks = {str(line.get_label()): line for line in axes.get_lines()}
+    assert {name: len(np.asarray(line.get_xdata())) for name, line in marks.items()} == {
+        "stop": 19,
+        "rejected": 5,
+        "inserted": 3,
+    }
+    np.testing.assert_array_equal(np.asarray(marks["rejected"].get_ydata()), 0.0)
+    assert marks["rejected"].get_transform() == axes.get_xaxis_transform()
 
 
 @pytest.mark.long
