@@ -215,7 +215,11 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
     if model.uncertainty is not None and model.robot is None:
         names = not_considered(model.uncertainty)
     if names:
-        yield f"warning: taken for exact, as no observer considers them: {', '.join(names)}"
+        yield (
+            f"warning: taken for exact, as no observer considers them: {', '.join(names)};"
+            f" identify --free {','.join(names)} on this recording makes their errors"
+            " small, --model-error counts what remains"
+        )
 
 
 def torque_lines(model: "Model") -> "Iterator[str]":

@@ -592,6 +592,10 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
     start = at_epoch[0, : system.n]
     for contact in system.penetrated(start):
         name, gap = system.contact_names[contact], system.gap(start)[contact]
-        problem = f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0"
-        raise ModelError("initial_state.position", problem)
+        key = "side, or the order of between," if "stops" in section else "the sign of direction"
+        raise ModelError(
+            "initial_state.position",
+            f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0: check {key} and the"
+            " units of gap, limit and the amplitude of a ground",
+        )
     return position, velocity

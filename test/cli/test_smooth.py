@@ -292,3 +292,21 @@ def test_a_phase_that_nobody_knows_is_named_where_the_motion_does_not_settle(
     main(["smooth", str(shared("bags/jitter")), *given, "-o", str(tmp_path / "out")])
     said = capsys.readouterr().out
     assert "--estimate-parameters forcing-phase.1 or identify --free forcing-phase.1" in said
+
+
+def test_a_parameter_that_no_observer_considers_is_named_with_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The phase of a table; identify finds this phase from the same hits."""
+    model, text = tmp_path / "table.yaml", (shared("config") / "ball_on_table.yaml").read_text()
+    wrong = "62.83185307179586, phase: {value: 0.03, deviation: 0.03}"
+    model.write_text(text.replace("62.83185307179586", wrong))
+    given = [str(shared("bags/ball_on_table")), "--model", str(model), "--clock-error", "1e-5"]
+    assert main(["smooth", *given, "--rate", "9", "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    free = "--free ground-phase.table.1"
+    assert f"taken for exact, as no observer considers them: {free.split()[1]}; identify" in said
+    assert f"identify {free} on this recording makes their errors small, --model-error" in said
+    assert main(["identify", *given, *free.split(), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]["ground-phase.table.1"]
+    assert found["value"] == pytest.approx(-0.03, abs=1e-6)

@@ -12,6 +12,7 @@ from systems import examples, numbers, vectors
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
+from impact_observer.resources import shared
 
 ELEMENTS = """\
 name: rig
@@ -202,6 +203,20 @@ def test_start_inside_a_moving_stop_is_one_line() -> None:
     parse_model(ELEMENTS + start.replace("-0.41", "-0.40"), "m")
     with pytest.raises(ModelError, match=r"initial_state.position: is inside the stop 'foot'"):
         parse_model(ELEMENTS + start, "m")
+
+
+def test_a_start_inside_a_stop_names_what_is_usually_wrong() -> None:
+    """An amplitude in mm, bodies the wrong way round, or a direction of the wrong sign."""
+    start = "initial_state: {position: [-0.40, 0], velocity: [0, 0]}\n"
+    in_mm = ELEMENTS.replace("amplitude: 0.1", "amplitude: 100")
+    assert in_mm != ELEMENTS
+    causes = "check side, or the order of between, and the units of gap, limit and the amplitude"
+    with pytest.raises(ModelError, match=causes):
+        parse_model(in_mm + start, "m")
+    turned = (shared("config") / "two_mass.yaml").read_text()
+    turned = turned.replace("[0, -1], gap: 0.5", "[0, 1], gap: 0")
+    with pytest.raises(ModelError, match="check the sign of direction and the units"):
+        parse_model(turned, "m")
 
 
 def test_grounds_of_another_system_are_refused() -> None:
