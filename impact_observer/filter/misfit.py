@@ -382,8 +382,11 @@ def periodicity_of(instants: Sequence[float], innovations: Sequence[float]) -> f
             break
         since, latest = t[-n:] - t[-n], nu[-n:]
         step = math.pi / max(float(since[-1]), TINY)
-        frequencies = np.arange(0.5 * step, TUNING.highest_frequency, step)
-        wave = np.exp(1j * np.outer(frequencies, since))
+        count = math.ceil(TUNING.highest_frequency / step - 0.5)
+        wave, apart = np.exp(0.5j * step * since)[None], np.exp(1j * step * since)
+        while len(wave) < count:  # an exponential function of each would take twice as long
+            wave, apart = np.concatenate([wave, wave * apart]), apart * apart
+        wave = wave[:count]
         # The least squares of cosine and sine, by the normal equations of each frequency.
         seen, twice = wave @ latest, np.sum(wave * wave, axis=1)
         explained = 2 * (n * np.abs(seen) ** 2 - (twice.conj() * seen**2).real)
