@@ -144,17 +144,16 @@ class ClockSteps:
         """
         state, level, missed, between = h.state, h.acceleration_error, 0.0, self._bank.between
         for _ in range(TUNING.possible_steps):
-            dips = between.forecast(t, state, level).dips(duration)
-            if not dips:
+            if (dip := between.forecast(t, state, level).first_dip(duration)) is None:
                 return
-            (prior,) = self._filter.priors(t, dips[0].began, [state], [level])
-            t, duration = t + dips[0].began, duration - dips[0].began
-            if dips[0].contact == contact and dips[0].kind is Kind.IMPACT:
+            (prior,) = self._filter.priors(t, dip.began, [state], [level])
+            t, duration = t + dip.began, duration - dip.began
+            if dip.contact == contact and dip.kind is Kind.IMPACT:
                 yield t, prior, missed
-            if (inserted := insert_switch(self._filter, t, prior, dips[0])) is None:
+            if (inserted := insert_switch(self._filter, t, prior, dip)) is None:
                 return
-            dead = between.dead(h, dips[0].contact, dips[0].kind, t)
-            missed += max(between.log_missed(dead), dips[0].unlikely)
+            dead = between.dead(h, dip.contact, dip.kind, t)
+            missed += max(between.log_missed(dead), dip.unlikely)
             state = inserted.state
 
     def _deviation(self, contact: int, prior: GaussianState, clock: float) -> float:

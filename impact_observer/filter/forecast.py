@@ -29,6 +29,8 @@ from impact_observer.turns import give_turn
 
 _FIRST_SAMPLES = 8.0 ** np.arange(-FINER, 0)
 """Samples in the first interval, over its length: a flight after an impact may be short."""
+_FIRST_WINDOW = 8.0
+"""First window in which a first dip is sought, in the model's time scale."""
 _AT_ONCE = 1000.0
 """Flights that the kernel searches without a turn, in the model's time scale."""
 _EPS = float(np.finfo(np.float64).eps)
@@ -232,6 +234,15 @@ class Forecast:
         contacts, gaps = self._flight.contacts, self._flight.gaps
         kinds = [Kind.IMPACT if dip[0] < gaps else Kind.OPEN for dip in along]
         return [Dip(contacts[dip[0]], kind, *dip) for dip, kind in zip(along, kinds, strict=True)]
+
+    def first_dip(self, duration: float) -> Dip | None:
+        """The first dip, sought in windows that grow until the dip is over."""
+        window = _FIRST_WINDOW * self._filter.scales.timescale
+        while True:
+            first = next(iter(self.dips(min(window, duration))), None)
+            if window >= duration or (first is not None and first.over):
+                return first
+            window *= 4
 
     def _rounding(self, j: int, s: float) -> float:
         return self._flight.rounding(j, s, self._state.x)
