@@ -138,12 +138,9 @@ def nearest(fit: Fit, states: int) -> int:
 
 def combined(
     fit: Fit,
-    by_filter: Part,
-    replica: Fallback,
+    by_filter: tuple[Part, Fallback] | None,
     by_few: Part | None,
     by_wide: Part | None,
-    *,
-    explained: bool,
 ) -> Matrix:
     """A root of the covariance in a misfit: of all estimates, about the nearest one.
 
@@ -151,18 +148,19 @@ def combined(
 
     Args:
         fit: how far each is from the impacts.
-        by_filter: the filter's.
-        replica: at the same instant.
+        by_filter: the filter's, and the replica; None where few parameters explain the impacts:
+            then only the accounts count.
         by_few: by the account with few parameters; None where it is not the nearest.
         by_wide: by the account with all of them; None without.
-        explained: whether few parameters explain the impacts: then only the accounts count.
     """
     weight = TUNING.wide_weight
-    if by_few is not None and explained:
+    if by_filter is None:
+        assert by_few is not None, "few parameters explain the impacts"
         parts, x, columns, shares = [by_few], by_few[0], list[Matrix](), np.ones(1)
         weight = TUNING.wide_weight_explained
     else:
-        parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
+        own, replica = by_filter
+        parts = [own, (replica.x, fit.replica_level * replica.unit)]
         if by_few is not None:
             parts.append(by_few)
         x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
@@ -236,8 +234,8 @@ class MisfitPrediction(Prediction):
     def root(self, s: float) -> Matrix:
         few = None if self._by_few is None else _part(self._by_few, s)
         wide = None if self._by_wide is None else _part(self._by_wide, s)
-        parts = _part(self._by_filter, s), self._replica(s), few, wide
-        return combined(self._fit, *parts, explained=self._explained)
+        own = None if self._explained else (_part(self._by_filter, s), self._replica(s))
+        return combined(self._fit, own, few, wide)
 
     def closed(self, s: float) -> Contacts | None:
         if self._by_few is not None:

@@ -425,7 +425,8 @@ class MinimumVariance(Law):
                 found, instead = few.estimate(account.few), few.text(account.few)
                 part, explained = (found.x, found.root[:size]), account.few.is_explained
                 shown, whole, names = account.few.published, found.root, few.names
-            root = combined(fit, (best.state.x, root), fallback, part, wide, explained=explained)
+            own = None if explained else ((best.state.x, root), fallback)
+            root = combined(fit, own, part, wide)
         elif account is not None:
             far = self._accounts.wide.estimate(account.wide)
             root = doubted_root((best.state.x, root), (far.x, far.root[:size]))
