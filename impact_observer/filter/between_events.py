@@ -175,7 +175,7 @@ class BetweenEvents:
 
     def _dips_within(self, reach: float, paths: Sequence[_Path]) -> list[list[Dip]]:
         """Of each path its dips in the first ``reach`` seconds."""
-        paths = [path._replace(left=min(path.left, reach)) for path in paths]
+        paths = [_Path(t, min(left, reach), h) for t, left, h in paths]
         by_kernel = self.filter.gaps((), max(path.left for path in paths)) is not None
         free = [path for path in paths if by_kernel and not path.h.state.closed]
         found = iter(dips_of(self.filter, *_flights(free)) or () if free else ())
@@ -207,8 +207,8 @@ class BetweenEvents:
                 elif now:
                     chance -= before
                     survival[dip.contact] = now
-            after = h._replace(state=state, weight=weight, survival=survival)
-            yield chance, after._replace(jump=h.jump.later(s))
+            jump = h.jump.later(s)
+            yield chance, h._replace(state=state, weight=weight, survival=survival, jump=jump)
 
     def undisturbed(
         self, hypotheses: Sequence[Hypothesis], t: float, s: float

@@ -85,11 +85,12 @@ class ErrorAccounts:
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
         """``after`` an impact of the contacts ``hit`` at the state ``x``; no contact is closed."""
-        after = after._replace(jump=Jump(0.0, x, hit) if hit else Jump())
-        if not (hit and after.error.kind is ErrorKind.RESTITUTION):
+        if not hit:
             return after
-        kicked = after.error.level * self.kicks(x, hit)
-        return after._replace(state=after.state.with_error(kicked))
+        state = after.state
+        if after.error.kind is ErrorKind.RESTITUTION:
+            state = state.with_error(after.error.level * self.kicks(x, hit))
+        return after._replace(state=state, jump=Jump(0.0, x, hit))
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""

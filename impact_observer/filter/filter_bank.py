@@ -119,9 +119,10 @@ class FilterBank:
         if not kept:
             yield from _weighed_beside(change, kept, restarts())
         for exact in (True, False):
-            own = [h for h in kept if h.is_exact is exact]
             first = next((b for b in branches if b.before.is_exact is exact), None)
-            if own and first is not None and not self.branching.is_expected(first):
+            if first is None or self.branching.is_expected(first):
+                continue
+            if own := [h for h in kept if h.is_exact is exact]:
                 yield from _weighed_beside(change, own, restarts())
 
 
