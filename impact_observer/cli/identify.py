@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from impact_observer.model import Model, System
     from impact_observer.model.measurement import Measurement
     from impact_observer.model.model_file import ModelText
+    from impact_observer.model.parameter_uncertainty import ParameterUncertainty
     from impact_observer.observer.samples import SensorSample
 
 _MOST_HELD_BACK = 0.5
@@ -175,6 +176,7 @@ def run(args: argparse.Namespace) -> int:
                 samples=given.samples,
                 dead_time=sensor.dead_time,
                 mislabelled=sensor.mislabelled,
+                prior=given.prior,
             )
         except BagError as error:
             raise type(error)(f"{args.bag}: {error}") from None
@@ -210,6 +212,7 @@ class _Given(NamedTuple):
         samples: of these sensors.
         zero: time zero of the fit.
         unused: topics of joint states, no estimates, that no measurement takes.
+        prior: the deviations of the model, unless they were fitted to these impacts.
     """
 
     text: "ModelText"
@@ -220,6 +223,7 @@ class _Given(NamedTuple):
     samples: "Sequence[SensorSample]"
     zero: "TimeZero"
     unused: "Sequence[str]"
+    prior: "ParameterUncertainty | None"
 
 
 def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
@@ -259,8 +263,14 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
         for line in (*lost, *recorded.problems, *hits):
             tell(f"warning: {line}")
         unused = joint_topics(reader, declared)
-    zero = TimeZero(epoch, assumed.instant)
-    return _Given(given, model, system, events, declared, recorded.samples, zero, unused)
+    zero, prior = TimeZero(epoch, assumed.instant), model.uncertainty
+    if prior is not None and prior.is_fitted_to(each.stamp for each in events):
+        prior = None
+        tell(
+            "note: the model was fitted to these impacts: its deviations are no prior of the fit,"
+            " which would count these impacts twice"
+        )
+    return _Given(given, model, system, events, declared, recorded.samples, zero, unused, prior)
 
 
 def _print(args: argparse.Namespace, fit: "Identification", checked: "FitCheck") -> None:

@@ -123,7 +123,10 @@ def _least_gaps(
     robust: bool = False,
     tries: int = _TRIES,
 ) -> Vector:
-    """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values."""
+    """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values.
+
+    Declared deviations count beside this weight.
+    """
     n, family, stamps = problem.family.system.n, problem.family, problem.stamps[:upto]
     low, high = (
         np.concatenate([np.full(2 * n, end), bound])
@@ -135,6 +138,7 @@ def _least_gaps(
     # The solver asks for residuals and derivatives at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)
     usual, moved = float(np.median(np.abs(begin.gaps))), problem.moved(begin)
+    pull = np.vstack([pull, moved * problem.by_prior])
     trials, unit = count(1), unit_of("m", family.system.unit)
 
     @lru_cache(1)
@@ -164,8 +168,9 @@ class Directions(NamedTuple):
     """Directions of initial state and parameters.
 
     Attributes:
-        determined: directions that move the gaps, as columns, shape (2n + p, rank).
-        undetermined: directions that move no gap, shape (2n + p, 2n + p - rank).
+        determined: directions that move the gaps, or that have a prior, as columns, shape
+            (2n + p, rank).
+        undetermined: directions that move no gap and have no prior, shape (2n + p, 2n + p - rank).
         singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
         units: of initial state and parameters, shape (2n + p,).
     """
@@ -183,7 +188,7 @@ class Directions(NamedTuple):
 
 
 def directions(problem: Problem, shot: Shot) -> Directions:
-    """The directions of ``y`` that the gaps determine, and the others.
+    """The directions of ``y`` that gaps and prior determine, and the others.
 
     Directions are of unit length where states are in units of the motion's largest, and parameters
     in units of their sizes. Positions between impacts count too: at impacts a
@@ -200,7 +205,11 @@ def directions(problem: Problem, shot: Shot) -> Directions:
         moved = np.zeros((len(rows), len(inserted)))
         moved[: shot.gaps.size] = shot.by_instant[:, inserted]
         rows = linalg.null_space(moved.T).T @ rows
-    values, right = linalg.svd(rows * units)[1:]
+    rows = rows * units
+    if len(prior := problem.by_prior):  # however weak, a prior leaves nothing undetermined
+        own = linalg.orth((prior * units).T).T
+        rows = np.vstack([rows, linalg.norm(rows) * own])
+    values, right = linalg.svd(rows)[1:]
     singular = np.zeros(units.size)
     singular[: values.size] = values
     rank = int(np.count_nonzero(singular > RANK * singular[0]))

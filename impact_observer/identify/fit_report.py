@@ -23,6 +23,7 @@ from impact_observer.events import Kind
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
+from impact_observer.identify.prior import chance_of
 from impact_observer.identify.recorded_impacts import Hit
 from impact_observer.identify.residuals import DOUBTED, REJECTED, UNDECLARED
 from impact_observer.identify.search import combination
@@ -192,6 +193,10 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
                 family.parameters, fitted.values.tolist(), fitted.errors.tolist(), strict=True
             )
         },
+        "priors": {
+            each.name: {"deviation": each.deviation, "innovation": each.innovation}
+            for each in fitted.prior_shifts
+        },
         "correlation": fitted.correlation.tolist(),
         "unknown": list(fitted.undetermined),
         "singular_values": fitted.singular.tolist(),
@@ -328,7 +333,8 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
             f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
-            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}{_about_others(fitted)}",
+            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}{_about_others(fitted)}"
+            f"{_without_a_fit(fitted)}",
         )
     elif not check.fits:
         stamps = counted(len(fitted.shifts), "stamp")
@@ -336,7 +342,8 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "error",
             f"The model does not fit: {stamps} differ from its impacts by"
             f" {figure(fitted.rms, 's')} rms{_declared(fitted)}:"
-            f" {'; '.join(_reasons(fitted, check))}.{_remedy(fitted, check)}",
+            f" {'; '.join(_reasons(fitted, check))}.{_remedy(fitted, check)}"
+            f"{_without_a_fit(fitted)}",
         )
     if fitted.declared and fitted.rms > _OTHER * fitted.clock and not _may_be_a_clock(fitted):
         yield ReportLine(
@@ -348,6 +355,13 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
     if fitted.converged and not fitted.carries_over:
         text = "The model does not carry over to the impacts that were held back."
         yield ReportLine("warning", text)
+
+
+def _without_a_fit(fitted: Identification) -> str:
+    """What to do with a model that declares how wrong its numbers may be; else empty."""
+    if fitted.recording.prior is None:
+        return ""
+    return " observe and smooth take the declared deviations as they are, and need no fit."
 
 
 def _about_dead_time(fitted: Identification) -> str:
@@ -386,6 +400,7 @@ def _parameter_table(fitted: Identification) -> TextTable:
     """Parameters, the start, and the height at which a single body turns."""
     rows = []
     undetermined = {name for direction in fitted.undetermined for name in direction}
+    priors = {each.name: each.deviation for each in fitted.prior_shifts}
     for parameter, value, error in zip(
         fitted.family.parameters, fitted.values, fitted.errors, strict=True
     ):
@@ -394,7 +409,10 @@ def _parameter_table(fitted: Identification) -> TextTable:
             shown, spread = "not determined", ""
         elif parameter.name in fitted.bounded and fitted.converged:
             spread = "at its bound"
-        rows.append((parameter.name, f"{parameter.value:.6g}", shown, spread, parameter.unit))
+        given = f"{parameter.value:.6g}"
+        if (deviation := priors.get(parameter.name)) is not None:
+            given += f" +- {deviation:.2g}"
+        rows.append((parameter.name, given, shown, spread, parameter.unit))
     system = fitted.family.system
     names = [(f"{name} at the start", system.unit) for name in system.coordinates]
     names += [(f"d{name}/dt at the start", system.speed_unit) for name in system.coordinates]
@@ -613,6 +631,7 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
             " the value into the model and leave the name out of --free."
             f"{_about_time(fitted.family)}",
         )
+    yield from _about_prior(fitted)
     if fitted.converged and fitted.family.size:
         text = "Standard errors hold if the model is right in all that was not free."
         yield ReportLine("note", text)
@@ -630,6 +649,24 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
             if abs(correlation[i, j]) > _CORRELATED:
                 text = f"{names[j]} and {names[i]} are correlated by {correlation[i, j]:.3f}."
                 yield ReportLine("note", text)
+
+
+def _about_prior(fitted: Identification) -> Iterator[ReportLine]:
+    """Which deviations were priors, what impacts add to these, and what contradicts them."""
+    if not (shifts := fitted.prior_shifts) or not fitted.converged:
+        return
+    text = f"Declared deviations are priors of {listed([each.name for each in shifts])}."
+    if little := [each.name for each in shifts if each.is_little]:
+        text += f" These impacts say little of {listed(little)}."
+    yield ReportLine("note", text)
+    if chance_of(shifts) < DOUBTED:
+        worst = max(shifts, key=lambda each: abs(each.innovation))
+        yield ReportLine(
+            "warning",
+            f"{worst.name} is {abs(worst.innovation):.2g} deviations from its declared value:"
+            " declare a larger deviation, or none, if the value was a guess; else the model is"
+            " wrong in something that is not free.",
+        )
 
 
 def _about_check(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:

@@ -30,6 +30,7 @@ from impact_observer.identify.other_parameters import (
     missed_parameters,
 )
 from impact_observer.identify.outliers import has_hit_twice
+from impact_observer.identify.prior import PriorShift, prior_covariance, prior_shifts
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
@@ -64,7 +65,7 @@ from impact_observer.model import System
 from impact_observer.model.free_parameters import OFFSET, parameters_beside
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
-from impact_observer.model.parameter_uncertainty import correlations_of
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty, correlations_of
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode, require_epoch
 from impact_observer.observer.samples import SensorSample
@@ -190,6 +191,12 @@ class Identification:
         return np.asarray(np.sqrt(np.diag(self.covariance))[self.start.size :])
 
     @property
+    def prior_shifts(self) -> tuple[PriorShift, ...]:
+        """What the fit changed in the parameters that have a prior, if the model is right."""
+        errors = self.errors / self.widened
+        return prior_shifts(self.recording.prior, self.family, self.values, errors)
+
+    @property
     def correlation(self) -> Matrix:
         """The correlations of the parameters, shape (p, p)."""
         return correlations_of(self.covariance[self.start.size :, self.start.size :])
@@ -233,6 +240,7 @@ def identify(
     samples: Sequence[SensorSample] = (),
     dead_time: float = 0.0,
     mislabelled: float = Options.mislabelled,
+    prior: ParameterUncertainty | None = None,
 ) -> Identification:
     """Fit the parameters of a family, and the initial state, to impact times and to samples.
 
@@ -249,6 +257,8 @@ def identify(
         samples: of them; those up to the last impact count.
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         mislabelled: probability that an impact is reported for another contact.
+        prior: how well the given values of parameters are known, from other sources than these
+            events; None if unknown.
 
     Raises:
         UsageError: something arrives live, the clock's offset is free under a sampled forcing,
@@ -278,6 +288,7 @@ def identify(
         episode, state=state, report=report, dead_time=dead_time, mislabelled=mislabelled
     )
     whole = _with_samples(whole, family, clock, measurements, samples)
+    whole = _with_prior(whole, family, clock, prior)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
     fitted = search.unexplained() or search.with_fewer_outliers(search.explaining_fit())
     identification, problem, solution = fitted
@@ -671,10 +682,25 @@ def _with_samples(
     episode = recording.episode
     within = episode.start, episode.keys[-1].stamp
     counted = used_samples(family, measurements, samples, episode.epoch, within)
+    return _weighing(replace(recording, sensors=counted), family, clock)
+
+
+def _with_prior(
+    recording: Recording,
+    family: ParametricFamily,
+    clock: float | None,
+    prior: ParameterUncertainty | None,
+) -> Recording:
+    """The recording with a ``prior`` of parameters of the family, if there is any."""
+    if not prior_covariance(prior, family)[0]:
+        return recording
+    return _weighing(replace(recording, prior=prior), family, clock)
+
+
+def _weighing(recording: Recording, family: ParametricFamily, clock: float | None) -> Recording:
+    """The recording with a clock by which samples and prior are weighed, declared or guessed."""
     known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
-    return replace(
-        recording, sensors=counted, clock=max(known, ROUNDED), is_declared=clock is not None
-    )
+    return replace(recording, clock=max(known, ROUNDED), is_declared=clock is not None)
 
 
 def _identification(

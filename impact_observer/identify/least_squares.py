@@ -10,13 +10,15 @@ solve ::
     min |e|^2    subject to    A dy + B (s + e - t) + g = 0
 
 by two orthogonal triangulations, as Paige (Computer solution and perturbation analysis of
-generalized linear least squares problems, 1979). Samples of sensors add rows to ``A`` and ``B``:
-their noise in units of the clock's error is among the ``e``. The instants are unknowns, not
-results: a motion that is switched at given instants forgets its start, so nothing in ``A`` or
-``B`` grows with the length of the recording, however unstable the impacting motion is by itself.
+generalized linear least squares problems, 1979). Samples of sensors add rows to ``A`` and ``B``,
+and a prior adds rows to ``A``: their noise in units of the clock's error is among the ``e``. The
+instants are unknowns, not results: a motion that is switched at given instants forgets its start,
+so nothing in ``A`` or ``B`` grows with the length of the recording, however unstable the impacting
+motion is by itself.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +42,8 @@ _FAR = 0.1
 """Usual shift, over the time between two moments, of a fit that is lost."""
 _HALVINGS = 12
 """Most halvings of a step."""
+_WATCHED = 4
+"""Most full steps in a row before the first of these is shortened."""
 _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""
 _CAUCHY = 2.0
@@ -51,13 +55,13 @@ _WEIGHINGS = 8
 def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Problem, Solution]:
     """The most likely motion, with the deviations of clock and sensors that the motion shows.
 
-    Declared deviations stay, and all deviations stay if no samples are to be weighed.
+    Declared deviations stay, and all deviations stay if no samples and no prior are to be weighed.
 
     Raises:
         IdentificationError: fewer hits and samples than unknowns.
     """
     solution = solved(problem, y, robust=robust)
-    for _ in range(_WEIGHINGS if problem.sensors else 0):
+    for _ in range(_WEIGHINGS if problem.sensors or len(problem.by_prior) else 0):
         reweighed = problem.weighed_by(solution)
         if reweighed.is_like(problem):
             break
@@ -84,7 +88,7 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
             now = now.weighted()
         step = now.step_within(basis)
         converged = step.is_small(now)
-        now, length = now.towards(step)
+        now, length = now.towards(step, basis)
         rms = deviation(now.shifts, step.freedom)
         problem.report(f"step {k + 1} of at most {_STEPS}, shifts {rms:.2g} s")
         lost = k >= _PATIENCE and is_lost(problem, now.shifts, step.freedom)
@@ -176,8 +180,9 @@ class _Iterate(NamedTuple):
 
     @property
     def squares(self) -> float:
-        """Sum of the squared errors of samples, as errors of the clock, s^2."""
-        return sum(rows.squares for rows in self.shot.sensors) * self.problem.clock**2
+        """Sum of the squared errors of samples and prior, as errors of the clock, s^2."""
+        prior = float(np.sum(self.problem.prior_errors(self.y) ** 2))
+        return sum((rows.squares for rows in self.shot.sensors), prior) * self.problem.clock**2
 
     def weighted(self) -> "_Iterate":
         """The iterate with smaller weights for shifts that are larger than usual."""
@@ -209,7 +214,7 @@ class _Iterate(NamedTuple):
         whole, weighed, d = self._stacked(A, B, sampled)
         if len(whole) < whole.shape[1]:
             raise IdentificationError(
-                f"{len(whole)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
+                f"{len(A)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
             )
         count = self.counted.size
         x, errors, root = constrained_least_squares(whole, weighed, d)
@@ -226,25 +231,27 @@ class _Iterate(NamedTuple):
         if sampled:
             left = redundancies(whole, weighed)
             freedom = float(np.sum(left[:count]))
-            parts = np.split(left[count:], np.cumsum([each.d.size for each in sampled])[:-1])
+            parts = np.split(left[count:], np.cumsum([each.d.size for each in sampled]))
             of_sensors = tuple(
                 float(np.sum(part)) + rows.alone
-                for part, rows in zip(parts, shot.sensors, strict=True)
+                for part, rows in zip(parts, shot.sensors, strict=False)
             )
         return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty, of_sensors)
 
     def _gap_rows(self, basis: Matrix) -> tuple[list[int], Matrix, Matrix, list["_GapRows"]]:
-        """Moments that were missed, ``A`` and ``B`` of the gaps, and the rows of samples."""
+        """Moments that were missed, ``A`` and ``B`` of the gaps, and rows of samples and prior."""
         moments, shot = self.problem.moments, self.shot
         inserted = [k for k, m in enumerate(moments) if m.hit and not m.measured]
         A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
         sampled = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
+        if len(self.problem.by_prior):
+            sampled.append(_GapRows.from_prior(basis, len(inserted), self))
         return inserted, A, shot.by_instant[:, self.counted], sampled
 
     def _stacked(
         self, A: Matrix, B: Matrix, sampled: Sequence["_GapRows"]
     ) -> tuple[Matrix, Matrix, Vector]:
-        """``A``, ``B`` and ``d`` of gaps and samples, with the weights of the shifts."""
+        """``A``, ``B`` and ``d`` of gaps, samples and prior, with the weights of the shifts."""
         d = -(self.shot.gaps - B @ self.shifts)
         whole = np.vstack([A, *(each.A for each in sampled)])
         count, noises = self.counted.size, sum(each.d.size for each in sampled)
@@ -265,24 +272,39 @@ class _Iterate(NamedTuple):
         changes = moved.T @ e / np.where(squares > 0, squares, np.inf)
         return changes**2 * squares, changes
 
-    def towards(self, step: _Step) -> tuple["_Iterate", float]:
-        """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which."""
-        before = self.merit(step.penalty)
-        low, high = self.problem.family.bounds
-        n2 = self.y.size - low.size
+    def towards(self, step: _Step, basis: Matrix) -> tuple["_Iterate", float]:
+        """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which.
+
+        Along a curved valley full steps raise the merit before they lower it (Maratos). So a few
+        more full steps in the directions ``basis`` are tried before the step is shortened
+        (Chamberlain, Powell, Lemarechal and Pedersen, The watchdog technique for forcing
+        convergence in algorithms for constrained optimization, 1982).
+        """
+        least = self.merit(step.penalty) * (1 + 1e-6) + 1e-22
         length = 1.0
         for _ in range(_HALVINGS):
-            y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
-            y[n2:] = np.clip(y[n2:], low, high)
-            try:
-                trial = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
-            except ValueError:  # the trial motion overflows
-                length /= 2
-                continue
-            if trial.merit(step.penalty) <= before * (1 + 1e-6) + 1e-22:
-                return trial, length
+            # a trial motion overflows
+            with suppress(ValueError, linalg.LinAlgError):
+                trial = self.moved(step, length)
+                for watched in reversed(range(_WATCHED if length == 1.0 else 1)):
+                    if trial.merit(step.penalty) <= least:
+                        return trial, length
+                    if watched:
+                        trial = trial.moved(trial.step_within(basis))
             length /= 2
         return self, 0.0
+
+    def moved(self, step: _Step, length: float = 1.0) -> "_Iterate":
+        """The iterate after a part of ``step``, with parameters within their bounds.
+
+        Raises:
+            ValueError: the motion overflows.
+        """
+        low, high = self.problem.family.bounds
+        y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
+        n2 = y.size - low.size
+        y[n2:] = np.clip(y[n2:], low, high)
+        return self._replace(y=y, t=t, shot=self.problem.shot(y, t))
 
     def merit(self, penalty: float) -> float:
         """Sum of the squared shifts and errors, and of the gaps with their penalty."""
@@ -291,9 +313,9 @@ class _Iterate(NamedTuple):
 
 
 class _GapRows(NamedTuple):
-    """Rows of a sensor in the form of gaps, ``A x + B e + e' = d``, with errors ``e'`` in s.
+    """Rows of a sensor, or of the prior, in the form of gaps: ``A x + B e + e' = d``.
 
-    The ``e`` are shifts; see ``constrained_least_squares``.
+    The ``e'`` are errors in s, the ``e`` are shifts; see ``constrained_least_squares``.
     """
 
     A: Matrix
@@ -307,3 +329,10 @@ class _GapRows(NamedTuple):
         clock, B = now.problem.clock, rows.by_instant[:, now.counted]
         A = np.hstack([rows.by_start @ basis, rows.by_instant[:, inserted]])
         return cls(clock * A, clock * B, clock * (rows.residual + B @ now.shifts))
+
+    @classmethod
+    def from_prior(cls, basis: Matrix, inserted: int, now: _Iterate) -> "_GapRows":
+        problem = now.problem
+        A = np.pad(problem.by_prior @ basis, ((0, 0), (0, inserted)))
+        d = problem.prior_errors(now.y)
+        return cls(problem.clock * A, np.zeros((d.size, now.counted.size)), problem.clock * d)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
 from impact_observer.identify.fit_progress import FitProgress
+from impact_observer.identify.prior import prior_rows
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.identify.shooting import Shot, shoot
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 from impact_observer.trajectory.linearised_system import FlightEnd
@@ -35,10 +37,11 @@ class Problem(NamedTuple):
         start: where the initial state holds, s since the epoch.
         near: initial state and parameters to begin with, shape (2n + p,); None for none.
         sensors: samples of what is measured beside the impacts.
-        clock: standard deviation of a stamp, s, by which samples are weighed.
+        clock: standard deviation of a stamp, s, by which samples and the prior are weighed.
         is_declared: whether ``clock`` is declared; else the shifts show the deviation.
         instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
         report: receives how far a fit is, and counts its flights.
+        prior: how well the given values of parameters are known; None if unknown.
     """
 
     family: ParametricFamily
@@ -50,6 +53,7 @@ class Problem(NamedTuple):
     is_declared: bool = True
     instants: Instants = AT_STAMPS
     report: FitProgress = FitProgress()
+    prior: ParameterUncertainty | None = None
 
     @property
     def unknowns(self) -> int:
@@ -90,6 +94,21 @@ class Problem(NamedTuple):
     def counted(self) -> NDArray[np.int64]:
         """Indices of the moments whose stamps are compared: measured impacts and closings."""
         return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
+
+    @property
+    def by_prior(self) -> Matrix:
+        """Derivatives of the errors of the prior by initial state and parameters, (k, 2n + p).
+
+        Errors of the prior are in units of one standard deviation.
+        """
+        rows = prior_rows(self.prior, self.family)
+        return np.hstack([np.zeros((len(rows), 2 * self.family.system.n)), rows])
+
+    def prior_errors(self, y: Vector) -> Vector:
+        """Given values less those of ``y``, in units of the prior, shape (k,)."""
+        by_prior = self.by_prior
+        nominal = np.concatenate([np.zeros(2 * self.family.system.n), self.family.nominal])
+        return np.asarray(by_prior @ (nominal - y))
 
     def shot(self, y: Vector, t: Vector | None = None) -> Shot:
         """The motion of ``y`` switched at ``t``, by default at the stamps.
@@ -146,12 +165,13 @@ class Solution(NamedTuple):
         shifts: instants minus stamps, s, of the moments that count, shape (counted,).
         counted: indices of these moments.
         freedom: degrees of freedom of the shifts.
-        root: how far an error of each stamp, and of samples in its unit, moves ``y``, shape
-            (2n + p, any): ``root root^T`` times the variance of a stamp is the covariance of
-            ``y``. The stamps come first.
+        root: how far an error of each stamp, and of samples and prior in its unit, moves ``y``,
+            shape (2n + p, any): ``root root^T`` times the variance of a stamp is the covariance
+            of ``y``. The stamps come first.
         converged: whether the steps converged.
         errors: estimated standard deviations of the noise of the sensors, each in its unit.
-        cost: sum of the squared shifts and errors, the latter as those of the clock, s^2.
+        cost: sum of the squared shifts, and of the squared errors of samples and prior as those
+            of the clock, s^2.
     """
 
     y: Vector

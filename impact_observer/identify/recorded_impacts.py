@@ -13,6 +13,7 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.problem import AT_STAMPS, Instants, Problem
 from impact_observer.identify.sensor_rows import CountedSamples
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
@@ -50,6 +51,7 @@ class Recording:
         is_debounced: whether closings are impacts of the sensor, taken as such first edges.
         mislabelled: probability that an event names another contact.
         named: contacts that events name, by the hit of another contact for which the event counts.
+        prior: how well the given values of parameters are known; None if unknown.
     """
 
     episode: Episode
@@ -68,6 +70,7 @@ class Recording:
     is_debounced: bool = False
     mislabelled: float = Options.mislabelled
     named: Mapping[Hit, int] = field(default_factory=dict)
+    prior: ParameterUncertainty | None = None
 
     @property
     def counted_for_others(self) -> dict[Hit, int]:
@@ -170,9 +173,17 @@ class Recording:
             moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
-        clock = self.clock, self.is_declared
         return Problem(
-            family, moments, self.start, near, sensors, *clock, self.instants, self.report
+            family,
+            moments,
+            self.start,
+            near,
+            sensors,
+            self.clock,
+            self.is_declared,
+            self.instants,
+            self.report,
+            self.prior,
         )
 
     def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:

@@ -135,7 +135,7 @@ def widening(solution: Solution, clock: float | None) -> float:
     independent errors applies. The standard errors become those of a jackknife: each fifth of the
     impacts is left out in turn, and the combination of unknowns that changes most counts. Where
     neighbouring shifts are correlated, the factor is at least that of a mean of shifts whose
-    autocorrelations all add up.
+    autocorrelations all add up. A declared clock error that covers such errors needs no factor.
 
     Args:
         solution: the fit.
@@ -146,9 +146,9 @@ def widening(solution: Solution, clock: float | None) -> float:
     if size >= DOUBTED and independence(shifts) >= DOUBTED:
         return 1.0
     rms = max(solution.rms, ROUNDED)
-    excess = 1.0 if clock is None else max(rms / least, 1.0)
     correlated = _correlated(shifts) if independence(shifts) < DOUBTED else 1.0
-    return float(excess * max(_jackknife(solution) / rms, correlated))
+    shown = max(_jackknife(solution), rms * correlated)
+    return float(max(shown / (rms if clock is None else least), 1.0))
 
 
 def _correlated(shifts: Vector) -> float:

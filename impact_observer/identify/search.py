@@ -114,8 +114,10 @@ def fit(
     unknowns = problem.unknowns
     hits = sum(len(each.hit) for each in problem.moments if each.measured)
     samples = sum(each.t.size for each in problem.sensors)
-    if hits + samples <= unknowns:
+    declared = len(problem.by_prior)
+    if hits + samples + declared <= unknowns:
         beside = f" and {samples} samples" if problem.sensors else ""
+        beside += f" and {declared} declared deviations" if declared else ""
         raise IdentificationError(
             f"{hits} impacts{beside} for {unknowns} unknowns, {problem.family.size} of them"
             " parameters; expected more: record longer, or free less"

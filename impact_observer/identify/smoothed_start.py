@@ -117,7 +117,9 @@ def smoothed_start(
     declared = -1.0 if clock is None else min(clock, highest("clock_error"))
     system, unknowns = family.system_at(family.nominal + change), None
     if learned:
-        usual = UnknownParameters.of(ParametricFamily(system, learned), {})
+        usual = UnknownParameters.of(
+            ParametricFamily(system, learned), {}, uncertainty=recording.prior
+        )
         unknowns = replace(usual, covariance=usual.covariance * share**2)
     options = Options(
         clock_error=declared,
