@@ -231,11 +231,11 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
     best = hypotheses[0].state
     if len(hypotheses) == 1:
         return best
-    weights = probabilities(hypotheses)
-    columns = []
-    for weight, h in zip(np.sqrt(weights), hypotheses, strict=True):
-        differences = np.append(h.state.x - best.x, h.state.constants - best.constants)
-        columns += [weight * h.state.root, weight * differences[:, None]]
+    x = np.array([h.state.x for h in hypotheses]) - best.x
+    constants = np.array([h.state.constants for h in hypotheses]) - best.constants
+    apart = np.hstack([x, constants])[:, :, None]
+    each = zip(np.sqrt(probabilities(hypotheses)), hypotheses, apart, strict=True)
+    columns = [share * part for share, h, far in each for part in (h.state.root, far)]
     return best._replace(root=triangular(np.hstack(columns)))
 
 

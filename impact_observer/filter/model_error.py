@@ -73,5 +73,5 @@ def largest(kind: ErrorKind, accelerations: Vector, timescale: float) -> float:
     """The most that a level may be; ``accelerations`` of the motion have shape (n,), m/s2."""
     if kind is ErrorKind.RESTITUTION:
         return TUNING.largest_restitution_error
-    size = float(np.linalg.norm(accelerations))
+    size = math.sqrt(accelerations.dot(accelerations))
     return TUNING.largest_acceleration_error * size * math.sqrt(timescale)
