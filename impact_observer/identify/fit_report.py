@@ -361,7 +361,10 @@ def _without_a_fit(fitted: Identification) -> str:
     """What to do with a model that declares how wrong its numbers may be; else empty."""
     if fitted.recording.prior is None:
         return ""
-    return " observe and smooth take the declared deviations as they are, and need no fit."
+    return (
+        " observe and smooth need no fit: these take the declared deviations, and learn a"
+        " restitution that scatters from hit to hit."
+    )
 
 
 def _about_dead_time(fitted: Identification) -> str:
