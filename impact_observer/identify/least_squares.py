@@ -43,7 +43,7 @@ _FAR = 0.1
 _HALVINGS = 12
 """Most halvings of a step."""
 _WATCHED = 4
-"""Most full steps in a row before the first of these is shortened."""
+"""Most full steps in a row before the first of them is shortened."""
 _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""
 _CAUCHY = 2.0
@@ -210,8 +210,8 @@ class _Iterate(NamedTuple):
     def step(self, basis: Matrix) -> _Step:
         """The Gauss-Newton step in the directions ``basis`` and the instants."""
         problem, shot = self.problem, self.shot
-        inserted, A, B, sampled = self._gap_rows(basis)
-        whole, weighed, d = self._stacked(A, B, sampled)
+        inserted, A, B, further = self._gap_rows(basis)
+        whole, weighed, d = self._stacked(A, B, further)
         if len(whole) < whole.shape[1]:
             raise IdentificationError(
                 f"{len(A)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
@@ -228,11 +228,11 @@ class _Iterate(NamedTuple):
         penalty = 2 * float(np.max(np.abs(multipliers), initial=0.0)) + 1e-30
         freedom: float = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
         of_sensors: tuple[float, ...] = ()
-        if sampled:
+        if further:
             left = redundancies(whole, weighed)
             freedom = float(np.sum(left[:count]))
-            parts = np.split(left[count:], np.cumsum([each.d.size for each in sampled]))
-            of_sensors = tuple(
+            parts = np.split(left[count:], np.cumsum([each.d.size for each in further]))
+            of_sensors = tuple(  # parts of the prior come last
                 float(np.sum(part)) + rows.alone
                 for part, rows in zip(parts, shot.sensors, strict=False)
             )
@@ -243,29 +243,29 @@ class _Iterate(NamedTuple):
         moments, shot = self.problem.moments, self.shot
         inserted = [k for k, m in enumerate(moments) if m.hit and not m.measured]
         A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
-        sampled = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
+        further = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
         if len(self.problem.by_prior):
-            sampled.append(_GapRows.from_prior(basis, len(inserted), self))
-        return inserted, A, shot.by_instant[:, self.counted], sampled
+            further.append(_GapRows.from_prior(basis, len(inserted), self))
+        return inserted, A, shot.by_instant[:, self.counted], further
 
     def _stacked(
-        self, A: Matrix, B: Matrix, sampled: Sequence["_GapRows"]
+        self, A: Matrix, B: Matrix, further: Sequence["_GapRows"]
     ) -> tuple[Matrix, Matrix, Vector]:
         """``A``, ``B`` and ``d`` of gaps, samples and prior, with the weights of the shifts."""
         d = -(self.shot.gaps - B @ self.shifts)
-        whole = np.vstack([A, *(each.A for each in sampled)])
-        count, noises = self.counted.size, sum(each.d.size for each in sampled)
+        whole = np.vstack([A, *(each.A for each in further)])
+        count, noises = self.counted.size, sum(each.d.size for each in further)
         weighed = np.zeros((len(whole), count + noises))
-        weighed[:, :count] = np.vstack([B, *(each.B for each in sampled)]) / self.weights
+        weighed[:, :count] = np.vstack([B, *(each.B for each in further)]) / self.weights
         weighed[len(A) :, count:] = np.eye(noises)
-        return whole, weighed, np.concatenate([d, *(each.d for each in sampled)])
+        return whole, weighed, np.concatenate([d, *(each.d for each in further)])
 
     def saved_by_last(self, basis: Matrix, count: int) -> tuple[Vector, Vector]:
         """``savings`` of the last ``count`` parameters; ``basis`` moves the others."""
         whole, weighed, d = self._stacked(*self._gap_rows(basis)[1:])
         last = np.eye(self.y.size)[:, -count:]
-        _, A, B, sampled = self._gap_rows(last)
-        columns = self._stacked(A, B, sampled)[0][:, :count]
+        _, A, B, further = self._gap_rows(last)
+        columns = self._stacked(A, B, further)[0][:, :count]
         _, errors, _ = constrained_least_squares(whole, weighed, np.column_stack([d, columns]))
         e, moved = errors[:, 0], errors[:, 1:]
         squares = np.sum(moved**2, axis=0)
@@ -283,18 +283,18 @@ class _Iterate(NamedTuple):
         least = self.merit(step.penalty) * (1 + 1e-6) + 1e-22
         length = 1.0
         for _ in range(_HALVINGS):
-            # a trial motion overflows
+            # such as those of a motion that overflows
             with suppress(ValueError, linalg.LinAlgError):
-                trial = self.moved(step, length)
+                trial = self.stepped(step, length)
                 for watched in reversed(range(_WATCHED if length == 1.0 else 1)):
                     if trial.merit(step.penalty) <= least:
                         return trial, length
                     if watched:
-                        trial = trial.moved(trial.step_within(basis))
+                        trial = trial.stepped(trial.step_within(basis))
             length /= 2
         return self, 0.0
 
-    def moved(self, step: _Step, length: float = 1.0) -> "_Iterate":
+    def stepped(self, step: _Step, length: float = 1.0) -> "_Iterate":
         """The iterate after a part of ``step``, with parameters within their bounds.
 
         Raises:
