@@ -2,16 +2,19 @@
 """Whether a model explains recorded impact times as well as their clock allows."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_observer.identify.identification import Identification
 from impact_observer.identify.residuals import (
     REJECTED,
     independence,
     lags_of,
     probability_of_size,
 )
+
+if TYPE_CHECKING:
+    from impact_observer.identify.identification import Identification
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,7 @@ class FitCheck:
         return min(self.white, size) >= REJECTED and not odd
 
 
-def check_fit(fitted: Identification) -> FitCheck:
+def check_fit(fitted: "Identification") -> FitCheck:
     """Test the shifts and the sensors of a fitted model.
 
     Under the right model the shifts are the errors of a clock: independent, and of its size.

@@ -659,9 +659,11 @@ def _about_prior(fitted: Identification) -> Iterator[ReportLine]:
     if not (shifts := fitted.prior_shifts) or not fitted.converged:
         return
     text = f"Declared deviations are priors of {listed([each.name for each in shifts])}."
-    if little := [each.name for each in shifts if each.is_little]:
+    if fitted.refuted is not None:
+        text = "The model fits without its declared deviations, and not with them as priors."
+    elif little := [each.name for each in shifts if each.is_little]:
         text += f" These impacts say little of {listed(little)}."
-    yield ReportLine("note", text)
+    yield ReportLine("note" if fitted.refuted is None else "warning", text)
     if chance_of(shifts) < DOUBTED:
         worst = max(shifts, key=lambda each: abs(each.innovation))
         yield ReportLine(

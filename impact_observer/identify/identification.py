@@ -20,6 +20,7 @@ from impact_observer.errors import (
 )
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify.first_guess import directions
+from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.growing import Grown, grown, phase_changes, phases_of, stage_of
 from impact_observer.identify.late_start import late_start
@@ -30,7 +31,7 @@ from impact_observer.identify.other_parameters import (
     missed_parameters,
 )
 from impact_observer.identify.outliers import has_hit_twice
-from impact_observer.identify.prior import PriorShift, prior_covariance, prior_shifts
+from impact_observer.identify.prior import PriorShift, chance_of, prior_covariance, prior_shifts
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
@@ -145,6 +146,7 @@ class Identification:
             explains: only the first ones are in ``recording``.
         reached: the first impacts that a fit explains where none explains all; None if none does,
             or where one does.
+        refuted: the prior without which alone the model fits; None if there is none.
     """
 
     family: ParametricFamily
@@ -172,6 +174,7 @@ class Identification:
     others: tuple[OtherParameter, ...] = ()
     unsearched: int = 0
     reached: Grown | None = None
+    refuted: ParameterUncertainty | None = None
 
     @property
     def large(self) -> bool:
@@ -192,8 +195,10 @@ class Identification:
 
     @property
     def prior_shifts(self) -> tuple[PriorShift, ...]:
-        """What the fit changed in the parameters that have a prior, if the model is right."""
+        """What the fit changed in parameters that have a prior, or a refuted one."""
         errors = self.errors / self.widened
+        if self.refuted is not None:
+            return prior_shifts(self.refuted, self.family, self.values, errors, is_used=False)
         return prior_shifts(self.recording.prior, self.family, self.values, errors)
 
     @property
@@ -288,14 +293,18 @@ def identify(
         episode, state=state, report=report, dead_time=dead_time, mislabelled=mislabelled
     )
     whole = _with_samples(whole, family, clock, measurements, samples)
-    whole = _with_prior(whole, family, clock, prior)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
-    fitted = search.unexplained() or search.with_fewer_outliers(search.explaining_fit())
-    identification, problem, solution = fitted
-    is_checked = identification.converged or trust_events
-    checked = last_impacts(problem, solution, held_back) if is_checked else None
-    own = replace(identification, held_back=checked)
-    return search.with_others(_Fitted(own, problem, solution))
+    if (with_prior := _with_prior(whole, family, clock, prior)) is whole:
+        return search.identification(held_back)
+    found = search._replace(whole=with_prior).identification(held_back)
+    if found.converged and chance_of(found.prior_shifts) >= DOUBTED:
+        return found
+    report.stage("without the declared deviations")
+    try:
+        alone = search.identification(held_back)
+    except IdentificationError:  # impacts alone do not determine all that is free
+        return found
+    return replace(alone, refuted=prior) if check_fit(alone).fits and alone.converged else found
 
 
 class _Fitted(NamedTuple):
@@ -323,6 +332,14 @@ class _Search(NamedTuple):
     report: FitProgress
     is_grown: bool = True
     is_smoothed: bool = False
+
+    def identification(self, held_back: float) -> Identification:
+        """The fit, checked on the last impacts, with the parameters that were not free."""
+        fitted = self.unexplained() or self.with_fewer_outliers(self.explaining_fit())
+        own, problem, solution = fitted
+        is_checked = own.converged or self.trust_events
+        checked = last_impacts(problem, solution, held_back) if is_checked else None
+        return self.with_others(fitted._replace(identification=replace(own, held_back=checked)))
 
     def explaining_fit(self) -> _Fitted:
         """The fit, by the first way that leads to a motion that explains the stamps."""
@@ -682,7 +699,10 @@ def _with_samples(
     episode = recording.episode
     within = episode.start, episode.keys[-1].stamp
     counted = used_samples(family, measurements, samples, episode.epoch, within)
-    return _weighing(replace(recording, sensors=counted), family, clock)
+    known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
+    return replace(
+        recording, sensors=counted, clock=max(known, ROUNDED), is_declared=clock is not None
+    )
 
 
 def _with_prior(
@@ -691,16 +711,16 @@ def _with_prior(
     clock: float | None,
     prior: ParameterUncertainty | None,
 ) -> Recording:
-    """The recording with a ``prior`` of parameters of the family, if there is any."""
+    """The recording with a ``prior`` of parameters of the family, if there is any.
+
+    A prior is weighed by the clock error that the shifts show, at least the declared one: shifts
+    that no motion explains are no reason to trust the impacts more than the prior.
+    """
     if not prior_covariance(prior, family)[0]:
         return recording
-    return _weighing(replace(recording, prior=prior), family, clock)
-
-
-def _weighing(recording: Recording, family: ParametricFamily, clock: float | None) -> Recording:
-    """The recording with a clock by which samples and prior are weighed, declared or guessed."""
-    known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
-    return replace(recording, clock=max(known, ROUNDED), is_declared=clock is not None)
+    least = max(clock or 0.0, ROUNDED)
+    first = max(_SUSPICIOUS * recording.problem(family).interval, least)
+    return replace(recording, prior=prior, clock=first, is_declared=False, least_clock=least)
 
 
 def _identification(

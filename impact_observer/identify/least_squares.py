@@ -42,7 +42,7 @@ _FAR = 0.1
 """Usual shift, over the time between two moments, of a fit that is lost."""
 _HALVINGS = 12
 """Most halvings of a step."""
-_WATCHED = 4
+_WATCHED = 6
 """Most full steps in a row before the first of them is shortened."""
 _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""

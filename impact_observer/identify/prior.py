@@ -65,24 +65,32 @@ def prior_rows(known: ParameterUncertainty | None, family: ParametricFamily) -> 
 
 
 def prior_shifts(
-    known: ParameterUncertainty | None, family: ParametricFamily, values: Vector, errors: Vector
+    known: ParameterUncertainty | None,
+    family: ParametricFamily,
+    values: Vector,
+    errors: Vector,
+    *,
+    is_used: bool = True,
 ) -> tuple[PriorShift, ...]:
     """What a fit changed in the parameters of a ``family`` that have a prior.
 
-    The variance of the change is the prior's less the posterior's, if both are right.
+    If all is right, the variance of the change is the prior's less the posterior's. Of a fit that
+    has not used the prior both variances add up.
 
     Args:
         known: the prior.
         family: the free parameters.
         values: fitted, shape (p,), SI units.
-        errors: standard deviations of ``values``, shape (p,).
+        errors: standard deviations of ``values`` if the model is right, shape (p,).
+        is_used: whether the fit has used the prior.
     """
-    own, covariance = prior_covariance(known, family)
+    which, covariance = prior_covariance(known, family)
     shifts = []
-    for k, before in zip(own, np.sqrt(np.diag(covariance)).tolist(), strict=True):
-        expected = max(before**2 - float(errors[k]) ** 2, _LEAST * before**2)
+    for k, before in zip(which, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        own = float(errors[k]) ** 2 * (-1 if is_used else 1)
+        expected = max(before**2 + own, _LEAST * before**2)
         change = float(values[k]) - family.parameters[k].value
-        is_little = bool(errors[k] > _LITTLE * before)
+        is_little = is_used and bool(errors[k] > _LITTLE * before)
         innovation = 0.0 if is_little else change / float(np.sqrt(expected))
         shifts.append(PriorShift(family.names[k], before, innovation, is_little))
     return tuple(shifts)

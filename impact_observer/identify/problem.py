@@ -39,6 +39,7 @@ class Problem(NamedTuple):
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, by which samples and the prior are weighed.
         is_declared: whether ``clock`` is declared; else the shifts show the deviation.
+        least_clock: least deviation that the shifts may show, s.
         instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
         report: receives how far a fit is, and counts its flights.
         prior: how well the given values of parameters are known; None if unknown.
@@ -51,6 +52,7 @@ class Problem(NamedTuple):
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
+    least_clock: float = LEAST
     instants: Instants = AT_STAMPS
     report: FitProgress = FitProgress()
     prior: ParameterUncertainty | None = None
@@ -144,7 +146,7 @@ class Problem(NamedTuple):
             each._replace(deviation=rms) if each.is_learned and rms > 0 else each
             for each, rms in zip(self.sensors, solution.errors, strict=True)
         )
-        clock = self.clock if self.is_declared else max(solution.rms, LEAST)
+        clock = self.clock if self.is_declared else max(solution.rms, self.least_clock)
         return self._replace(sensors=sensors, clock=clock)
 
     def is_like(self, other: "Problem") -> bool:

@@ -11,7 +11,7 @@ from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.identify.fit_progress import FitProgress
-from impact_observer.identify.problem import AT_STAMPS, Instants, Problem
+from impact_observer.identify.problem import AT_STAMPS, LEAST, Instants, Problem
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
@@ -40,6 +40,7 @@ class Recording:
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, declared or a first guess.
         is_declared: whether ``clock`` is declared.
+        least_clock: least standard deviation of a stamp, s, where it is not declared.
         settled: impacts of bounces that settle; of each row the first stands for all, as the
             closing of its contact.
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
@@ -61,6 +62,7 @@ class Recording:
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
+    least_clock: float = LEAST
     settled: frozenset[Hit] = field(default=frozenset())
     instants: Instants = field(default_factory=lambda: AT_STAMPS)
     report: FitProgress = field(default_factory=FitProgress)
@@ -181,6 +183,7 @@ class Recording:
             sensors,
             self.clock,
             self.is_declared,
+            self.least_clock,
             self.instants,
             self.report,
             self.prior,

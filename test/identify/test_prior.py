@@ -133,7 +133,12 @@ def test_a_value_far_beyond_its_deviation_is_named(capsys: pytest.CaptureFixture
     found = fitted(parse_model(text, "rig"), ("restitution",), recorded(TRUE, 60.0, 1e-3), 1e-3)
     print_parameters(found, check_fit(found))
     out = " ".join(capsys.readouterr().out.split())
+    assert abs(found.values[0] - 0.7) < 3 * found.errors[0]
+    assert "The model fits without its declared deviations" in out
     assert "restitution.stop is" in out
+    (shift,) = found.prior_shifts
+    both = np.hypot(0.001, found.errors[0] / found.widened)
+    assert shift.innovation == pytest.approx((found.values[0] - 0.75) / both)
     assert "deviations from its declared value" in out
 
 
