@@ -50,18 +50,36 @@ _CAUCHY = 2.0
 """Scale of the Cauchy weights, over the usual shift."""
 _WEIGHINGS = 8
 """Most fits, each with the deviations of clock and sensors that the one before has shown."""
+_SHARPER = 0.25
+"""Clock error that is tried next, over the one that the shifts show."""
+_SMALLER = 0.5
+"""Largest shifts of such a try that is taken, over those before."""
 
 
 def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Problem, Solution]:
     """The most likely motion, with the deviations of clock and sensors that the motion shows.
 
     Declared deviations stay, and all deviations stay if no samples and no prior are to be weighed.
+    A prior may hold a motion whose shifts are large, and large shifts give the prior its weight:
+    smaller clock errors are tried for as long as the shifts become smaller, too.
 
     Raises:
         IdentificationError: fewer hits and samples than unknowns.
     """
-    solution = solved(problem, y, robust=robust)
-    for _ in range(_WEIGHINGS if problem.sensors or len(problem.by_prior) else 0):
+    problem, solution = _as_shown(problem, solved(problem, y, robust=robust), robust=robust)
+    while problem.is_weighed and not problem.is_declared and problem.clock > problem.least_clock:
+        clock = max(problem.clock * _SHARPER, problem.least_clock)
+        sharper = problem._replace(clock=clock)
+        found = solved(sharper, solution.y, robust=robust)
+        if not found.converged or found.rms > problem.clock * _SMALLER:
+            break
+        problem, solution = _as_shown(sharper, found, robust=robust)
+    return problem, solution
+
+
+def _as_shown(problem: Problem, solution: Solution, *, robust: bool) -> tuple[Problem, Solution]:
+    """The problem with deviations that its solution shows, and this solution, by iteration."""
+    for _ in range(_WEIGHINGS if problem.is_weighed else 0):
         reweighed = problem.weighed_by(solution)
         if reweighed.is_like(problem):
             break

@@ -98,6 +98,11 @@ class Problem(NamedTuple):
         return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
 
     @property
+    def is_weighed(self) -> bool:
+        """Whether there is anything to be weighed against the stamps: samples, or a prior."""
+        return bool(self.sensors) or len(self.by_prior) > 0
+
+    @property
     def by_prior(self) -> Matrix:
         """Derivatives of the errors of the prior by initial state and parameters, (k, 2n + p).
 

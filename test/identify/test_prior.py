@@ -46,13 +46,13 @@ def declared(value: float, deviation: float) -> str:
 
 
 @cache
-def recorded(text: str, seconds: float, jitter: float) -> tuple[ImpactEvent, ...]:
+def recorded(text: str, seconds: float, jitter: float, seed: int = 1) -> tuple[ImpactEvent, ...]:
     """The events of a plant."""
     model = parse_model(text, "true")
     made = run(model.system, *model.initial_state(), seconds=seconds, rate=1.0)
     sensor, last = SensorModel(jitter=jitter), int(made.stamps[-1])
     messages = simulate_sensor(
-        sensor, model.system, made.switchings, epoch=EPOCH, last=last, seed=1
+        sensor, model.system, made.switchings, epoch=EPOCH, last=last, seed=seed
     )
     return tuple(sorted((each.event for each in messages), key=lambda each: each.stamp))
 
@@ -192,3 +192,22 @@ def test_correlated_errors_of_the_model_count_as_such() -> None:
     own = (found.values - family.nominal) / s
     assert abs(own.sum()) < 3 * np.sqrt(2 * (1 + rho))
     assert found.errors[0] < other.errors[0]
+
+
+def test_errors_of_short_recordings_are_those_that_the_posterior_says() -> None:
+    """The true numbers are drawn from the prior, of which few impacts tell little."""
+    rng, names = np.random.default_rng(7), ("e", "g", "a")
+    given, deviations = np.array([0.7, 0.5, 4.0]), np.array([0.08, 0.02, 0.4])
+    numbers = [declared(*each) for each in zip(given, deviations, strict=True)]
+    model = parse_model(RIG.format(k=10, **dict(zip(names, numbers, strict=True))), "rig")
+    squares = []
+    for seed, seconds in enumerate((9.0, 11.0, 14.0) * 8):
+        true = given + deviations * rng.standard_normal(3)
+        plant = RIG.format(k=10, **dict(zip(names, true, strict=True)))
+        events = recorded(plant, seconds, 1e-3, seed)
+        found = fitted(model, ("restitution", "gap", "forcing-amplitude"), events, 1e-3)
+        assert found.converged
+        error = found.values - true / [1.0, 1.0, given[2]]
+        own = found.covariance[found.start.size :, found.start.size :]
+        squares.append(error @ np.linalg.solve(own, error) / 3)
+    assert 0.6 < np.mean(squares) < 1.5
