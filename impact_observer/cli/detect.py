@@ -89,6 +89,7 @@ def _option(name: str) -> str:
 def run(args: argparse.Namespace) -> int:
     """Write a bag with the impacts detected in another one, or in a signal."""
     from impact_observer.cli.progress import Progress
+    from impact_observer.errors import UsageError
     from impact_observer.io.bag_topics import SIGNAL_FILES
     from impact_observer.model import read_model
     from impact_observer.output_files import all_together, check_output
@@ -96,6 +97,11 @@ def run(args: argparse.Namespace) -> int:
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
     if args.plot is not None:
         check_output(args.plot)
+    if is_signal and args.pulses is not None and args.pulses == args.topic:
+        raise UsageError(
+            f"--pulses {args.pulses}: the column of the signal found; expected another one, whose"
+            " rising edges are the pulses of the drive"
+        )
     model = None if args.model is None else read_model(args.model)
     with Progress() as progress, all_together():
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)

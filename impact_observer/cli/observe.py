@@ -36,8 +36,10 @@ _COMPONENTS = 12
 """Most positions and velocities whose deviations are printed."""
 _SOURCES, _SMALL_SHARE = 3, 0.05
 """Most sources of a deviation that are printed, and the least share of its variance."""
-_DOUBTED, _FEW = 0.3, 5
+_DOUBTED, _FEW = 0.25, 5
 """Share of the events, and least number of them, whose rejection makes the model doubtful."""
+_SURE = 10.0
+"""Deviations beyond which an offset of the clock that nobody has declared is named."""
 _UNDETERMINED = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
@@ -149,6 +151,7 @@ def closing_lines(model: "Model", observer: "Observer") -> "Iterator[str]":
         declared = observer.law.uncertainty.declared_constants
         learned = observer.estimate(observer.last_event).parameters
         yield from contradiction_lines(contradictions(learned, declared), observer.system.unit)
+        yield from late_lines(observer)
     yield from sample_lines(observer)
     yield from fitted_lines(model, (observer.last_event,))
     if model.robot is None and observer.last_event and observer.epoch:
@@ -312,6 +315,19 @@ def parameter_lines(observer: "Observer") -> "Iterator[str]":
         words = "learned" if is_learned else "not determined by these impacts"
         known = figure(value, deviation=deviation)
         yield f"{words}: {with_unit(name, observer.system.unit)} {known}"
+
+
+def late_lines(observer: "Observer") -> "Iterator[str]":
+    """A line if stamps are late, or early, by what nobody has declared."""
+    if observer.law.uncertainty.clock_offset_error:
+        return
+    for name, value, deviation in observer.estimate(observer.last_event).parameters:
+        if name == "clock_offset" and abs(value) > _SURE * deviation:
+            side = "late" if value > 0 else "early"
+            yield (
+                f"warning: stamps are {abs(value):.3g} s {side}, and no --clock-offset-error is"
+                " declared: a wrong epoch, phase, latency, or order of `between`?"
+            )
 
 
 def contradiction_lines(found: "Sequence[Contradiction]", unit: str) -> "Iterator[str]":

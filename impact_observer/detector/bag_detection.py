@@ -75,7 +75,8 @@ class BagDetection:
             self.doubts.append(
                 f"the first event, at {text(detector.first_event)} s, is before the epoch,"
                 f" {text(detector.epoch)} s: such events are not applied; give an --epoch"
-                " before it, as of a signal that begins before its trigger"
+                " that is before it by whole periods of the forcing, as of a signal that begins"
+                " before its trigger"
             )
         for k, source in enumerate(self.sources):
             self.doubts += [*detector.left_out(k), *detector.dead_time_doubts(k)]

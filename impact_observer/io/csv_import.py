@@ -24,7 +24,7 @@ from impact_observer.io.csv_tables import (
 from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.sample_tables import sample_tables
-from impact_observer.io.table_file import start_of
+from impact_observer.io.table_file import later_zero, start_of
 from impact_observer.io.table_layout import TableForm
 from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
@@ -217,7 +217,8 @@ def _stamp(path: Path, row: ImpactRow | StateRow, start: int, epoch: int) -> int
         least = f"{text(epoch)} s, the epoch, or more" if epoch > 0 else "more than 0"
         raise UsageError(
             f"{path}, line {row.line}: the stamp would be {text(stamp)} s; expected {least}, at"
-            f" most {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0, or --epoch"
+            f" most {text(MAX_STAMP)} s: choose {later_zero(stamp)}, the stamp of time 0, or"
+            " --epoch"
         )
     return stamp
 

@@ -8,7 +8,7 @@ from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.io.signal_file import topic_of
-from impact_observer.io.table_file import TableFile, TableRow, start_of
+from impact_observer.io.table_file import TableFile, TableRow, later_zero, start_of
 from impact_observer.io.table_layout import TableForm
 from impact_observer.stamps import MAX_STAMP, text
 
@@ -69,11 +69,11 @@ class SampleTable:
                 f"time {text(row.time)} s is of another clock than the first impact,"
                 f" {text(impact)} s: only one of them counts from 1970",
             )
-        if not 0 < start + row.time <= MAX_STAMP:
+        if not 0 < (stamp := start + row.time) <= MAX_STAMP:
             self._file.wrong(
                 row.line,
-                f"the stamp would be {text(start + row.time)} s; expected more than 0, at most"
-                f" {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0",
+                f"the stamp would be {text(stamp)} s; expected more than 0, at most"
+                f" {text(MAX_STAMP)} s: choose {later_zero(stamp)}, the stamp of time 0",
             )
 
     def remarks(self) -> list[str]:

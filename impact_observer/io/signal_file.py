@@ -10,7 +10,7 @@ from impact_observer.errors import UsageError
 from impact_observer.io.bag_part import BagPart, TimeZero
 from impact_observer.io.bag_topics import SOUND_FILES
 from impact_observer.io.sound_file import SoundFile
-from impact_observer.io.table_file import TableFile, start_of
+from impact_observer.io.table_file import TableFile, later_zero, start_of
 from impact_observer.io.table_layout import TableForm
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 
@@ -59,7 +59,7 @@ class SignalFile:
         if not 0 < self.first <= MAX_STAMP:
             raise UsageError(
                 f"{path}: its first stamp would be {text(self.first)} s; expected more than 0, at"
-                f" most {text(MAX_STAMP)} s: choose --time-zero, the stamp of time 0"
+                f" most {text(MAX_STAMP)} s: choose {later_zero(self.first)}, the stamp of time 0"
             )
 
     @property

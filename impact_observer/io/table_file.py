@@ -422,6 +422,14 @@ def _has_content(line: str) -> bool:
     return bool(line) and not line.startswith("#")
 
 
+def later_zero(first: int) -> str:
+    """The option that makes stamps of a file positive whose first stamp would be ``first``, ns."""
+    zero = 10 * NS_PER_S
+    while zero + first <= NS_PER_S:
+        zero *= 10
+    return f"--time-zero {zero // NS_PER_S}" if first <= 0 else "--time-zero"
+
+
 def start_of(first: int, start: int | None) -> int:
     """The stamp of a file's time zero, ns.
 

@@ -241,3 +241,28 @@ def test_a_column_without_pulses_is_one_line(
     named = ("--contact", "stop", "--topic", "CH1", "--threshold", "30", "--pulses", column)
     assert main(["detect", str(path), *named, "-o", output]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_pulses_are_not_those_of_the_signal_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Hits taken for pulses give a wrong epoch."""
+    path = tmp_path / "acc.csv"
+    path.write_text(table())
+    given = ["--contact", "stop", "--topic", "az", "--threshold", "1", "--pulses", "az"]
+    assert main(["detect", str(path), *given, "-o", str(tmp_path / "bag")]) == 2
+    assert "--pulses az: the column of the signal found" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("first", "zero"), [(-3.25, 10), (-10.0, 100), (-250.0, 1000)])
+def test_a_table_that_begins_long_before_its_time_zero_is_told_what_to_give(
+    first: float, zero: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A trigger in the middle of a record; the value that is named is one that helps."""
+    path = tmp_path / "acc.csv"
+    path.write_text(table(row=lambda t, a: f"{t + first:.6f},{a:.5f}"))
+    given = ["detect", str(path), "--contact", "stop", "--topic", "az", "--threshold", "30"]
+    given += ["-o", str(tmp_path / "bag")]
+    assert main(given) == 2
+    assert f"choose --time-zero {zero}, the stamp of time 0" in capsys.readouterr().err
+    assert main([*given, "--time-zero", str(zero)]) == 0

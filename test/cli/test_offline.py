@@ -442,3 +442,41 @@ def test_a_model_by_which_many_impacts_are_rejected_is_doubted(
         in said[str(model)]
     )
     assert "impacts rejected" not in said["two_mass"]
+
+
+@pytest.mark.slow
+def test_stamps_that_are_late_by_what_nobody_declared_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The sine of a drill's force is written as a cosine, a quarter of a turn early."""
+    rig = (
+        "name: drill\n"
+        "bodies: [{name: hammer, mass: 1.2}, {name: bit, mass: 0.8}]\n"
+        "springs:\n"
+        "  - {between: [ground, hammer], stiffness: {value: 9000, deviation: 450}, damping: 5}\n"
+        "  - {between: [ground, bit], stiffness: {value: 60000, deviation: 3000}, damping: 20}\n"
+        "forces: [{body: hammer, amplitude: 60, frequency: 139.0469, phase: -1.570796}]\n"
+        "stops: [{name: hit, between: [hammer, bit], gap: {value: 0.0015, deviation: 0.0002},\n"
+        "         restitution: {value: 0.6, deviation: 0.1}}]\n"
+        "initial_state: {position: [0, 0], velocity: [0, 0]}\n"
+    )
+    bag, true, wrong = (str(tmp_path / name) for name in ("bag", "true.yaml", "wrong.yaml"))
+    Path(true).write_text(rig)
+    Path(wrong).write_text(rig.replace(", phase: -1.570796", ""))
+    assert main(["simulate", true, "--duration", "6", "--jitter", "1e-5", "-o", bag]) == 0
+    said = []
+    for name in (true, wrong):
+        part = ("--start", "3", "--clock-error", "1e-5", "--deviation", "0.005,0.005,0.6,0.6")
+        output = (
+            "--law",
+            "minimum-variance",
+            "--rate",
+            "10",
+            "-o",
+            str(tmp_path / f"{len(said)}"),
+        )
+        capsys.readouterr()
+        assert main(["observe", bag, "--model", name, *part, *output]) == 0
+        said.append(capsys.readouterr().out)
+    assert "early, and no --clock-offset-error is declared: a wrong epoch, phase" in said[1]
+    assert "no --clock-offset-error is declared" not in said[0]
