@@ -464,7 +464,7 @@ def test_stamps_that_are_late_by_what_nobody_declared_are_named(
     Path(true).write_text(rig)
     Path(wrong).write_text(rig.replace(", phase: -1.570796", ""))
     assert main(["simulate", true, "--duration", "6", "--jitter", "1e-5", "-o", bag]) == 0
-    said = []
+    said = list[str]()
     for name in (true, wrong):
         part = ("--start", "3", "--clock-error", "1e-5", "--deviation", "0.005,0.005,0.6,0.6")
         output = (
