@@ -300,7 +300,10 @@ def identify(
     if found.converged and chance_of(found.prior_shifts) >= DOUBTED:
         return found
     report.stage("without the declared deviations")
+    plain = search._replace(trust_events=True, is_grown=False, is_smoothed=True)
     try:
+        if not explained(plain.fit_as_reported().solution, clock):
+            return found
         alone = search.identification(held_back)
     except IdentificationError:  # impacts alone do not determine all that is free
         return found
