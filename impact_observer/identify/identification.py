@@ -32,12 +32,11 @@ from impact_observer.identify.other_parameters import (
 )
 from impact_observer.identify.outliers import has_hit_twice
 from impact_observer.identify.prior import PriorShift, chance_of, prior_covariance, prior_shifts
-from impact_observer.identify.problem import Problem, Solution
+from impact_observer.identify.problem import ROUNDED, Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
     DOUBTED,
     REJECTED,
-    ROUNDED,
     UNDECLARED,
     HeldBack,
     explained,
@@ -702,10 +701,7 @@ def _with_samples(
     episode = recording.episode
     within = episode.start, episode.keys[-1].stamp
     counted = used_samples(family, measurements, samples, episode.epoch, within)
-    known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
-    return replace(
-        recording, sensors=counted, clock=max(known, ROUNDED), is_declared=clock is not None
-    )
+    return _weighing(replace(recording, sensors=counted), family, clock)
 
 
 def _with_prior(
@@ -714,16 +710,17 @@ def _with_prior(
     clock: float | None,
     prior: ParameterUncertainty | None,
 ) -> Recording:
-    """The recording with a ``prior`` of parameters of the family, if there is any.
-
-    A prior is weighed by the clock error that the shifts show, at least the declared one: shifts
-    that no motion explains are no reason to trust the impacts more than the prior.
-    """
+    """The recording with a ``prior`` of parameters of the family, if there is any."""
     if not prior_covariance(prior, family)[0]:
         return recording
-    least = max(clock or 0.0, ROUNDED)
-    first = max(_SUSPICIOUS * recording.problem(family).interval, least)
-    return replace(recording, prior=prior, clock=first, is_declared=False, least_clock=least)
+    first = _SUSPICIOUS * recording.problem(family).interval
+    return replace(_weighing(recording, family, clock), prior=prior, first_clock=first)
+
+
+def _weighing(recording: Recording, family: ParametricFamily, clock: float | None) -> Recording:
+    """The recording with the error of its clock, declared or a first guess."""
+    known = _SUSPICIOUS * recording.problem(family).interval if clock is None else clock
+    return replace(recording, clock=max(known, ROUNDED), is_declared=clock is not None)
 
 
 def _identification(

@@ -67,7 +67,7 @@ def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Probl
         IdentificationError: fewer hits and samples than unknowns.
     """
     problem, solution = _as_shown(problem, solved(problem, y, robust=robust), robust=robust)
-    while problem.is_weighed and not problem.is_declared and problem.clock > problem.least_clock:
+    while problem.has_prior and not problem.is_declared and problem.clock > problem.least_clock:
         clock = max(problem.clock * _SHARPER, problem.least_clock)
         sharper = problem._replace(clock=clock)
         found = solved(sharper, solution.y, robust=robust)
@@ -262,7 +262,7 @@ class _Iterate(NamedTuple):
         inserted = [k for k, m in enumerate(moments) if m.hit and not m.measured]
         A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
         further = [_GapRows.from_sensor(rows, basis, inserted, self) for rows in shot.sensors]
-        if len(self.problem.by_prior):
+        if self.problem.has_prior:
             further.append(_GapRows.from_prior(basis, len(inserted), self))
         return inserted, A, shot.by_instant[:, self.counted], further
 

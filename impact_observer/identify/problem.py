@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
 from impact_observer.identify.fit_progress import FitProgress
-from impact_observer.identify.prior import prior_rows
+from impact_observer.identify.prior import prior_covariance, prior_rows
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.identify.shooting import Shot, shoot
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
@@ -20,6 +20,8 @@ from impact_observer.trajectory.linearised_system import FlightEnd
 
 LEAST = 1e-9
 """Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
+ROUNDED = 1e-9 / np.sqrt(12)
+"""Standard deviation of a stamp that is wrong by its rounding only, s."""
 _KNOWN = 0.02
 """Change of a deviation that is small, relative to itself."""
 Instants: TypeAlias = Mapping[tuple[float, Contacts], float]
@@ -39,10 +41,10 @@ class Problem(NamedTuple):
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, by which samples and the prior are weighed.
         is_declared: whether ``clock`` is declared; else the shifts show the deviation.
-        least_clock: least deviation that the shifts may show, s.
         instants: of the moments, about, as a smoothed motion has them; others are at their stamps.
         report: receives how far a fit is, and counts its flights.
         prior: how well the given values of parameters are known; None if unknown.
+        least_clock: least deviation that the shifts may show, s.
     """
 
     family: ParametricFamily
@@ -52,10 +54,10 @@ class Problem(NamedTuple):
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
-    least_clock: float = LEAST
     instants: Instants = AT_STAMPS
     report: FitProgress = FitProgress()
     prior: ParameterUncertainty | None = None
+    least_clock: float = LEAST
 
     @property
     def unknowns(self) -> int:
@@ -100,7 +102,12 @@ class Problem(NamedTuple):
     @property
     def is_weighed(self) -> bool:
         """Whether there is anything to be weighed against the stamps: samples, or a prior."""
-        return bool(self.sensors) or len(self.by_prior) > 0
+        return bool(self.sensors) or self.has_prior
+
+    @property
+    def has_prior(self) -> bool:
+        """Whether a parameter of the family has a prior."""
+        return bool(prior_covariance(self.prior, self.family)[0])
 
     @property
     def by_prior(self) -> Matrix:
@@ -144,6 +151,16 @@ class Problem(NamedTuple):
         values = [shot.gaps, *(-usual * rows.residual for rows in shot.sensors)]
         by_start = [shot.by_start, *(usual * rows.by_start for rows in shot.sensors)]
         return np.concatenate(values), np.vstack(by_start)
+
+    def with_prior(self, prior: ParameterUncertainty, first_clock: float) -> "Problem":
+        """The problem with a ``prior``, weighed at first by an error of the clock, s.
+
+        The prior is weighed by the clock error that the shifts show, at least the declared one:
+        shifts that no motion explains are no reason to trust the impacts more than the prior.
+        """
+        least = self.clock if self.is_declared else ROUNDED
+        clock = max(first_clock, least)
+        return self._replace(prior=prior, clock=clock, is_declared=False, least_clock=least)
 
     def weighed_by(self, solution: "Solution") -> "Problem":
         """The problem with the deviations of clock and sensors that a solution has shown."""

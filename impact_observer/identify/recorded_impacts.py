@@ -11,7 +11,7 @@ from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.identify.fit_progress import FitProgress
-from impact_observer.identify.problem import AT_STAMPS, LEAST, Instants, Problem
+from impact_observer.identify.problem import AT_STAMPS, Instants, Problem
 from impact_observer.identify.sensor_rows import CountedSamples
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
@@ -40,7 +40,6 @@ class Recording:
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, declared or a first guess.
         is_declared: whether ``clock`` is declared.
-        least_clock: least standard deviation of a stamp, s, where it is not declared.
         settled: impacts of bounces that settle; of each row the first stands for all, as the
             closing of its contact.
         instants: of the moments, as a smoothed motion has them; see ``Problem``.
@@ -53,6 +52,7 @@ class Recording:
         mislabelled: probability that an event names another contact.
         named: contacts that events name, by the hit of another contact for which the event counts.
         prior: how well the given values of parameters are known; None if unknown.
+        first_clock: error of the clock by which a prior is weighed at first, s.
     """
 
     episode: Episode
@@ -62,7 +62,6 @@ class Recording:
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
-    least_clock: float = LEAST
     settled: frozenset[Hit] = field(default=frozenset())
     instants: Instants = field(default_factory=lambda: AT_STAMPS)
     report: FitProgress = field(default_factory=FitProgress)
@@ -73,6 +72,7 @@ class Recording:
     mislabelled: float = Options.mislabelled
     named: Mapping[Hit, int] = field(default_factory=dict)
     prior: ParameterUncertainty | None = None
+    first_clock: float = 0.0
 
     @property
     def counted_for_others(self) -> dict[Hit, int]:
@@ -175,19 +175,11 @@ class Recording:
             moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
         near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
-        return Problem(
-            family,
-            moments,
-            self.start,
-            near,
-            sensors,
-            self.clock,
-            self.is_declared,
-            self.least_clock,
-            self.instants,
-            self.report,
-            self.prior,
+        clock = self.clock, self.is_declared
+        problem = Problem(
+            family, moments, self.start, near, sensors, *clock, self.instants, self.report
         )
+        return problem if self.prior is None else problem.with_prior(self.prior, self.first_clock)
 
     def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:
         """Samples that are certain to be outside any impact; an impact ``lasts`` so many s."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, stats
 
-from impact_observer.identify.problem import Solution
+from impact_observer.identify.problem import ROUNDED, Solution
 from impact_observer.states import Vector
 
 REJECTED = 1e-6
@@ -17,8 +17,6 @@ UNDECLARED = 1e-3
 """Size above which shifts are no errors of a clock of which none is declared, s: a million times
 the rounding of stamps.
 """
-ROUNDED = 1e-9 / np.sqrt(12)
-"""Standard deviation of a stamp that is wrong by its rounding only, s."""
 _PARTS = 5
 """Parts of a recording that are left out in turn."""
 _SINGULAR = 1e-2

@@ -217,7 +217,7 @@ def _stamp(path: Path, row: ImpactRow | StateRow, start: int, epoch: int) -> int
         least = f"{text(epoch)} s, the epoch, or more" if epoch > 0 else "more than 0"
         raise UsageError(
             f"{path}, line {row.line}: the stamp would be {text(stamp)} s; expected {least}, at"
-            f" most {text(MAX_STAMP)} s: choose {later_zero(stamp)}, the stamp of time 0, or"
+            f" most {text(MAX_STAMP)} s: choose {later_zero(row.time)}, the stamp of time 0, or"
             " --epoch"
         )
     return stamp

@@ -73,7 +73,7 @@ class SampleTable:
             self._file.wrong(
                 row.line,
                 f"the stamp would be {text(stamp)} s; expected more than 0, at most"
-                f" {text(MAX_STAMP)} s: choose {later_zero(stamp)}, the stamp of time 0",
+                f" {text(MAX_STAMP)} s: choose {later_zero(row.time)}, the stamp of time 0",
             )
 
     def remarks(self) -> list[str]:

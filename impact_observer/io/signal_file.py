@@ -59,7 +59,8 @@ class SignalFile:
         if not 0 < self.first <= MAX_STAMP:
             raise UsageError(
                 f"{path}: its first stamp would be {text(self.first)} s; expected more than 0, at"
-                f" most {text(MAX_STAMP)} s: choose {later_zero(self.first)}, the stamp of time 0"
+                f" most {text(MAX_STAMP)} s: choose {later_zero(self.first - self.start)}, the"
+                " stamp of time 0"
             )
 
     @property

@@ -422,12 +422,14 @@ def _has_content(line: str) -> bool:
     return bool(line) and not line.startswith("#")
 
 
-def later_zero(first: int) -> str:
-    """The option that makes stamps of a file positive whose first stamp would be ``first``, ns."""
+def later_zero(time: int) -> str:
+    """The option that makes the stamp at a ``time`` of a file, ns, positive."""
+    if time > 0:
+        return "--time-zero"
     zero = 10 * NS_PER_S
-    while zero + first <= NS_PER_S:
+    while zero + time <= 0:
         zero *= 10
-    return f"--time-zero {zero // NS_PER_S}" if first <= 0 else "--time-zero"
+    return f"--time-zero {zero // NS_PER_S}"
 
 
 def start_of(first: int, start: int | None) -> int:

@@ -409,3 +409,24 @@ def test_joints_that_could_be_samples_are_named_where_impacts_alone_explain_noth
     assert "no motion of the model explains these stamps" in said
     assert "note: rig has joints on /encoder: if they are of an encoder" in said
     assert "--measurements FILE" in said
+
+
+def test_a_prior_leaves_no_more_samples_out_near_impacts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The declared clock error decides which samples may lie before or after an impact."""
+    bag, known = str(tmp_path / "bag"), tmp_path / "known.yaml"
+    given = ("--measurements", "encoder", "--measurement-rate", "100", "-o", bag)
+    assert main(["simulate", "two_mass", "--duration", "12", "--jitter", "1e-4", *given]) == 0
+    text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
+    known.write_text(
+        text.replace("restitution: 0.7", "restitution: {value: 0.7, deviation: 0.01}"), "utf-8"
+    )
+    left_out = []
+    for model in ("two_mass", str(known)):
+        options = ("--measurements", "encoder", "--clock-error", "1e-4", "--free", "restitution")
+        capsys.readouterr()
+        assert main(["identify", bag, "--model", model, *options, "--json"]) == 0
+        (sensor,) = json.loads(capsys.readouterr().out)["sensors"]
+        left_out.append(sensor["near"])
+    assert left_out[0] == left_out[1]
