@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Kind, Ruling
+from impact_observer.filter.branching import Extent
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.error_accounts import ErrorAccounts
 from impact_observer.filter.gaussian_state import GaussianState
@@ -28,10 +29,13 @@ class Correcting:
         self._filter = filter_
         self._errors = errors
 
-    def posteriors(self, change: ContactChange, branches: Sequence[Branch]) -> list[Hypothesis]:
-        """The hypotheses of ``branches`` after the event.
+    def posteriors(
+        self, change: ContactChange, branches: Sequence[Branch], extent: Extent
+    ) -> list[Hypothesis]:
+        """The hypotheses of ``branches`` after the event, of a motion of this ``extent``.
 
-        Branches in which the event is impossible, or whose state overflows, are left out.
+        Branches in which the event is impossible, or whose state overflows or is that of no
+        possible motion, are left out.
         """
         true = [each.query for each in branches if each.here and not each.here.is_nothing]
         after, found = iter(self._states(true)), []
@@ -42,7 +46,8 @@ class Correcting:
             state = each.before.state if each.here.is_nothing else next(after)
             if state is not None:
                 found += self._accepted(change, each, each.here, state)
-        return [h for h in found if h.state.is_finite]
+        energy = self._filter.largest_energy(extent.largest)
+        return [h for h in found if self._filter.is_possible(h.state, change.hit, energy)]
 
     def _states(self, queries: Sequence[EventQuery]) -> Sequence[GaussianState | None]:
         """The states after an event; None where the impact law has no solution.

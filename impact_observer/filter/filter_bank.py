@@ -101,7 +101,7 @@ class FilterBank:
         branches = likeliest_first(self.branching.branches(change, predicted, extent))
         likely = self.pruning.likely_branches(branches)
         distinct = self.pruning.distinct_branches(change, likely)
-        kept = self._correcting.posteriors(change, distinct)
+        kept = self._correcting.posteriors(change, distinct, extent)
         if self.pruning.compares_states or self.filter.is_of_robot:
             kept = self.pruning.distinct(kept)
         if not self.trusts_estimate:

@@ -191,6 +191,28 @@ class ImpactFilter:
         seen = seen + self.members.gap_sensitivity((contact,))[0] @ state.root[state.of_theta]
         return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(own @ own.T), own @ seen)))
 
+    def largest_energy(self, largest: Vector) -> float:
+        """The root of twice the energy of a motion of the magnitude ``largest``, (2n,), sqrt(J).
+
+        Infinite for a robot, whose samples bound its motion.
+        """
+        q, u = largest.reshape(2, -1)
+        fastest = np.append(q, u + q / self.scales.timescale)
+        own = 0.0 if self.is_of_robot else self.members.given.moving.root_energy(fastest)
+        return own or math.inf
+
+    def is_possible(self, state: GaussianState, contacts: Contacts, root_energy: float) -> bool:
+        """Whether the speeds of ``contacts`` in a ``state`` are those of a possible motion.
+
+        ``root_energy`` is the largest root of twice the energy of the motion so far, sqrt(J).
+        """
+        moving = self.members.given.moving
+        return state.is_finite and all(
+            math.hypot(self.speed(i, state), self.speed_deviation(i, state))
+            <= TUNING.impossible_speed * moving.contact_length(i, state.x) * root_energy
+            for i in contacts
+        )
+
     def fall(self, t: float, contact: int, state: GaussianState) -> float:
         """The acceleration of an open contact back to its stop at ``t`` (s), m/s2."""
         rate = self.rate_of(t, state)[self.system.n :]

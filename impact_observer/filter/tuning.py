@@ -78,6 +78,11 @@ class Tuning:
     """
     unlimited_deviation: float = 0.3
     """Deviation that needs no limit, relative to the widest."""
+    impossible_speed: float = 100.0
+    """Speed of a contact, or its deviation, above which a hypothesis is dropped, relative to the
+    fastest that the motion so far allows. Where stamps are wrong by more than the model's time
+    scale, terms of second order in their errors multiply the covariance at each event.
+    """
     log_leading: float = -3.0
     """Probability, relative to the largest: only hypotheses above it branch into other clocks,
     wider covariances and errors of the model.

@@ -25,6 +25,7 @@ from systems import (
 from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.filter.contact_change import ContactChange
+from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.model.system import Guide
@@ -32,6 +33,7 @@ from impact_observer.observer import Belief, Observer, law_named
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, Switching, simulate
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
+from impact_observer.states import Estimate
 
 Array = NDArray[np.float64]
 BOTH = pytest.mark.parametrize("name", ["two_mass", "three_mass"])
@@ -45,6 +47,14 @@ HAMMER = system(
     force=forcing(2, 0.0, [Harmonic(1.7, [1.5, 0], [0, 0.5])]),
 )
 """Two masses, joined by a spring, that fly between two stops."""
+DRILL = system(
+    np.diag([1.2, 0.8]),
+    np.diag([12.0, 20.0]),
+    np.diag([9e3, 6e4]),
+    contacts=[([-1, 1], 1.5e-3, 0.6)],
+    force=forcing(2, 0.0, [Harmonic(138.0, [60.0, 0], [0, 0])]),
+)
+"""A hammer that is driven against a bit, which it hits 44 times a second."""
 
 
 @cache
@@ -421,6 +431,33 @@ def test_stiff_damping_does_not_overflow_backwards_in_time(damping: float) -> No
         end = watcher.estimate(stamp + NS_PER_S // 4)
         assert np.all(np.isfinite(np.concatenate([end.q, end.u, end.covariance.ravel()])))
         assert np.max(np.abs(end.q)) < 1.0
+
+
+@pytest.mark.parametrize("clock", [0.03, 0.1])
+@pytest.mark.parametrize(
+    "declared", [without_faults(), Uncertainty()], ids=["no faults", "faults"]
+)
+def test_stamps_that_are_wrong_by_many_periods_leave_a_wide_covariance(
+    clock: float, declared: Uncertainty
+) -> None:
+    """What is of second order in such errors multiplied the covariance at each impact.
+
+    The deviations of the velocities were 1e10 to 1e69 m/s after 131 impacts.
+    """
+    whole = run(DRILL, [0, 0], [0, 0], seconds=3.0)
+    law = MinimumVariance(DRILL, replace(declared, clock_error=clock))
+    watcher = Observer(DRILL, law, np.zeros(2), np.zeros(2), epoch=EPOCH, ensemble=1)
+    ends = list[Estimate]()
+    for each in whole.events:
+        watcher.receive(each)
+        ends.append(watcher.estimate(each.stamp))
+    states = np.array([np.append(each.q, each.u) for each in ends])
+    deviations = np.array([np.sqrt(np.diag(each.covariance)) for each in ends])
+    assert np.all(np.isfinite(states))
+    assert np.all(deviations < 1e10)
+    assert np.all(deviations[-1] > 0.1 * np.abs(states[-1]))
+    assert np.all(deviations[-1, 2:] > 10.0)
+    assert not ends[-1].synchronized
 
 
 def test_instant_stays_within_the_samples_of_the_force() -> None:
