@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences
-from impact_observer.check.hit_times import FAST, HitTimes, too_slow
+from impact_observer.check.hit_times import FAST, HitTimes, in_hertz, too_slow
 from impact_observer.draw.reports import counted, listed
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -147,6 +147,8 @@ class ContactCheck:
                 yield Finding(WARNING, f"{self._topic} {name}", fault, remedy=remedy)
         if system is not None:
             if line := too_slow(self._times, system):
+                yield Finding(WARNING, self._topic, line)
+            for line in in_hertz(self._times, system) if isinstance(system, System) else ():
                 yield Finding(WARNING, self._topic, line)
             yield from self._name_findings(system)
 

@@ -2,7 +2,7 @@
 """Whether the times of impacts suit a model and a filter: wrong units, bounces that settle."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_observer.check.hertz import frequencies_in_hertz
 from impact_observer.check.undamped_modes import UndampedModes
 from impact_observer.draw.reports import counted
 from impact_observer.errors import BagError
@@ -18,7 +19,8 @@ from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
 from impact_observer.model.robot_description import RobotDescription
-from impact_observer.stamps import NS_PER_S, odd_epoch
+from impact_observer.stamps import NS_PER_S, odd_epoch, seconds_between
+from impact_observer.states import Vector
 
 FAST = 5_000_000
 """Interval of two hits of a contact below which the contact may be bouncing, ns: the dead time
@@ -54,6 +56,7 @@ class HitTimes:
         self.odd_epoch = ""
         self._last, self._of_contact = 0, dict[str, int]()
         self._lengths = Counter[int]()
+        self._zero, self._times = 0, defaultdict[str, list[float]](list)
         for each in events:
             self.add_event(each)
 
@@ -67,10 +70,14 @@ class HitTimes:
             return
         if not self.hits:
             self.odd_epoch = odd_epoch(event.epoch, event.stamp)
+            self._zero = event.stamp
         self.early += event.stamp < event.epoch
         if 0 < self._last < event.stamp:
             self._lengths[(event.stamp - self._last).bit_length()] += 1
         for contact in hit:
+            if self.hits < _ENOUGH:
+                since = seconds_between(event.epoch or self._zero, event.stamp)
+                self._times[contact].append(since)
             self.hits += 1
             self.fast += 0 < event.stamp - self._of_contact.get(contact, 0) < FAST
             self._of_contact[contact] = event.stamp
@@ -88,6 +95,11 @@ class HitTimes:
             if half <= 0:
                 return float(2 ** (length - 1)) / NS_PER_S
         return 0.0
+
+    @property
+    def most_hit(self) -> Vector:
+        """Times since the epoch of the first hits of the contact that is hit most often, s."""
+        return np.array(max(self._times.values(), key=len, default=[]))
 
 
 def doubts(
@@ -125,6 +137,8 @@ def doubts(
         )
     if has_covariance and (line := settling(times)):
         yield line
+    if isinstance(system, System):
+        yield from in_hertz(times, system)
     below = 2 * times.median
     if has_covariance and 0 < _VAGUE * below < clock_error:
         yield (
@@ -154,6 +168,24 @@ def settling(times: HitTimes) -> str:
         f" --dead-time {FAST / NS_PER_S:g} of simulate), if the observer"
         " is given that dead time too (--dead-time)"
     )
+
+
+def in_hertz(times: HitTimes, system: System) -> Iterator[str]:
+    """A warning for each frequency of a model that is probably in Hz.
+
+    Where live signals or samples force a rig, nothing is said: they may make the impacts.
+    """
+    moving = [system.own_forcing, *([] if system.frame is None else [system.frame.grounds.motion])]
+    if system.live is not None or any(each.sampled is not None for each in moving):
+        return
+    harmonics = [each.frequency[np.any([*each.cosine.T, *each.sine.T], axis=0)] for each in moving]
+    for omega in frequencies_in_hertz(times.most_hit, np.unique(np.concatenate(harmonics))):
+        right = math.tau * omega
+        yield (
+            f"a frequency of the model {system.name} is {omega:g} rad/s, but impacts are coherent"
+            f" with 2 pi times this number, {right:.6g} rad/s, and with no multiple of {omega:g}"
+            f" rad/s: if {omega:g} is in Hz, write {right:.12g}"
+        )
 
 
 def too_slow(times: HitTimes, system: System | RobotDescription) -> str:
