@@ -71,8 +71,17 @@ def test_an_epoch_in_another_unit_than_the_stamps_is_odd() -> None:
     simulated = NS_PER_S
     assert "1 ms" in odd_epoch(1, simulated)
     assert "999 s after an impact at 1.0" in odd_epoch(1000 * NS_PER_S, simulated)
+    assert "in another unit" in odd_epoch(1000 * NS_PER_S, simulated)
     for right, stamp in ((0, begin), (begin, begin + 300 * DAY), (simulated, simulated + DAY)):
         assert odd_epoch(right, stamp) == ""
+
+
+def test_an_epoch_seconds_after_an_impact_is_in_no_other_unit() -> None:
+    """As of a signal from before its trigger, in which nobody has given an epoch."""
+    said = odd_epoch(10 * NS_PER_S, 5_776_822_667)
+    assert said.startswith("epoch 10.000000000 s is 4.22 s after an impact at 5.776822667 s; such")
+    assert "detect --pulses COLUMN" in said
+    assert "unit" not in said
 
 
 def test_seconds_given_as_stamps_are_one_line_that_says_what_is_expected() -> None:

@@ -14,7 +14,7 @@ from impact_observer.model import System
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer.event_order import NEAR_STAMPS
 from impact_observer.observer.sender_runs import SenderRuns
-from impact_observer.stamps import NS_PER_S, text
+from impact_observer.stamps import LATE_EPOCH, NS_PER_S, text
 
 _FAR = 3600 * NS_PER_S
 """Difference of stamps and log times beyond which their clocks differ, ns."""
@@ -52,7 +52,7 @@ _FAULTS = {
         WARNING,
         "{events} stamped before their epoch, the first is {first}",
         "stamps after the epoch, {epoch} s",
-        "such events are not applied; is the epoch of another clock?",
+        LATE_EPOCH,
     ),
     "without effect": (
         WARNING,

@@ -19,7 +19,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
 from impact_observer.model.robot_description import RobotDescription
-from impact_observer.stamps import NS_PER_S, odd_epoch, seconds_between
+from impact_observer.stamps import LATE_EPOCH, NS_PER_S, odd_epoch, seconds_between
 from impact_observer.states import Vector
 
 FAST = 5_000_000
@@ -131,10 +131,7 @@ def doubts(
     if times.odd_epoch:
         yield times.odd_epoch
     elif times.early:
-        yield (
-            f"{counted(times.early, 'event')} stamped before the epoch: such events are not"
-            " applied; is the epoch that of another clock, or after the first impacts?"
-        )
+        yield f"{counted(times.early, 'event')} stamped before the epoch: {LATE_EPOCH}"
     if has_covariance and (line := settling(times)):
         yield line
     if isinstance(system, System):

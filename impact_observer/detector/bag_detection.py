@@ -18,7 +18,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
-from impact_observer.stamps import NS_PER_S, text
+from impact_observer.stamps import LATE_EPOCH, NS_PER_S, text
 
 _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
 
@@ -74,9 +74,7 @@ class BagDetection:
         if detector.first_event and 0 < early <= NS_PER_S:  # a longer time is doubted anyway
             self.doubts.append(
                 f"the first event, at {text(detector.first_event)} s, is before the epoch,"
-                f" {text(detector.epoch)} s: such events are not applied; give an --epoch"
-                " that is before it by whole periods of the forcing, as of a signal that begins"
-                " before its trigger"
+                f" {text(detector.epoch)} s: {LATE_EPOCH}"
             )
         for k, source in enumerate(self.sources):
             self.doubts += [*detector.left_out(k), *detector.dead_time_doubts(k)]

@@ -57,7 +57,8 @@ def require_epoch(system: System, epoch: int) -> None:
     if not epoch and system.depends_on_time:
         raise UsageError(
             f"epoch: 0 found, which is none, and the forcing of {system.name} depends on time;"
-            " expected events that say when it began, or a declared epoch above 0"
+            " expected its stamp of t = 0: --epoch S (epoch of nodes, ns), detect --pulses COLUMN,"
+            " or import --time-zero S with S above 0"
         )
 
 

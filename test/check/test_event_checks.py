@@ -152,7 +152,9 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
             (
                 "warning /impacts: 1 event stamped before their epoch, the first is message 0 at"
                 " 2.000000000 s; expected stamps after the epoch, 3.000000000 s; such events are"
-                " not applied; is the epoch of another clock?"
+                " not applied; is the epoch of another clock, or time 0 of a signal that begins"
+                " before its trigger? Give --epoch S, earlier by whole periods of the forcing, or"
+                " detect --pulses COLUMN"
             )
         ],
     ),
