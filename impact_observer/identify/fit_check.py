@@ -53,9 +53,10 @@ class FitCheck:
 def check_fit(fitted: "Identification") -> FitCheck:
     """Test the shifts and the sensors of a fitted model.
 
-    Under the right model the shifts are the errors of a clock: independent, and of its size.
+    Under the right model the shifts are the errors of a clock: independent, and of its size. Where
+    impulses scatter the innovations of the gaps are.
     """
-    shifts = fitted.shifts
+    shifts, errors = fitted.shifts, fitted.residuals
     names = sorted({name for each in fitted.contacts for name in each})
     by_contact = {}
     for name in names:
@@ -63,12 +64,12 @@ def check_fit(fitted: "Identification") -> FitCheck:
         by_contact[name] = (own.size, float(np.mean(own)), float(np.sqrt(np.mean(own**2))))
     size = None
     if fitted.declared:
-        size = probability_of_size(shifts, fitted.clock, fitted.freedom)
+        size = probability_of_size(errors, fitted.clock, fitted.redundancy)
     return FitCheck(
         size=size,
         large=fitted.large,
-        white=independence(shifts),
-        lags=lags_of(shifts),
+        white=independence(errors),
+        lags=lags_of(errors),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
         odd=tuple(each.name for each in fitted.sensors if not each.fits),

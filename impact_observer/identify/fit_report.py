@@ -158,6 +158,15 @@ def _turning_point(fitted: Identification) -> _TurningPoint | None:
     return _TurningPoint(f"{what} where it turns", distance(at), error)
 
 
+def restitution_scatter(fitted: Identification) -> dict[str, float]:
+    """Standard deviation of the restitution of a hit by contact; empty if none is learned."""
+    if fitted.scattered is None:
+        return {}
+    hit = {name for each in fitted.contacts for name in each}
+    values = zip(fitted.system.contact_names, fitted.system.eps.tolist(), strict=True)
+    return {k: (1 + eps) * fitted.scattered.shown.scatter for k, eps in values if k in hit}
+
+
 def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
     """The values of ``--json``, in SI units."""
     family, recording = fitted.family, fitted.recording
@@ -197,6 +206,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
             each.name: {"deviation": each.deviation, "innovation": each.innovation}
             for each in fitted.prior_shifts
         },
+        "restitution_scatter": restitution_scatter(fitted),
         "correlation": fitted.correlation.tolist(),
         "unknown": list(fitted.undetermined),
         "singular_values": fitted.singular.tolist(),
@@ -460,6 +470,13 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
         f"{stamps} differ from the model's impacts by {figure(fitted.rms, 's')} rms"
         f"{_declared(fitted)}.",
     )
+    if scatter := restitution_scatter(fitted):
+        sizes = [f"{value:.2g} at {name}" for name, value in scatter.items()]
+        yield ReportLine(
+            "note",
+            "Only a restitution that scatters from hit to hit explains these stamps:"
+            f" {listed(sizes)}, learned from the impacts. Standard errors allow for the scatter.",
+        )
     yield from _about_search(fitted)
     for each in fitted.sensors:
         yield _about_sensor(each)

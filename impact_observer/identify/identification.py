@@ -3,7 +3,7 @@
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import product, starmap
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from impact_observer.errors import (
     UsageError,
 )
 from impact_observer.events import ImpactEvent, Kind
-from impact_observer.identify.first_guess import directions
+from impact_observer.identify.first_guess import directions, start_of
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.growing import Grown, grown, phase_changes, phases_of, stage_of
@@ -32,7 +32,7 @@ from impact_observer.identify.other_parameters import (
 )
 from impact_observer.identify.outliers import has_hit_twice
 from impact_observer.identify.prior import PriorShift, chance_of, prior_covariance, prior_shifts
-from impact_observer.identify.problem import ROUNDED, Problem, Solution
+from impact_observer.identify.problem import ROUNDED, Problem, Scattered, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
     DOUBTED,
@@ -43,6 +43,7 @@ from impact_observer.identify.residuals import (
     probability_of_size,
     widening,
 )
+from impact_observer.identify.scattering import is_scatter, may_scatter, with_scatter
 from impact_observer.identify.search import (
     combinations_of,
     fit,
@@ -99,6 +100,10 @@ _MOTIONS = 400
 """Most motions of all impacts in each kind of search; what succeeds takes up to 200."""
 _OF_ANOTHER = 30
 """Most of these motions in the fit of a parameter that was not free."""
+_OF_SCATTER = 400
+"""Most of these motions in a fit in which impulses scatter."""
+_NO_MOTION = IdentificationError, DynamicsError, ValueError, linalg.LinAlgError
+"""Errors of a search that ends at no motion."""
 _FEW = 64
 """Impacts of which these motions are at least."""
 _SHARES = 1.0, 0.3
@@ -146,6 +151,7 @@ class Identification:
         reached: the first impacts that a fit explains where none explains all; None if none does,
             or where one does.
         refuted: the prior without which alone the model fits; None if there is none.
+        scattered: errors of the impulses, where only with these the model fits; else None.
     """
 
     family: ParametricFamily
@@ -174,6 +180,17 @@ class Identification:
     unsearched: int = 0
     reached: Grown | None = None
     refuted: ParameterUncertainty | None = None
+    scattered: Scattered | None = None
+
+    @property
+    def residuals(self) -> Vector:
+        """What should be independent errors of the clock, s: shifts, or innovations."""
+        return self.shifts if self.scattered is None else self.scattered.innovations
+
+    @property
+    def redundancy(self) -> float:
+        """Degrees of freedom of the residuals."""
+        return self.freedom if self.scattered is None else self.scattered.freedom
 
     @property
     def large(self) -> bool:
@@ -400,6 +417,8 @@ class _Search(NamedTuple):
         problem, solution = gated(*fit(self.whole.problem(family)))
         first = self._accepting(self.whole, problem, solution)
         plain = _Fitted(first, problem, solution)
+        if not explained(solution, self.clock) and (scattered := self._scattered(plain)):
+            return scattered
         if self._explains(problem, solution) or (self.trust_events and first.converged):
             return plain
         reached: Grown | None = None
@@ -464,6 +483,39 @@ class _Search(NamedTuple):
                 break
         problem, solution = gated(problem, solution)
         return _Fitted(self._accepting(recording, problem, solution), problem, solution)
+
+    def _scattered(self, plain: _Fitted) -> _Fitted | None:
+        """The fit in which impulses scatter; None if this explains the impacts no better.
+
+        The fit begins at the given parameters, then at those of a ``plain`` fit.
+        """
+        problem, solution = plain.problem, plain.solution
+        if not may_scatter(problem):
+            return None
+        self.report.stage("impulses that scatter")
+        near = [start_of(problem)] + ([solution.y] if solution.converged else [])
+        begun = with_scatter(problem, solution, self.clock)
+        for y in near:
+            with self.report.at_most(_OF_SCATTER * self._size), suppress(*_NO_MOTION):
+                found = weighed(begun, y)
+                if is_scatter(*found, self.clock):
+                    return self._with_scatter(plain, found)
+        return None
+
+    def _with_scatter(self, plain: _Fitted, found: tuple[Problem, Solution]) -> _Fitted | None:
+        """The fit in which impulses scatter; None if another free parameter explains as much."""
+        family, flights = self.family, _OF_ANOTHER * self._size
+        others = fits_with_others(
+            parameters_beside(family),
+            [plain.problem],
+            plain.solution,
+            self.clock,
+            is_lost=not plain.solution.converged,
+            flights=flights,
+        )
+        if any(each.fits for each in others):
+            return None
+        return _Fitted(self._accepting(self.whole, *found), *found)
 
     def _accepting(
         self, recording: Recording, problem: Problem, solution: Solution
@@ -727,7 +779,8 @@ def _identification(
     recording: Recording, problem: Problem, solution: Solution, clock: float | None
 ) -> Identification:
     family, n = problem.family, problem.family.system.n
-    used = max(solution.rms if clock is None else clock, ROUNDED)
+    shown = solution.rms if solution.scattered is None else solution.scattered.shown.clock
+    used = max(shown if clock is None else clock, ROUNDED)
     fits = sensor_fits(problem, solution)
     widened = max(widening(solution, clock), *(each.widening for each in fits), 1.0)
     root = solution.root * used * widened
@@ -758,6 +811,7 @@ def _identification(
         singular=frozen(span.singular / span.singular[0]),
         lost=span.lost[: 2 * n],
         undetermined=combinations_of(problem, np.hstack([span.undetermined, weak])),
+        scattered=solution.scattered,
         converged=solution.converged
         and solution.is_outside
         and solution.rms <= max(_LOST * problem.usual_flight, _EXCESS * (clock or 0.0))

@@ -11,7 +11,8 @@ solve ::
 
 by two orthogonal triangulations, as Paige (Computer solution and perturbation analysis of
 generalized linear least squares problems, 1979). Samples of sensors add rows to ``A`` and ``B``,
-and a prior adds rows to ``A``: their noise in units of the clock's error is among the ``e``. The
+and a prior adds rows to ``A``: their noise in units of the clock's error is among the ``e``, and
+so are errors of impulses, if impulses scatter, with columns of their own beside ``B``. The
 instants are unknowns, not results: a motion that is switched at given instants forgets its start,
 so nothing in ``A`` or ``B`` grows with the length of the recording, however unstable the impacting
 motion is by itself.
@@ -28,7 +29,13 @@ from scipy import linalg
 from impact_observer.errors import IdentificationError
 from impact_observer.identify.constrained import constrained_least_squares, redundancies
 from impact_observer.identify.first_guess import directions
-from impact_observer.identify.problem import LEAST, Problem, Solution, deviation
+from impact_observer.identify.problem import LEAST, Problem, Scattered, Solution, deviation
+from impact_observer.identify.scatter import (
+    innovations,
+    log_determinant,
+    shown_deviations,
+    without_unknowns,
+)
 from impact_observer.identify.sensor_rows import Rows
 from impact_observer.identify.shooting import Shot
 from impact_observer.model.parametric_family import ModelParameter
@@ -46,6 +53,12 @@ _WATCHED = 6
 """Most full steps in a row before the first of them is shortened."""
 _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""
+_SETTLED = 0.1
+"""The same where impulses scatter: slopes by differences are not exact."""
+_DIFFERENCE = 0.05
+"""Difference by which a slope is found, relative to the standard errors."""
+_STEEPEST = 12.0
+"""Largest slope of the logarithm of a determinant by one standard error."""
 _CAUCHY = 2.0
 """Scale of the Cauchy weights, over the usual shift."""
 _WEIGHINGS = 8
@@ -65,7 +78,11 @@ def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Probl
 
     Raises:
         IdentificationError: fewer hits and samples than unknowns.
+        LinAlgError: impulses scatter, and contacts have no speed.
     """
+    if problem.scatter:
+        solution = solved(problem, y)
+        return problem.weighed_by(solution), solution
     problem, solution = _as_shown(problem, solved(problem, y, robust=robust), robust=robust)
     while problem.has_prior and not problem.is_declared and problem.clock > problem.least_clock:
         clock = max(problem.clock * _SHARPER, problem.least_clock)
@@ -91,22 +108,27 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     """The most likely motion, searched from a ``y`` nearby.
 
     If ``robust`` a few shifts may be large: weights, renewed at every step, make the shifts count
-    as if drawn from a Cauchy distribution.
+    as if drawn from a Cauchy distribution. By how much impulses scatter is learned at every step,
+    and so is the error of the clock unless declared.
 
     Raises:
         IdentificationError: fewer hits than unknowns.
+        LinAlgError: impulses scatter, and contacts have no speed.
     """
-    t, counted = problem.begin, problem.counted
-    shot = problem.shot(y, t)
-    basis = directions(problem, shot).determined
-    now = _Iterate(problem, counted, y.copy(), t, shot, np.ones(counted.size))
+    now = _Iterate.begin(problem, y.copy(), problem.begin, np.zeros(len(problem.moments)))
+    basis = directions(problem, now.shot).determined
     converged = False
     for k in range(_STEPS):
         if robust:
             now = now.weighted()
-        step = now.step_within(basis)
-        converged = step.is_small(now)
-        now, length = now.towards(step, basis)
+        before, pull = now.problem, None
+        if problem.scatter:
+            now = now._replace(problem=before.scattering(now.scattered(basis).shown))
+            pull = now.pull(basis)
+        is_known = now.problem.is_like(before)
+        step = now.step_within(basis, pull)
+        converged = step.is_small(now) and is_known
+        now, length = now.towards(step, basis, pull)
         rms = deviation(now.shifts, step.freedom)
         problem.report(f"step {k + 1} of at most {_STEPS}, shifts {rms:.2g} s")
         lost = k >= _PATIENCE and is_lost(problem, now.shifts, step.freedom)
@@ -121,7 +143,9 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     )
     cost = float(np.sum(now.shifts**2)) + now.squares
     motion = now.y, now.t, now.shot, now.shifts
-    return Solution(*motion, counted, step.freedom, step.root, converged, errors, cost)
+    rest = now.scattered(basis) if problem.scatter else None
+    own = now.counted, step.freedom, step.root
+    return Solution(*motion, *own, converged, errors, cost, rest)
 
 
 def savings(
@@ -136,9 +160,9 @@ def savings(
     family = problem.family.extended(others)
     wider = problem._replace(family=family)
     y = np.concatenate([solution.y, family.nominal[-len(others) :]])
-    ones = np.ones(solution.counted.size)
-    shot = wider.shot(y, solution.t)
-    now = _Iterate(wider, solution.counted, y, solution.t, shot, ones)
+    scattered = solution.scattered
+    eta = np.zeros(solution.t.size) if scattered is None else scattered.impulses
+    now = _Iterate.begin(wider, y, solution.t, eta)
     basis = directions(problem, solution.shot).determined
     return now.saved_by_last(np.pad(basis, ((0, len(others)), (0, 0))), len(others))
 
@@ -161,13 +185,14 @@ def is_lost(problem: Problem, shifts: Vector, freedom: float) -> bool:
 class _Step(NamedTuple):
     """A Gauss-Newton step.
 
-    ``t`` are the new instants, s. ``penalty`` (s^2/m) weighs a gap in the merit function, and is
-    larger than any multiplier. ``of_sensors`` are the degrees of freedom of each sensor's errors.
-    ``Solution`` explains the others.
+    ``t`` are the new instants, s, and ``eta`` the new relative errors of impulses. ``penalty``
+    (s^2/m) weighs a gap in the merit function, and is larger than any multiplier. ``of_sensors``
+    are the degrees of freedom of each sensor's errors. ``Solution`` explains the others.
     """
 
     dy: Vector
     t: Vector
+    eta: Vector
     root: Matrix
     freedom: float
     penalty: float
@@ -177,19 +202,32 @@ class _Step(NamedTuple):
         """Whether the step is small beside the standard errors."""
         clock = max(deviation(now.shifts, self.freedom), LEAST)
         size = clock * np.linalg.norm(self.root, axis=1)
-        small = np.abs(self.dy) <= _CONVERGED * size + 1e-12 * np.abs(now.y)
+        share = _SETTLED if now.problem.scatter else _CONVERGED
+        small = np.abs(self.dy) <= share * size + 1e-12 * np.abs(now.y)
         return bool(np.all(small) and np.max(np.abs(self.t - now.t)) <= clock / 10)
 
 
 class _Iterate(NamedTuple):
-    """A point of the iteration, with weights of the shifts, shape (counted,); see ``Solution``."""
+    """A point of the iteration; see ``Solution``.
+
+    ``eta`` are relative errors of the impulses, shape (moments,), and ``weights`` those of the
+    shifts, shape (counted,).
+    """
 
     problem: Problem
     counted: NDArray[np.int64]
     y: Vector
     t: Vector
+    eta: Vector
     shot: Shot
     weights: Vector
+
+    @classmethod
+    def begin(cls, problem: Problem, y: Vector, t: Vector, eta: Vector) -> "_Iterate":
+        """The point ``y``, ``t``, ``eta``, where all shifts have the same weight."""
+        counted = problem.counted
+        shot = problem.shot(y, t, eta if problem.scatter else None)
+        return cls(problem, counted, y, t, eta, shot, np.ones(counted.size))
 
     @property
     def shifts(self) -> Vector:
@@ -198,9 +236,11 @@ class _Iterate(NamedTuple):
 
     @property
     def squares(self) -> float:
-        """Sum of the squared errors of samples and prior, as errors of the clock, s^2."""
-        prior = float(np.sum(self.problem.prior_errors(self.y) ** 2))
-        return sum((rows.squares for rows in self.shot.sensors), prior) * self.problem.clock**2
+        """Sum of the squared errors of samples, prior and impulses, as errors of stamps, s^2."""
+        own = float(np.sum(self.problem.prior_errors(self.y) ** 2))
+        if self.problem.scatter:
+            own += float(np.sum((self.eta / self.problem.scatter) ** 2))
+        return sum((rows.squares for rows in self.shot.sensors), own) * self.problem.clock**2
 
     def weighted(self) -> "_Iterate":
         """The iterate with smaller weights for shifts that are larger than usual."""
@@ -211,22 +251,26 @@ class _Iterate(NamedTuple):
         usual = max(usual_size(sizes, sizes.size - unknowns) * _CAUCHY, LEAST)
         return self._replace(weights=1 / np.sqrt(1 + (sizes / usual) ** 2))
 
-    def step_within(self, basis: Matrix) -> _Step:
+    def step_within(self, basis: Matrix, pull: Vector | None = None) -> _Step:
         """``step`` with the parameters fixed that would leave their bounds."""
         low, high = self.problem.family.bounds
         n2 = self.y.size - low.size
         value, fixed = self.y[n2:], np.zeros(low.size, dtype=np.bool_)
         while True:
             rows = n2 + np.flatnonzero(fixed)
-            step = self.step(basis @ linalg.null_space(basis[rows]) if rows.size else basis)
+            own = basis @ linalg.null_space(basis[rows]) if rows.size else basis
+            step = self.step(own, pull)
             change = step.dy[n2:]
             beyond = ((value <= low) & (change < 0)) | ((value >= high) & (change > 0))
             if not np.any(beyond & ~fixed):
                 return step
             fixed |= beyond
 
-    def step(self, basis: Matrix) -> _Step:
-        """The Gauss-Newton step in the directions ``basis`` and the instants."""
+    def step(self, basis: Matrix, pull: Vector | None = None) -> _Step:
+        """The Gauss-Newton step in the directions ``basis`` and the instants.
+
+        ``pull`` is the slope of a further term of the merit by y, s^2, shape (2n + p,).
+        """
         problem, shot = self.problem, self.shot
         inserted, A, B, further = self._gap_rows(basis)
         whole, weighed, d = self._stacked(A, B, further)
@@ -234,27 +278,32 @@ class _Iterate(NamedTuple):
             raise IdentificationError(
                 f"{len(A)} impacts for {whole.shape[1]} unknowns; record longer, or free less"
             )
-        count = self.counted.size
+        count, impulses = self.counted.size, problem.impulses
         x, errors, root = constrained_least_squares(whole, weighed, d)
+        if pull is not None:
+            x = x - root @ (root.T @ np.pad(pull @ basis, (0, len(inserted)))) / 2
+            errors = linalg.lstsq(weighed, d - whole @ x)[0]
         e = errors[:count] / self.weights
         r = basis.shape[1]
-        t = self.t.copy()
+        t, eta = self.t.copy(), self.eta.copy()
         t[self.counted] = problem.stamps[self.counted] + e
         t[inserted] += x[r:]
-        pulled = (weighed[len(A) :, :count] * self.weights).T @ errors[count:]
+        noises = count + impulses.size
+        eta[impulses] = errors[count:noises] * problem.impulse_unit
+        pulled = (weighed[len(A) :, :count] * self.weights).T @ errors[noises:]
         multipliers = linalg.lstsq(B.T, 2 * (e * self.weights**2 - pulled))[0]
         penalty = 2 * float(np.max(np.abs(multipliers), initial=0.0)) + 1e-30
         freedom: float = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
         of_sensors: tuple[float, ...] = ()
-        if further:
+        if further or impulses.size:
             left = redundancies(whole, weighed)
             freedom = float(np.sum(left[:count]))
-            parts = np.split(left[count:], np.cumsum([each.d.size for each in further]))
+            parts = np.split(left[noises:], np.cumsum([each.d.size for each in further]))
             of_sensors = tuple(  # parts of the prior come last
                 float(np.sum(part)) + rows.alone
                 for part, rows in zip(parts, shot.sensors, strict=False)
             )
-        return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty, of_sensors)
+        return _Step(basis @ x[:r], t, eta, basis @ root[:r], freedom, penalty, of_sensors)
 
     def _gap_rows(self, basis: Matrix) -> tuple[list[int], Matrix, Matrix, list["_GapRows"]]:
         """Moments that were missed, ``A`` and ``B`` of the gaps, and rows of samples and prior."""
@@ -269,14 +318,74 @@ class _Iterate(NamedTuple):
     def _stacked(
         self, A: Matrix, B: Matrix, further: Sequence["_GapRows"]
     ) -> tuple[Matrix, Matrix, Vector]:
-        """``A``, ``B`` and ``d`` of gaps, samples and prior, with the weights of the shifts."""
-        d = -(self.shot.gaps - B @ self.shifts)
+        """``A``, ``B`` and ``d`` of gaps, samples and prior, with the weights of the shifts.
+
+        Columns of ``B`` are those of stamps, of impulses, and of the noise of samples and prior.
+        """
+        C, eta = self.shot.by_impulse[:, self.problem.impulses], self.eta[self.problem.impulses]
+        d = -(self.shot.gaps - B @ self.shifts - C @ eta)
         whole = np.vstack([A, *(each.A for each in further)])
-        count, noises = self.counted.size, sum(each.d.size for each in further)
-        weighed = np.zeros((len(whole), count + noises))
-        weighed[:, :count] = np.vstack([B, *(each.B for each in further)]) / self.weights
-        weighed[len(A) :, count:] = np.eye(noises)
+        noises = sum(each.d.size for each in further)
+        by_stamp = np.vstack([B, *(each.B for each in further)]) / self.weights
+        by_impulse = np.pad(C * self.problem.impulse_unit, ((0, noises), (0, 0)))
+        weighed = np.hstack([by_stamp, by_impulse, np.eye(len(whole), noises, -len(A))])
         return whole, weighed, np.concatenate([d, *(each.d for each in further)])
+
+    @property
+    def spread(self) -> float:
+        """``log_determinant`` of the covariance of what is recorded, as squared errors, s^2."""
+        _, A, B, further = self._gap_rows(np.zeros((self.y.size, 0)))
+        whole, weighed, _ = self._stacked(A, B, further)
+        last = self.counted.size + self.problem.impulses.size
+        rows = without_unknowns(whole[: len(A)], weighed[: len(A), :last])
+        return self.problem.clock**2 * log_determinant(rows, self.counted.size)
+
+    def pull(self, basis: Matrix) -> Vector:
+        """Slope of ``spread`` by y, along motions that explain the stamps, shape (2n + p,).
+
+        Each of the combinations of unknowns that are independent changes by a part of its standard
+        error. Far from the answer slopes say little, and are limited.
+        """
+        problem, count, r = self.problem, self.counted.size, basis.shape[1]
+        inserted, A, B, further = self._gap_rows(basis)
+        whole, weighed, d = self._stacked(A, B, further)
+        root = constrained_least_squares(whole, weighed, d)[2]
+        axes, sizes, _ = linalg.svd(root, full_matrices=False)
+        noises, here = count + problem.impulses.size, self.spread
+        slopes = np.zeros(sizes.size)
+        for j, (axis, size) in enumerate(zip(axes.T, sizes * problem.clock, strict=True)):
+            dx = _DIFFERENCE * size * axis
+            errors = linalg.lstsq(weighed, -whole @ dx)[0]
+            y, t, eta = self.y + basis @ dx[:r], self.t.copy(), self.eta.copy()
+            t[self.counted] += errors[:count]
+            t[inserted] += dx[r:]
+            eta[problem.impulses] += errors[count:noises] * problem.impulse_unit
+            slopes[j] = (_Iterate.begin(problem, y, t, eta).spread - here) / _DIFFERENCE
+        most = _STEEPEST * problem.clock**2
+        slopes = np.clip(slopes, -most, most) / (sizes * problem.clock)
+        return np.asarray(linalg.pinv(basis).T @ (axes[:r] @ slopes))
+
+    def scattered(self, basis: Matrix) -> Scattered:
+        """The errors of the impulses, and the deviations that gaps, samples and prior show."""
+        problem, count = self.problem, self.counted.size
+        _, A, B, further = self._gap_rows(basis)
+        whole, weighed, d = self._stacked(A, B, further)
+        by_stamp, by_impulse, own = np.split(
+            weighed, [count, count + problem.impulses.size], axis=1
+        )
+        others, least = np.hstack([by_stamp, own]), problem.least_clock
+        shown = shown_deviations(
+            whole,
+            others,
+            by_impulse / problem.impulse_unit,
+            d,
+            clock=problem.clock,
+            least=None if problem.is_declared else least,
+        )
+        gaps = np.hstack([by_stamp, by_impulse, d[:, None]])[: len(A)]
+        gaps = without_unknowns(A[:, basis.shape[1] :], gaps)
+        errors = innovations(gaps[:, :-1], gaps[:, -1])
+        return Scattered(self.eta, errors, float(len(A) - A.shape[1]), shown)
 
     def saved_by_last(self, basis: Matrix, count: int) -> tuple[Vector, Vector]:
         """``savings`` of the last ``count`` parameters; ``basis`` moves the others."""
@@ -290,7 +399,9 @@ class _Iterate(NamedTuple):
         changes = moved.T @ e / np.where(squares > 0, squares, np.inf)
         return changes**2 * squares, changes
 
-    def towards(self, step: _Step, basis: Matrix) -> tuple["_Iterate", float]:
+    def towards(
+        self, step: _Step, basis: Matrix, pull: Vector | None = None
+    ) -> tuple["_Iterate", float]:
         """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which.
 
         Along a curved valley full steps raise the merit before they lower it (Maratos). So a few
@@ -298,7 +409,8 @@ class _Iterate(NamedTuple):
         (Chamberlain, Powell, Lemarechal and Pedersen, The watchdog technique for forcing
         convergence in algorithms for constrained optimization, 1982).
         """
-        least = self.merit(step.penalty) * (1 + 1e-6) + 1e-22
+        merit = self.merit(step.penalty)
+        least = merit + 1e-6 * abs(merit) + 1e-22
         length = 1.0
         for _ in range(_HALVINGS):
             # such as those of a motion that overflows
@@ -308,7 +420,7 @@ class _Iterate(NamedTuple):
                     if trial.merit(step.penalty) <= least:
                         return trial, length
                     if watched:
-                        trial = trial.stepped(trial.step_within(basis))
+                        trial = trial.stepped(trial.step_within(basis, pull))
             length /= 2
         return self, 0.0
 
@@ -320,13 +432,15 @@ class _Iterate(NamedTuple):
         """
         low, high = self.problem.family.bounds
         y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
+        eta = self.eta + length * (step.eta - self.eta)
         n2 = y.size - low.size
         y[n2:] = np.clip(y[n2:], low, high)
-        return self._replace(y=y, t=t, shot=self.problem.shot(y, t))
+        return _Iterate.begin(self.problem, y, t, eta)._replace(weights=self.weights)
 
     def merit(self, penalty: float) -> float:
         """Sum of the squared shifts and errors, and of the gaps with their penalty."""
         own = float(np.sum((self.weights * self.shifts) ** 2))
+        own += self.spread if self.problem.scatter else 0.0
         return own + self.squares + penalty * float(np.sum(np.abs(self.shot.gaps)))
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from impact_observer.events import Contacts
 from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.prior import prior_covariance, prior_rows
+from impact_observer.identify.scatter import Deviations
 from impact_observer.identify.sensor_rows import CountedSamples
-from impact_observer.identify.shooting import Shot, shoot
+from impact_observer.identify.shooting import Shot, has_impulse, shoot
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -45,6 +46,7 @@ class Problem(NamedTuple):
         report: receives how far a fit is, and counts its flights.
         prior: how well the given values of parameters are known; None if unknown.
         least_clock: least deviation that the shifts may show, s.
+        scatter: standard deviation of the relative error of an impulse; 0 for none.
     """
 
     family: ParametricFamily
@@ -58,6 +60,7 @@ class Problem(NamedTuple):
     report: FitProgress = FitProgress()
     prior: ParameterUncertainty | None = None
     least_clock: float = LEAST
+    scatter: float = 0.0
 
     @property
     def unknowns(self) -> int:
@@ -100,9 +103,20 @@ class Problem(NamedTuple):
         return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
 
     @property
+    def impulses(self) -> NDArray[np.int64]:
+        """Indices of the moments whose impulses may have errors; none without scatter."""
+        moments = self.moments if self.scatter else ()
+        return np.array([k for k, m in enumerate(moments) if has_impulse(m)], dtype=np.int64)
+
+    @property
+    def impulse_unit(self) -> float:
+        """The relative error of an impulse that is as likely as an error of a stamp of 1 s."""
+        return self.scatter / self.clock if self.scatter else 0.0
+
+    @property
     def is_weighed(self) -> bool:
-        """Whether there is anything to be weighed against the stamps: samples, or a prior."""
-        return bool(self.sensors) or self.has_prior
+        """Whether anything is weighed against the stamps: samples, a prior, or impulses."""
+        return bool(self.sensors) or self.has_prior or self.scatter > 0
 
     @property
     def has_prior(self) -> bool:
@@ -124,10 +138,11 @@ class Problem(NamedTuple):
         nominal = np.concatenate([np.zeros(2 * self.family.system.n), self.family.nominal])
         return np.asarray(by_prior @ (nominal - y))
 
-    def shot(self, y: Vector, t: Vector | None = None) -> Shot:
+    def shot(self, y: Vector, t: Vector | None = None, impulses: Vector | None = None) -> Shot:
         """The motion of ``y`` switched at ``t``, by default at the stamps.
 
-        A shorter ``t`` switches at the first moments alone, with the samples until the next one.
+        ``impulses`` are relative errors of the impulses, shape (moments,). A shorter ``t``
+        switches at the first moments alone, with the samples until the next one.
 
         Raises:
             IdentificationError: the search may compute no more flights.
@@ -137,7 +152,8 @@ class Problem(NamedTuple):
         if t.size < len(self.moments):
             end = self.moments[t.size].t
             sensors = tuple(each.which(each.t < end) for each in sensors)
-        return shoot(self.family, y, self.moments[: t.size], t, self.start, samples=sensors)
+        moments, start = self.moments[: t.size], self.start
+        return shoot(self.family, y, moments, t, start, samples=sensors, impulses=impulses)
 
     def moved(self, shot: Shot) -> float:
         """How far contacts move in one standard deviation of the clock, m."""
@@ -168,13 +184,20 @@ class Problem(NamedTuple):
             each._replace(deviation=rms) if each.is_learned and rms > 0 else each
             for each, rms in zip(self.sensors, solution.errors, strict=True)
         )
+        if solution.scattered is not None:
+            return self.scattering(solution.scattered.shown)
         clock = self.clock if self.is_declared else max(solution.rms, self.least_clock)
         return self._replace(sensors=sensors, clock=clock)
+
+    def scattering(self, shown: Deviations) -> "Problem":
+        """The problem with the deviations that gaps have shown."""
+        return self._replace(clock=shown.clock, scatter=shown.scatter)
 
     def is_like(self, other: "Problem") -> bool:
         """Whether the deviations are nearly those of another problem."""
         mine, theirs = (
-            np.array([p.clock, *(each.deviation for each in p.sensors)]) for p in (self, other)
+            np.array([p.clock, p.scatter, *(each.deviation for each in p.sensors)])
+            for p in (self, other)
         )
         return bool(np.all(np.abs(mine - theirs) <= _KNOWN * theirs))
 
@@ -194,8 +217,9 @@ class Solution(NamedTuple):
             of ``y``. The stamps come first.
         converged: whether the steps converged.
         errors: estimated standard deviations of the noise of the sensors, each in its unit.
-        cost: sum of the squared shifts, and of the squared errors of samples and prior as those
-            of the clock, s^2.
+        cost: sum of the squared shifts, and of the squared errors of samples, prior and impulses
+            as those of the clock, s^2.
+        scattered: what the impulses are; None if none of these has an error.
     """
 
     y: Vector
@@ -208,6 +232,7 @@ class Solution(NamedTuple):
     converged: bool
     errors: tuple[float, ...] = ()
     cost: float = 0.0
+    scattered: "Scattered | None" = None
 
     @property
     def is_outside(self) -> bool:
@@ -221,6 +246,32 @@ class Solution(NamedTuple):
     def rms(self) -> float:
         """Estimated standard deviation of a stamp, s."""
         return deviation(self.shifts, self.freedom)
+
+    @property
+    def residuals(self) -> Vector:
+        """What should be independent errors of the clock, s: shifts, or innovations."""
+        return self.shifts if self.scattered is None else self.scattered.innovations
+
+    @property
+    def redundancy(self) -> float:
+        """Degrees of freedom of the residuals."""
+        return self.freedom if self.scattered is None else self.scattered.freedom
+
+
+class Scattered(NamedTuple):
+    """Errors of the impulses of a motion.
+
+    Attributes:
+        impulses: relative errors, shape (moments,).
+        innovations: of the gaps, as errors of stamps, s, shape (counted,).
+        freedom: degrees of freedom of the innovations.
+        shown: the deviations that the gaps show.
+    """
+
+    impulses: Vector
+    innovations: Vector
+    freedom: float
+    shown: Deviations
 
 
 def deviation(shifts: Vector, freedom: float) -> float:

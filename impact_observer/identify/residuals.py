@@ -96,10 +96,10 @@ def explained(solution: Solution, clock: float | None) -> bool:
 
     ``clock`` is the declared standard deviation of a stamp, s; None allows errors of any size.
     """
-    shifts, size = solution.shifts, 1.0
+    errors, size = solution.residuals, 1.0
     if clock is not None:
-        size = probability_of_size(shifts, max(clock, ROUNDED), solution.freedom)
-    return solution.converged and min(size, independence(shifts)) >= REJECTED
+        size = probability_of_size(errors, max(clock, ROUNDED), solution.redundancy)
+    return solution.converged and min(size, independence(errors)) >= REJECTED
 
 
 def probabilities_of_savings(solution: Solution, saved: Vector, clock: float | None) -> Vector:
@@ -117,8 +117,8 @@ def probabilities_of_savings(solution: Solution, saved: Vector, clock: float | N
     """
     if is_rounding(solution.shifts):
         return np.ones(saved.size)
-    freedom = max(solution.freedom - 1, 1)
-    left = np.maximum(solution.cost - saved, solution.freedom * ROUNDED**2)
+    freedom = max(solution.redundancy - 1, 1)
+    left = np.maximum(solution.cost - saved, solution.redundancy * ROUNDED**2)
     chances = stats.f.sf(saved / left * freedom, 1, freedom)
     if clock is not None:
         declared = stats.chi2.sf(saved / max(clock, ROUNDED) ** 2, 1)
@@ -139,10 +139,14 @@ def widening(solution: Solution, clock: float | None) -> float:
         solution: the fit.
         clock: declared standard deviation of a stamp, s; None if only rounding is known.
     """
-    shifts, least = solution.shifts, max(clock or 0.0, ROUNDED)
-    size = probability_of_size(shifts, least, solution.freedom)
+    shifts, least = solution.residuals, max(clock or 0.0, ROUNDED)
+    if solution.scattered is not None:
+        least = solution.scattered.shown.clock
+    size = probability_of_size(shifts, least, solution.redundancy)
     if size >= DOUBTED and independence(shifts) >= DOUBTED:
         return 1.0
+    if solution.scattered is not None:
+        return _correlated(shifts)
     rms = max(solution.rms, ROUNDED)
     correlated = _correlated(shifts) if independence(shifts) < DOUBTED else 1.0
     shown = max(_jackknife(solution), rms * correlated)

@@ -20,6 +20,8 @@ class Shot(NamedTuple):
         speeds: contact speeds then, shape (hits,), m/s.
         by_start: derivatives with respect to initial state and parameters, shape (hits, 2n + p).
         by_instant: derivatives with respect to the instants, shape (hits, moments).
+        by_impulse: derivatives with respect to the relative errors of the impulses, shape
+            (hits, moments), or (hits, 0) where these are not unknown.
         moment: index of each hit's moment, shape (hits,).
         states: (q, u) just after each moment, shape (moments, 2n).
         sensors: rows of what is measured beside the impacts.
@@ -29,6 +31,7 @@ class Shot(NamedTuple):
     speeds: Vector
     by_start: Matrix
     by_instant: Matrix
+    by_impulse: Matrix
     moment: np.ndarray
     states: Matrix
     sensors: tuple[Rows, ...] = ()
@@ -42,6 +45,7 @@ def shoot(
     t0: float,
     *,
     samples: Sequence[CountedSamples] = (),
+    impulses: Vector | None = None,
 ) -> Shot:
     """The motion that is switched at the instants ``t``, and its gaps there.
 
@@ -52,18 +56,21 @@ def shoot(
         t: their instants, ascending, s since the epoch, shape (moments,).
         t0: where the initial state holds, s since the epoch.
         samples: of each sensor beside the impacts.
+        impulses: relative errors of the impulses, shape (moments,); None if all are as the law
+            says, as where there are ``samples``. No error changes the closing of a contact.
     """
     n, d = family.system.n, start.size
     system = LinearisedSystem(family, start[2 * n :])
     closed = [(), *(end.held for end in moments)]
     system.prepare(zip(closed, np.diff(t, prepend=t0).tolist(), strict=False))
-    at = system.begin(t0, start[: 2 * n], len(moments))
+    width = len(moments) * (1 if impulses is None else 2)
+    at = system.begin(t0, start[: 2 * n], width)
     maker = RowMaker(system, samples, t) if samples else None
     if maker:
         maker.flight(0, at)
     states, count = np.zeros((len(moments), 2 * n)), sum(len(each.hit) for each in moments)
     gaps, speeds, moment = np.zeros(count), np.zeros(count), np.zeros(count, dtype=int)
-    table = np.zeros((count, d + len(moments)))
+    table = np.zeros((count, d + width))
     first = 0
     for k, (instant, end) in enumerate(zip(t.tolist(), moments, strict=True)):
         at = system.flight(at, instant)
@@ -72,11 +79,23 @@ def shoot(
             gaps[own], table[own] = system.gaps(at, end.hit)
             speeds[own], moment[own] = system.contact_rows(end.hit)[0] @ at.x[n:], k
             table[own, d + k] = speeds[own]
-        at, sooner = system.switch(at, end)
+        map_, sooner = system.jump(at, end)
+        if impulses is not None and has_impulse(end):
+            change, share = map_.x - at.x, 1.0 + impulses[k]
+            sooner, map_ = share * sooner, map_.changing(at.x, share)
+            at = at.mapped(map_, at.t, end.held)
+            at.X[:, d + len(moments) + k] = change
+        else:
+            at = at.mapped(map_, at.t, end.held)
         at.X[:, d + k] -= sooner
         states[k] = at.x
         if maker:
             maker.flight(k + 1, at)
-    by_start, by_instant = table[:, :d], table[:, d:]
+    by_start, by_instant, by_impulse = np.split(table, [d, d + len(moments)], axis=1)
     rows = maker.rows(len(moments)) if maker else ()
-    return Shot(gaps, speeds, by_start, by_instant, moment, states, rows)
+    return Shot(gaps, speeds, by_start, by_instant, by_impulse, moment, states, rows)
+
+
+def has_impulse(end: FlightEnd) -> bool:
+    """Whether something rebounds at a moment, and no contact stays closed."""
+    return bool(end.pressed) and not end.held
