@@ -413,6 +413,8 @@ class _Search(NamedTuple):
     def fit_as_reported(self) -> _Fitted:
         """The fit without bounces that the sensor does not report."""
         family = self.family
+        if begun := self._scattered_as_the_first():
+            return begun
         self.report.stage("all impacts accepted")
         problem, solution = gated(*fit(self.whole.problem(family)))
         first = self._accepting(self.whole, problem, solution)
@@ -490,32 +492,47 @@ class _Search(NamedTuple):
         The fit begins at the given parameters, then at those of a ``plain`` fit.
         """
         problem, solution = plain.problem, plain.solution
+        near = [start_of(problem)] + ([solution.y] if solution.converged else [])
+        begun = with_scatter(problem, self.clock, solution.rms)
+        found = next(filter(None, (self._scattered_near(begun, y) for y in near)), None)
+        if found is None:
+            return None
+        others = fits_with_others(
+            parameters_beside(self.family),
+            [problem],
+            solution,
+            self.clock,
+            is_lost=not solution.converged,
+            flights=_OF_ANOTHER * self._size,
+        )
+        return None if any(each.fits for each in others) else found
+
+    def _scattered_near(self, problem: Problem, y: Vector) -> _Fitted | None:
+        """The fit in which impulses scatter, searched from a ``y`` nearby; None if none is."""
         if not may_scatter(problem):
             return None
         self.report.stage("impulses that scatter")
-        near = [start_of(problem)] + ([solution.y] if solution.converged else [])
-        begun = with_scatter(problem, solution, self.clock)
-        for y in near:
-            with self.report.at_most(_OF_SCATTER * self._size), suppress(*_NO_MOTION):
-                found = weighed(begun, y)
-                if is_scatter(*found, self.clock):
-                    return self._with_scatter(plain, found)
+        with self.report.at_most(_OF_SCATTER * self._size), suppress(*_NO_MOTION):
+            found = weighed(problem, y)
+            if is_scatter(*found, self.clock):
+                return _Fitted(self._accepting(self.whole, *found), *found)
         return None
 
-    def _with_scatter(self, plain: _Fitted, found: tuple[Problem, Solution]) -> _Fitted | None:
-        """The fit in which impulses scatter; None if another free parameter explains as much."""
-        family, flights = self.family, _OF_ANOTHER * self._size
-        others = fits_with_others(
-            parameters_beside(family),
-            [plain.problem],
-            plain.solution,
-            self.clock,
-            is_lost=not plain.solution.converged,
-            flights=flights,
-        )
-        if any(each.fits for each in others):
+    def _scattered_as_the_first(self) -> _Fitted | None:
+        """The fit in which impulses scatter, if they do so in the first part of a recording.
+
+        A fit without scatter takes longest where there is one.
+        """
+        if len(self.whole.episode.keys) <= _FIRST or not may_scatter(
+            problem := self.whole.problem(self.family)
+        ):
             return None
-        return _Fitted(self._accepting(self.whole, *found), *found)
+        part = self._replace(whole=self._part(0, _FIRST), trust_events=True, is_grown=False)
+        first = part.fit_as_reported()
+        if first.identification.scattered is None:
+            return None
+        begun = with_scatter(problem, self.clock, first.problem.clock)
+        return self._scattered_near(begun, first.solution.y)
 
     def _accepting(
         self, recording: Recording, problem: Problem, solution: Solution

@@ -55,8 +55,8 @@ _CONVERGED = 1e-2
 """Size of the last step, relative to the standard errors."""
 _SETTLED = 0.1
 """The same where impulses scatter: slopes by differences are not exact."""
-_DIFFERENCE = 0.05
-"""Difference by which a slope is found, relative to the standard errors."""
+_DIFFERENCE = 0.2
+"""Difference by which slope and curvature are found, relative to the standard errors."""
 _STEEPEST = 12.0
 """Largest slope of the logarithm of a determinant by one standard error."""
 _CAUCHY = 2.0
@@ -251,7 +251,7 @@ class _Iterate(NamedTuple):
         usual = max(usual_size(sizes, sizes.size - unknowns) * _CAUCHY, LEAST)
         return self._replace(weights=1 / np.sqrt(1 + (sizes / usual) ** 2))
 
-    def step_within(self, basis: Matrix, pull: Vector | None = None) -> _Step:
+    def step_within(self, basis: Matrix, pull: "_Pull | None" = None) -> _Step:
         """``step`` with the parameters fixed that would leave their bounds."""
         low, high = self.problem.family.bounds
         n2 = self.y.size - low.size
@@ -266,10 +266,10 @@ class _Iterate(NamedTuple):
                 return step
             fixed |= beyond
 
-    def step(self, basis: Matrix, pull: Vector | None = None) -> _Step:
+    def step(self, basis: Matrix, pull: "_Pull | None" = None) -> _Step:
         """The Gauss-Newton step in the directions ``basis`` and the instants.
 
-        ``pull`` is the slope of a further term of the merit by y, s^2, shape (2n + p,).
+        ``pull`` is that of a further term of the merit.
         """
         problem, shot = self.problem, self.shot
         inserted, A, B, further = self._gap_rows(basis)
@@ -281,7 +281,7 @@ class _Iterate(NamedTuple):
         count, impulses = self.counted.size, problem.impulses
         x, errors, root = constrained_least_squares(whole, weighed, d)
         if pull is not None:
-            x = x - root @ (root.T @ np.pad(pull @ basis, (0, len(inserted)))) / 2
+            x = pull.applied(x, root, np.pad(basis, ((0, 0), (0, len(inserted)))))
             errors = linalg.lstsq(weighed, d - whole @ x)[0]
         e = errors[:count] / self.weights
         r = basis.shape[1]
@@ -340,8 +340,8 @@ class _Iterate(NamedTuple):
         rows = without_unknowns(whole[: len(A)], weighed[: len(A), :last])
         return self.problem.clock**2 * log_determinant(rows, self.counted.size)
 
-    def pull(self, basis: Matrix) -> Vector:
-        """Slope of ``spread`` by y, along motions that explain the stamps, shape (2n + p,).
+    def pull(self, basis: Matrix) -> "_Pull":
+        """Slope and curvature of ``spread`` by y, along motions that explain the stamps.
 
         Each of the combinations of unknowns that are independent changes by a part of its standard
         error. Far from the answer slopes say little, and are limited.
@@ -351,19 +351,25 @@ class _Iterate(NamedTuple):
         whole, weighed, d = self._stacked(A, B, further)
         root = constrained_least_squares(whole, weighed, d)[2]
         axes, sizes, _ = linalg.svd(root, full_matrices=False)
-        noises, here = count + problem.impulses.size, self.spread
-        slopes = np.zeros(sizes.size)
+        noises, variance = count + problem.impulses.size, problem.clock**2
+        slopes, bends = np.zeros(sizes.size), np.zeros(sizes.size)
         for j, (axis, size) in enumerate(zip(axes.T, sizes * problem.clock, strict=True)):
             dx = _DIFFERENCE * size * axis
             errors = linalg.lstsq(weighed, -whole @ dx)[0]
-            y, t, eta = self.y + basis @ dx[:r], self.t.copy(), self.eta.copy()
-            t[self.counted] += errors[:count]
-            t[inserted] += dx[r:]
-            eta[problem.impulses] += errors[count:noises] * problem.impulse_unit
-            slopes[j] = (_Iterate.begin(problem, y, t, eta).spread - here) / _DIFFERENCE
-        most = _STEEPEST * problem.clock**2
-        slopes = np.clip(slopes, -most, most) / (sizes * problem.clock)
-        return np.asarray(linalg.pinv(basis).T @ (axes[:r] @ slopes))
+            dy, dt, d_eta = basis @ dx[:r], np.zeros_like(self.t), np.zeros_like(self.eta)
+            dt[self.counted] = errors[:count]
+            dt[inserted] = dx[r:]
+            d_eta[problem.impulses] = errors[count:noises] * problem.impulse_unit
+            more, less = (
+                _Iterate.begin(problem, self.y + s * dy, self.t + s * dt, self.eta + s * d_eta)
+                for s in (1, -1)
+            )
+            slopes[j] = (more.spread - less.spread) / (2 * _DIFFERENCE)
+            bends[j] = (more.spread - 2 * self.spread + less.spread) / _DIFFERENCE**2
+        slopes = np.clip(slopes, -_STEEPEST * variance, _STEEPEST * variance)
+        bends = np.maximum(bends, -variance)
+        duals = linalg.pinv(basis).T @ (axes[:r] / (sizes * problem.clock))
+        return _Pull(duals @ slopes, (duals * bends) @ duals.T)
 
     def scattered(self, basis: Matrix) -> Scattered:
         """The errors of the impulses, and the deviations that gaps, samples and prior show."""
@@ -400,7 +406,7 @@ class _Iterate(NamedTuple):
         return changes**2 * squares, changes
 
     def towards(
-        self, step: _Step, basis: Matrix, pull: Vector | None = None
+        self, step: _Step, basis: Matrix, pull: "_Pull | None" = None
     ) -> tuple["_Iterate", float]:
         """The iterate after the first of 1, 1/2, .. of ``step`` with a lower merit, and which.
 
@@ -442,6 +448,29 @@ class _Iterate(NamedTuple):
         own = float(np.sum((self.weights * self.shifts) ** 2))
         own += self.spread if self.problem.scatter else 0.0
         return own + self.squares + penalty * float(np.sum(np.abs(self.shot.gaps)))
+
+
+class _Pull(NamedTuple):
+    """A further term of the merit, by initial state and parameters y.
+
+    Attributes:
+        slope: in s^2, shape (2n + p,).
+        curvature: shape (2n + p, 2n + p).
+    """
+
+    slope: Vector
+    curvature: Matrix
+
+    def applied(self, x: Vector, root: Matrix, basis: Matrix) -> Vector:
+        """The least-squares solution ``x`` with this term, by a Newton step.
+
+        ``root root^T`` is the inverse of the normal matrix, and y changes by ``basis x``.
+        """
+        axes, sizes, _ = linalg.svd(root, full_matrices=False)
+        by_axis = basis @ axes * sizes
+        bent = np.eye(sizes.size) + by_axis.T @ self.curvature @ by_axis / 2
+        z = axes.T @ x / sizes - by_axis.T @ self.slope / 2
+        return np.asarray(axes @ (sizes * linalg.solve(bent, z)))
 
 
 class _GapRows(NamedTuple):

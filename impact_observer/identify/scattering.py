@@ -32,12 +32,13 @@ def may_scatter(problem: Problem) -> bool:
     return single and enough and not problem.sensors
 
 
-def with_scatter(problem: Problem, solution: Solution, clock: float | None) -> Problem:
+def with_scatter(problem: Problem, clock: float | None, shown: float) -> Problem:
     """The problem with impulses that scatter, to begin with.
 
-    ``clock`` is declared, s; if None, a part of the shifts of a ``solution`` begins the search.
+    Errors of the ``clock`` are declared, s; if None, the search begins with the half of the shifts
+    of another fit, ``shown``, s.
     """
-    known = max(solution.rms / 2 if clock is None else clock, ROUNDED)
+    known = max(shown / 2 if clock is None else clock, ROUNDED)
     return problem._replace(
         clock=known, is_declared=clock is not None, least_clock=ROUNDED, scatter=_FIRST
     )
