@@ -160,11 +160,11 @@ def _turning_point(fitted: Identification) -> _TurningPoint | None:
 
 def restitution_scatter(fitted: Identification) -> dict[str, float]:
     """Standard deviation of the restitution of a hit by contact; empty if none is learned."""
-    if fitted.scattered is None:
+    if not fitted.scatter:
         return {}
     hit = {name for each in fitted.contacts for name in each}
     values = zip(fitted.system.contact_names, fitted.system.eps.tolist(), strict=True)
-    return {k: (1 + eps) * fitted.scattered.shown.scatter for k, eps in values if k in hit}
+    return {k: (1 + eps) * fitted.scatter for k, eps in values if k in hit}
 
 
 def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
@@ -474,7 +474,7 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
         sizes = [f"{value:.2g} at {name}" for name, value in scatter.items()]
         yield ReportLine(
             "note",
-            "Only a restitution that scatters from hit to hit explains these stamps:"
+            "The fit has a restitution that scatters from hit to hit, by"
             f" {listed(sizes)}, learned from the impacts. Standard errors allow for the scatter.",
         )
     yield from _about_search(fitted)

@@ -32,7 +32,7 @@ from impact_observer.identify.other_parameters import (
 )
 from impact_observer.identify.outliers import has_hit_twice
 from impact_observer.identify.prior import PriorShift, chance_of, prior_covariance, prior_shifts
-from impact_observer.identify.problem import ROUNDED, Problem, Scattered, Solution
+from impact_observer.identify.problem import ROUNDED, Problem, Solution
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import (
     DOUBTED,
@@ -151,7 +151,10 @@ class Identification:
         reached: the first impacts that a fit explains where none explains all; None if none does,
             or where one does.
         refuted: the prior without which alone the model fits; None if there is none.
-        scattered: errors of the impulses, where only with these the model fits; else None.
+        scatter: standard deviation of the relative error of an impulse; 0 where none is needed.
+        residuals: what should be independent errors of the clock, s: shifts, or innovations of
+            the gaps if impulses scatter.
+        redundancy: degrees of freedom of the residuals.
     """
 
     family: ParametricFamily
@@ -167,6 +170,9 @@ class Identification:
     stamps: Vector
     shifts: Vector
     contacts: tuple[tuple[str, ...], ...]
+    residuals: Vector
+    redundancy: float
+    scatter: float
     singular: Vector
     lost: NDArray[np.bool_]
     undetermined: tuple[dict[str, float], ...]
@@ -180,17 +186,6 @@ class Identification:
     unsearched: int = 0
     reached: Grown | None = None
     refuted: ParameterUncertainty | None = None
-    scattered: Scattered | None = None
-
-    @property
-    def residuals(self) -> Vector:
-        """What should be independent errors of the clock, s: shifts, or innovations."""
-        return self.shifts if self.scattered is None else self.scattered.innovations
-
-    @property
-    def redundancy(self) -> float:
-        """Degrees of freedom of the residuals."""
-        return self.freedom if self.scattered is None else self.scattered.freedom
 
     @property
     def large(self) -> bool:
@@ -514,7 +509,7 @@ class _Search(NamedTuple):
         self.report.stage("impulses that scatter")
         with self.report.at_most(_OF_SCATTER * self._size), suppress(*_NO_MOTION):
             found = weighed(problem, y)
-            if is_scatter(*found, self.clock):
+            if is_scatter(found[1], self.clock):
                 return _Fitted(self._accepting(self.whole, *found), *found)
         return None
 
@@ -529,7 +524,7 @@ class _Search(NamedTuple):
             return None
         part = self._replace(whole=self._part(0, _FIRST), trust_events=True, is_grown=False)
         first = part.fit_as_reported()
-        if first.identification.scattered is None:
+        if not first.identification.scatter:
             return None
         begun = with_scatter(problem, self.clock, first.problem.clock)
         return self._scattered_near(begun, first.solution.y)
@@ -629,7 +624,8 @@ class _Search(NamedTuple):
         """
         own, problem, solution = fitted
         rows, tried = (problem, solution, self.clock), parameters_beside(self.family)
-        missed = missed_parameters(*rows, REJECTED) if own.converged else ()
+        limit = DOUBTED if own.scatter else REJECTED
+        missed = missed_parameters(*rows, limit) if own.converged else ()
         own = replace(own, missed=tuple(each.name for each in missed))
         odd = missed or own.large or not all(each.fits for each in own.sensors)
         if own.converged and not odd and explained(solution, self.clock):
@@ -641,7 +637,7 @@ class _Search(NamedTuple):
         if own.converged:
             tried = missed_parameters(*rows, DOUBTED)
         lost = not own.converged
-        flights = _OF_ANOTHER * self._size
+        flights = (_OF_SCATTER if own.scatter else _OF_ANOTHER) * self._size
         others = fits_with_others(
             tried, problems, solution, self.clock, is_lost=lost, flights=flights
         )
@@ -825,10 +821,12 @@ def _identification(
         stamps=frozen(problem.stamps[solution.counted]),
         shifts=frozen(solution.shifts),
         contacts=tuple(tuple(names[i] for i in hits[k][1]) for k in solution.counted),
+        residuals=frozen(solution.residuals),
+        redundancy=solution.redundancy,
+        scatter=0.0 if solution.scattered is None else solution.scattered.shown.scatter,
         singular=frozen(span.singular / span.singular[0]),
         lost=span.lost[: 2 * n],
         undetermined=combinations_of(problem, np.hstack([span.undetermined, weak])),
-        scattered=solution.scattered,
         converged=solution.converged
         and solution.is_outside
         and solution.rms <= max(_LOST * problem.usual_flight, _EXCESS * (clock or 0.0))

@@ -10,6 +10,7 @@ from impact_observer.errors import IdentificationError
 from impact_observer.identify.least_squares import savings
 from impact_observer.identify.problem import Problem, Solution
 from impact_observer.identify.residuals import (
+    DOUBTED,
     explained,
     probabilities_of_savings,
 )
@@ -129,7 +130,11 @@ def _fits(
             continue  # too few impacts, motions that overflow, or nothing is found in time
         if not found.converged:
             continue
-        fits = found.rms < solution.rms and explained(found, clock)
+        fits = explained(found, clock)
+        if found.scattered is None:
+            fits = fits and found.rms < solution.rms
+        else:
+            fits = fits and not missed_parameters(wider, found, clock, DOUBTED)
         fits = fits and all(each.fits for each in sensor_fits(wider, found))
         values, value = found.y[2 * problem.family.system.n : -1], float(found.y[-1])
         yield OtherParameter(parameter.name, value, parameter.unit, found.rms, fits, values)

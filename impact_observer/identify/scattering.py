@@ -2,14 +2,13 @@
 """When a fit in which impulses scatter is tried, and when it is believed.
 
 An error of each impulse explains much: also a part of what a wrong model does. So the fit is
-believed only if nothing in it is odd: what is left is white and normal, no other parameter
-explains a part, and impulses scatter no more than those of real contacts do.
+believed only if what is left is white and normal, and if impulses scatter no more than those of
+real contacts do. Whether another parameter explains a part is tested as of any other fit.
 """
 
 import numpy as np
 from scipy import stats
 
-from impact_observer.identify.other_parameters import missed_parameters
 from impact_observer.identify.problem import ROUNDED, Problem, Solution
 from impact_observer.identify.residuals import DOUBTED, explained, independence
 
@@ -44,7 +43,7 @@ def with_scatter(problem: Problem, clock: float | None, shown: float) -> Problem
     )
 
 
-def is_scatter(problem: Problem, solution: Solution, clock: float | None) -> bool:
+def is_scatter(solution: Solution, clock: float | None) -> bool:
     """Whether a fit in which impulses scatter is believed.
 
     ``clock`` is the declared standard deviation of a stamp, s; None if unknown.
@@ -55,9 +54,5 @@ def is_scatter(problem: Problem, solution: Solution, clock: float | None) -> boo
     shown, errors = found.shown, found.innovations
     largest = float(np.max(np.abs(errors))) / shown.clock
     normal = 2 * errors.size * stats.norm.sf(largest)
-    return (
-        shown.scatter <= _SCATTER
-        and shown.gain >= _GAIN
-        and min(normal, independence(errors)) >= DOUBTED
-        and not missed_parameters(problem, solution, clock, DOUBTED)
-    )
+    likely = min(normal, independence(errors)) >= DOUBTED
+    return shown.scatter <= _SCATTER and shown.gain >= _GAIN and likely
