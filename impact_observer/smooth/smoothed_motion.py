@@ -337,13 +337,11 @@ class SmoothedMotion:
 
     @cached_property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Smoothed parameters that are too far from the declared ones."""
-        size, rows = 2 * self._law.system.n, self._law.uncertainty.declared_constants
-        prior = self.smoothed.arc.first.deviations[size:].tolist()
-        used = {row[0]: d for row, d in zip(self.parameters, prior, strict=True)}
-        return contradictions(
-            self.parameters, (each._replace(deviation=used[each.name]) for each in rows)
-        )
+        """Smoothed parameters that are too far from the declared ones.
+
+        The declared deviations count, also where a doubted model has wider ones.
+        """
+        return contradictions(self.parameters, self._law.uncertainty.declared_constants)
 
     @property
     def fallback(self) -> str:
