@@ -352,20 +352,20 @@ class _Iterate(NamedTuple):
         root = constrained_least_squares(whole, weighed, d)[2]
         axes, sizes, _ = linalg.svd(root, full_matrices=False)
         noises, variance = count + problem.impulses.size, problem.clock**2
+        changes = _DIFFERENCE * problem.clock * sizes * axes
+        errors, here = linalg.lstsq(weighed, -whole @ changes)[0].T, self.spread
         slopes, bends = np.zeros(sizes.size), np.zeros(sizes.size)
-        for j, (axis, size) in enumerate(zip(axes.T, sizes * problem.clock, strict=True)):
-            dx = _DIFFERENCE * size * axis
-            errors = linalg.lstsq(weighed, -whole @ dx)[0]
+        for j, (dx, de) in enumerate(zip(changes.T, errors, strict=True)):
             dy, dt, d_eta = basis @ dx[:r], np.zeros_like(self.t), np.zeros_like(self.eta)
-            dt[self.counted] = errors[:count]
+            dt[self.counted] = de[:count]
             dt[inserted] = dx[r:]
-            d_eta[problem.impulses] = errors[count:noises] * problem.impulse_unit
+            d_eta[problem.impulses] = de[count:noises] * problem.impulse_unit
             more, less = (
                 _Iterate.begin(problem, self.y + s * dy, self.t + s * dt, self.eta + s * d_eta)
                 for s in (1, -1)
             )
             slopes[j] = (more.spread - less.spread) / (2 * _DIFFERENCE)
-            bends[j] = (more.spread - 2 * self.spread + less.spread) / _DIFFERENCE**2
+            bends[j] = (more.spread - 2 * here + less.spread) / _DIFFERENCE**2
         slopes = np.clip(slopes, -_STEEPEST * variance, _STEEPEST * variance)
         bends = np.maximum(bends, -variance)
         duals = linalg.pinv(basis).T @ (axes[:r] / (sizes * problem.clock))
