@@ -55,6 +55,7 @@ def fitted(scatter: float, seed: int, *, clock: float = CLOCK) -> Identification
     return identify(family, hits, clock=clock, prior=prior)
 
 
+@pytest.mark.long
 def test_a_restitution_that_scatters_is_found_with_honest_errors() -> None:
     """Draws of the scatter and the clock; 0.02 is the scatter of the restitution."""
     normalised, found = [], []
@@ -73,8 +74,10 @@ def test_a_restitution_that_scatters_is_found_with_honest_errors() -> None:
 
 
 def test_a_scatter_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
-    """With its size at the contact."""
+    """With its size at the contact; all values are as near the truth as their errors say."""
     fit = fitted(SCATTER, 3)
+    assert check_fit(fit).fits
+    assert np.all(np.abs(fit.values - TRUTH) < 3 * fit.errors)
     print_parameters(fit, check_fit(fit))
     printed = " ".join(capsys.readouterr().out.split())
     assert "a restitution that scatters from hit to hit, by 0.02" in printed
