@@ -43,7 +43,11 @@ from impact_observer.identify.residuals import (
     probability_of_size,
     widening,
 )
-from impact_observer.identify.scattering import is_scatter, may_scatter, with_scatter
+from impact_observer.identify.scatter_hypothesis import (
+    is_scatter_accepted,
+    may_scatter,
+    with_scatter,
+)
 from impact_observer.identify.search import (
     combinations_of,
     fit,
@@ -487,6 +491,8 @@ class _Search(NamedTuple):
         The fit begins at the given parameters, then at those of a ``plain`` fit.
         """
         problem, solution = plain.problem, plain.solution
+        if not may_scatter(problem):
+            return None
         near = [start_of(problem)] + ([solution.y] if solution.converged else [])
         begun = with_scatter(problem, self.clock, solution.rms)
         found = next(filter(None, (self._scattered_near(begun, y) for y in near)), None)
@@ -504,12 +510,10 @@ class _Search(NamedTuple):
 
     def _scattered_near(self, problem: Problem, y: Vector) -> _Fitted | None:
         """The fit in which impulses scatter, searched from a ``y`` nearby; None if none is."""
-        if not may_scatter(problem):
-            return None
         self.report.stage("impulses that scatter")
         with self.report.at_most(_OF_SCATTER * self._size), suppress(*_NO_MOTION):
             found = weighed(problem, y)
-            if is_scatter(found[1], self.clock):
+            if is_scatter_accepted(found[1], self.clock):
                 return _Fitted(self._accepting(self.whole, *found), *found)
         return None
 

@@ -180,12 +180,12 @@ class Problem(NamedTuple):
 
     def weighed_by(self, solution: "Solution") -> "Problem":
         """The problem with the deviations of clock and sensors that a solution has shown."""
+        if solution.scattered is not None:
+            return self.scattering(solution.scattered.shown)
         sensors = tuple(
             each._replace(deviation=rms) if each.is_learned and rms > 0 else each
             for each, rms in zip(self.sensors, solution.errors, strict=True)
         )
-        if solution.scattered is not None:
-            return self.scattering(solution.scattered.shown)
         clock = self.clock if self.is_declared else max(solution.rms, self.least_clock)
         return self._replace(sensors=sensors, clock=clock)
 

@@ -79,14 +79,13 @@ def shoot(
             gaps[own], table[own] = system.gaps(at, end.hit)
             speeds[own], moment[own] = system.contact_rows(end.hit)[0] @ at.x[n:], k
             table[own, d + k] = speeds[own]
-        map_, sooner = system.jump(at, end)
+        before = at
+        at, sooner = system.switch(at, end)
         if impulses is not None and has_impulse(end):
-            change, share = map_.x - at.x, 1.0 + impulses[k]
-            sooner, map_ = share * sooner, map_.changing(at.x, share)
-            at = at.mapped(map_, at.t, end.held)
+            change, share = at.x - before.x, 1.0 + impulses[k]
+            X = before.X + share * (at.X - before.X)
+            at, sooner = at._replace(x=before.x + share * change, X=X), share * sooner
             at.X[:, d + len(moments) + k] = change
-        else:
-            at = at.mapped(map_, at.t, end.held)
         at.X[:, d + k] -= sooner
         states[k] = at.x
         if maker:

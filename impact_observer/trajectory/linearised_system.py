@@ -80,12 +80,6 @@ class TangentMap(NamedTuple):
         """One map for ``first`` and then this map."""
         return TangentMap(self.x, self.Phi @ first.Phi, self.Phi @ first.Gamma + self.Gamma)
 
-    def changing(self, x: Vector, share: float) -> "TangentMap":
-        """The map that changes the state before, ``x``, by a ``share`` of what this map does."""
-        own = np.eye(x.size)
-        changed = own + share * (self.Phi - own)
-        return TangentMap(x + share * (self.x - x), changed, share * self.Gamma)
-
 
 class TangentState(NamedTuple):
     """A state of a motion and its derivatives by what is unknown, at a fixed instant.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a fit in which impulses scatter is tried, and when it is believed.
+"""When the hypothesis that impulses scatter is tested, and when it is accepted.
 
-An error of each impulse explains much: also a part of what a wrong model does. So the fit is
-believed only if what is left is white and normal, and if impulses scatter no more than those of
+An error of each impulse explains much: also a part of what a wrong model does. So the hypothesis
+is accepted only if innovations are white and normal, and if impulses scatter no more than those of
 real contacts do. Whether another parameter explains a part is tested as of any other fit.
 """
 
@@ -43,8 +43,8 @@ def with_scatter(problem: Problem, clock: float | None, shown: float) -> Problem
     )
 
 
-def is_scatter(solution: Solution, clock: float | None) -> bool:
-    """Whether a fit in which impulses scatter is believed.
+def is_scatter_accepted(solution: Solution, clock: float | None) -> bool:
+    """Whether a fit with the hypothesis that impulses scatter is accepted.
 
     ``clock`` is the declared standard deviation of a stamp, s; None if unknown.
     """
