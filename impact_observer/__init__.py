@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from impact_observer.plant import Plant, simulate
     from impact_observer.stamps import grid
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 _HOME = {
     "ImpactEvent": "events",
