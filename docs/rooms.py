@@ -44,7 +44,6 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("compare", "estimates against truth: metrics, tables, report, export", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
-        Room("new", "the files of a new rig"),
         Room("check", "models and bags: what is wrong with them, salvage", "rich"),
     ),
     (Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),),

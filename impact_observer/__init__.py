@@ -3,7 +3,7 @@
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``robots``, ``plant``
 and ``filter``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
-``smooth``, ``identify``, ``observability``, ``new``, ``check`` and ``sweep``, then ``ros`` and
+``smooth``, ``identify``, ``observability``, ``check`` and ``sweep``, then ``ros`` and
 ``cli``. The modules beside this file are the vocabulary that all rooms share: errors, stamps,
 events, states, options. The first rooms, up to ``observer``, need numpy and scipy only; a
 ``Robot`` needs pinocchio.

@@ -347,20 +347,26 @@ def test_detector_launch_passes_the_sensors_and_the_topic(launcher: Launcher) ->
     )
 
 
+@pytest.mark.parametrize("template", ["ball", "chisel", "shaker"])
 def test_the_launch_file_of_a_new_rig_starts_detector_and_observer(
-    launcher: Launcher, tmp_path: Path
+    launcher: Launcher, template: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the files beside it; other parameters may be given."""
-    rig = str(tmp_path / "rig")
-    parts = ["--mass", "x1,1", "--force", "x1,1,2", "--stop", "wall,x1,above,0.1,0.5"]
-    assert main(["new", rig, *parts]) == 0
+    """With the files beside it; other parameters may be given, and the nodes know them all."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "rig", "--from", template]) == 0
     launched = launcher.run(tmp_path / "rig.launch.py", epoch="5", use_sim_time="true")
-    detector, observer = launched
     given = {"epoch": 5, "use_sim_time": True}
-    assert detector.parameters == {"sources": f"{rig}_sensors.yaml", **given}
-    model = {"model": f"{rig}.yaml", "law": "minimum-variance"}
-    assert observer.parameters == model | given
-    assert [detector.remappings, observer.remappings] == [{"impacts": "impacts"}] * 2
+    files = {
+        "detector": {"sources": str(tmp_path / "rig_sensors.yaml")},
+        "observer": {"model": str(tmp_path / "rig.yaml"), "law": "minimum-variance"},
+    }
+    assert [node.executable for node in launched] == list(files)
+    for node in launched:
+        assert node.parameters.items() >= (files[node.executable] | given).items()
+        assert node.remappings == {"impacts": "impacts"}
+        for each in TABLES[node.executable]:
+            if each.name in node.parameters:
+                each.check(node.parameters[each.name])
 
 
 def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None:

@@ -11,7 +11,7 @@ HOSTILE = "\x1b]0;owned\x07\x1b[2J"
 OUT = "out"
 """In arguments: the file or folder that the command makes."""
 OFFLINE = {
-    "new": ["rig", "--mass", "x1,1", "--stop", "wall,x1,above,0.1,0.5"],
+    "new": ["rig", "--from", "ball"],
     "check-model": ["two_mass"],
     "observability": ["{bag}"],
     "identify": ["{bag}", "--free", "restitution", "--held-back", "0", "-o", "out.yaml"],

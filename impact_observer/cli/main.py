@@ -22,7 +22,7 @@ from impact_observer.process_end import run
 PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
-    "new": "the files of a new rig: a model, its sensors, a launch file",
+    "new": "copy a commented rig to edit: a model, its sensors, a launch file",
     "check-model": "what a model means for an observer: modes, contacts, impact law",
     "observability": "what the impacts in a bag reveal of the state: rank, condition, unknowns",
     "identify": "estimate a model's parameters from impact times, or check it against them",
