@@ -24,10 +24,6 @@ from impact_observer.resources import shared
 
 Attack: TypeAlias = Callable[[random.Random], object]
 _COMMANDS = """
-urdf {model} -o {out}
-urdf {model}
-layout {model} -o {out.json}
-layout {bag} -o {out.xml}
 check-model {model}
 info {bag}
 info {mcap}

@@ -37,7 +37,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     (Room("io", "messages, bags in and out, CSV and WAV in", "rosbags, mcap"),),
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
-        Room("draw", "pictures, scenes, films, URDF, layouts", "matplotlib"),
+        Room("draw", "pictures and tables of text", "matplotlib"),
         Room("smooth", "a recording's states from the events before and after", "rich"),
     ),
     (

@@ -14,7 +14,7 @@ from impact_observer.errors import ModelError
 from impact_observer.model.document import load_matrix
 
 COMMANDS = {
-    "a model": ["urdf", "{}"],
+    "a model": ["check-model", "{}"],
     "a model of a bag": ["check", "bag", "--model", "{}"],
     "a table": ["import", "{}.csv", "-o", "out"],
     "a signal": ["detect", "{}.csv", "--contact", "stop", "--threshold", "1", "-o", "out"],
@@ -54,7 +54,7 @@ def test_no_input_without_an_end_is_begun(
 def test_a_file_that_the_kernel_makes_is_no_input(capsys: pytest.CaptureFixture[str]) -> None:
     """Some files in /proc are regular by name and never end."""
     Path("input").symlink_to("/proc/kmsg")
-    assert main(["urdf", "input"]) == 2
+    assert main(["check-model", "input"]) == 2
     assert "is made by the kernel" in capsys.readouterr().err
 
 

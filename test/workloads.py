@@ -24,12 +24,9 @@ OFFLINE = {
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
     "figure": ["two_mass", "--duration", "0.5", "-o", "out.png"],
     "plot": ["{bag}", "-o", "out.html"],
-    "animate": ["{bag}", "--duration", "0.1", "-o", "out.html"],
     "export": ["{bag}", "--what", "events", "-o", "out.csv"],
-    "urdf": ["two_mass", "-o", "out.urdf"],
     "info": ["{bag}"],
     "check": ["{bag}"],
-    "layout": ["two_mass", "-o", "out.xml"],
 }
 """What is run of each command without ROS."""
 WITH_ROS = {

@@ -34,17 +34,20 @@ COMMANDS = {
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",
-    "animate": "plant and estimates of a bag in motion: a film or a page",
     "plot": "states of a bag over time with deviations and impacts: a picture or a page",
     "export": "states, errors or events of a bag as CSV or Parquet",
-    "urdf": "a URDF of a model, moved by the joint states of plant or observer",
     "info": "what is in a bag",
     "check": "whether an observer can use a bag, and what is wrong with it",
-    "layout": "a layout for Foxglove or PlotJuggler that shows a model's observers",
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",
     "watch": "a live view of plant and observers in the terminal",
 }
+GONE = {
+    "animate": "plot",
+    "layout": "the files in layouts/",
+    "urdf": "a robot has a URDF of its own",
+}
+"""What to use instead of the commands that went in 0.4.0."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _OPERAND = re.compile(r"^  ([A-Z]+)\b", re.MULTILINE)
 """A positional argument in the text of help."""
@@ -130,7 +133,9 @@ def _run(argv: Sequence[str]) -> int:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     command = next((word for word in argv if not word.startswith("-")), "")
-    if command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
+    if command in GONE:
+        sys.stderr.write(f"{PROGRAM}: {command} went in 0.4.0: {GONE[command]}\n")
+    elif command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
         parser.error(f"no command {command}; did you mean {near[0]}?")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)

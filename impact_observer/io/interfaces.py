@@ -102,7 +102,6 @@ TIME = "builtin_interfaces/msg/Time"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 DIAGNOSTIC = "diagnostic_msgs/msg/DiagnosticStatus"
-MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +163,6 @@ OBSERVER_MEASUREMENTS = Interface("observer/measurements", MEASUREMENT_VERDICT, 
 OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
-VIEWER_MARKERS = Interface("viewer/markers", MARKERS)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
@@ -185,7 +183,6 @@ INTERFACES = (
     OBSERVER_BOUND,
     SMOOTHED_IMPACTS,
     MONITOR_ERROR,
-    VIEWER_MARKERS,
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,
 )

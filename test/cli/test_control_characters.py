@@ -92,7 +92,7 @@ def test_no_command_shows_or_writes_control_characters(
     text = "".join(capsys.readouterr())
     assert printable_lines(text) == text
     for file in tmp_path.rglob("*"):
-        if file.suffix in {".html", ".svg", ".xml", ".urdf", ".yaml", ".json"}:
+        if file.suffix in {".html", ".svg", ".xml", ".yaml", ".json"}:
             written = without_plotly(file.read_text("utf-8"))
             assert printable_lines(written) == written
 

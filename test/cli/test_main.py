@@ -10,7 +10,7 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
-from impact_observer.cli.main import COMMANDS, main
+from impact_observer.cli.main import COMMANDS, GONE, main
 from impact_observer.io import BagReader
 from impact_observer.io.recordings import model_of
 
@@ -107,6 +107,21 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
     assert len(errors.strip().splitlines()) == 1
     assert expected in errors
     assert "--help" in errors
+
+
+@pytest.mark.parametrize("command", GONE)
+def test_a_command_that_went_is_named_with_its_replacement(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the parser's own error; no such command is left."""
+    with pytest.raises(SystemExit) as end:
+        main([command, "bag"])
+    assert end.value.code == 2
+    replaced, error = capsys.readouterr().err.strip().splitlines()
+    assert f"{command} went" in replaced
+    assert GONE[command] in replaced
+    assert "invalid choice" in error
+    assert command not in COMMANDS
 
 
 @pytest.mark.parametrize(

@@ -243,8 +243,6 @@ def groups() -> dict[str, list[str]]:
         "info events.csv",
         "export bags/two_mass -o table.xls",
         "plot bags/two_mass -o picture.doc",
-        "animate bags/two_mass -o film.doc",
-        "layout two_mass -o layout.doc",
         "detect bags/two_mass --contact stop --topic /missing -o out",
         "smooth bags/switch --model two_mass -o out",
     ]
