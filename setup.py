@@ -125,7 +125,6 @@ setup(
     ],
     install_requires=requirements("run"),
     extras_require={
-        "page": ["plotly>=5.18"],
         "parquet": ["pyarrow>=14"],
         "robots": requirements("robots"),
         "sound": ["soundfile>=0.12"],

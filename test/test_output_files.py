@@ -35,7 +35,6 @@ BESIDE = {
     ],
     "compare": ["{bag}", "--csv", "out.csv"],
     "export": ["{bag}", "-o", "out.parquet"],
-    "plot": ["{bag}", "-o", "out.png"],
 }
 """Other files that commands write."""
 WRITING = [

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.cli.main import main
-from impact_observer.draw.plot.picture import recording_picture
-from impact_observer.draw.plot.series import read_recording
+from impact_observer.draw.motion_picture import motion_picture
+from impact_observer.draw.recorded_motion import read_motion
 from impact_observer.io import BagReader
 from impact_observer.io.bag_part import assumed_epoch
 from impact_observer.io.recordings import events_in, model_of
@@ -111,10 +111,9 @@ def test_pictures_count_from_the_first_impact(ball: Path) -> None:
     words = "observe bag --law geometric --measurements camera.yaml --rate 100 -o out"
     assert main(words.split()) == 0
     with BagReader(ball.parent / "out") as reader:
-        system = model_of(reader).system
-        content = read_recording(reader, system)
-    assert content.start == pytest.approx(START - impact_times()[0], abs=1e-9)
-    axes = recording_picture(content).axes
+        motion = read_motion(reader)
+    assert motion.ends[0] == pytest.approx(START - impact_times()[0], abs=1e-9)
+    axes = motion_picture(motion, [0]).axes
     assert "time since the first impact [s]" in [each.get_xlabel() for each in axes]
 
 

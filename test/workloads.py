@@ -23,7 +23,7 @@ OFFLINE = {
     "compare": ["{bag}", "--report", "out.html"],
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
     "figure": ["two_mass", "--duration", "0.5", "-o", "out.png"],
-    "plot": ["{bag}", "-o", "out.html"],
+    "plot": ["{bag}", "-o", "out.svg"],
     "export": ["{bag}", "--what", "events", "-o", "out.csv"],
     "info": ["{bag}"],
     "check": ["{bag}"],

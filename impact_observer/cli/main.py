@@ -34,7 +34,7 @@ COMMANDS = {
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",
-    "plot": "states of a bag over time with deviations and impacts: a picture or a page",
+    "plot": "states of a bag over time with deviations, impacts and verdicts: a picture",
     "export": "states, errors or events of a bag as CSV or Parquet",
     "info": "what is in a bag",
     "check": "whether an observer can use a bag, and what is wrong with it",
