@@ -20,7 +20,7 @@ OFFLINE = {
     "import": ["{csv}", "--model", "two_mass", "-o", OUT],
     "observe": ["{bag}", "-o", OUT],
     "smooth": ["{bag}", "-o", OUT],
-    "compare": ["{bag}", "--report", "out.html"],
+    "compare": ["{bag}", "--plot", "out.svg"],
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
     "figure": ["two_mass", "--duration", "0.5", "-o", "out.png"],
     "plot": ["{bag}", "-o", "out.svg"],

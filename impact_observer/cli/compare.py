@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture, a report.
+"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture.
 
 With --laws, other observers are run on the bags' own impacts and compared as well. The two sides
 of an impact are never mixed: samples at which the truth has jumped and the estimate has not, or
@@ -62,12 +62,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
     )
     parser.add_argument(
-        "--report",
-        metavar="FILE.html",
-        type=Path,
-        help="write metrics and pictures to one page that needs no network",
-    )
-    parser.add_argument(
         "--csv", metavar="FILE", type=Path, help="write the metrics, a line an estimate"
     )
     parser.add_argument(
@@ -86,25 +80,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
         " observers of --laws have the impacts before, too (default: all estimates count)",
     )
-    add_force(parser, "plot", "report", "csv")
+    add_force(parser, "plot", "csv")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare bags, print the metrics, and write the files that are asked for."""
     from impact_observer.compare.bag_comparison import labelled_by_law
-    from impact_observer.compare.error_pictures import distance_picture
+    from impact_observer.compare.distance_picture import distance_picture
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.metrics import metrics_of
-    from impact_observer.compare.report import write_report
     from impact_observer.draw.pictures import save
     from impact_observer.output_files import all_together, check_output
 
     options = _options(args)
     if args.plot is not None:
         check_output(args.plot)
-    if args.report is not None:
-        check_output(args.report, (".html", ".htm"))
     if args.csv is not None:
         check_output(args.csv, (".csv",))
     results = [(bag, _compare_one(bag, options, args)) for bag in args.bags]
@@ -119,9 +110,7 @@ def run(args: argparse.Namespace) -> int:
             write_csv(labelled, args.csv)
         if args.plot is not None:
             save(distance_picture(labelled, results), args.plot)
-        if args.report is not None:
-            write_report(args.report, labelled, results)
-    for what, path in (("metrics", args.csv), ("picture", args.plot), ("report", args.report)):
+    for what, path in (("metrics", args.csv), ("picture", args.plot)):
         if path is not None and not args.json:
             say(f"{what}: {path}")
     return 0

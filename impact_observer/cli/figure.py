@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, observe, compare and draw."""
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.comparison import impacts_in
-    from impact_observer.compare.error_pictures import lyapunov_picture
+    from impact_observer.compare.distance_picture import lyapunov_picture
     from impact_observer.compare.error_tables import distance_remarks, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
     from impact_observer.draw.pictures import save

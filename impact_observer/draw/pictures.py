@@ -3,7 +3,6 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -148,13 +147,3 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
     check_output(path)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150, metadata={"Title": about} if about else None)
-
-
-def svg(figure: Figure) -> str:
-    """``figure`` as SVG, for use within HTML."""
-    file = StringIO()
-    # Fixed salt instead of random ids: equal figures make equal text.
-    with mpl.rc_context({"svg.hashsalt": "impact_observer"}):
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    return text[text.index("<svg") :]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from systems import sample
 
 from impact_observer.compare.comparison import Comparison, compare_states
-from impact_observer.compare.error_pictures import lyapunov_picture
+from impact_observer.compare.distance_picture import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
