@@ -43,9 +43,10 @@ WRITING = [
     for command, arguments in commands.items()
     if command == "new" or any(each.startswith(OUT) for each in arguments)
 ]
-QUICK = {"new", "simulate", "import", "sweep", "figure", "export"}
+QUICK = {"new", "simulate", "import", "sweep", "export"}
 """Commands that write in less than a second; ./dev soak has all of them."""
-BRIEF = ["--duration", "0.1"]
+FIGURE = ["compare", "--duration", "0.1", "--figure"]
+"""The beginning of a command that reads a model and writes a picture."""
 LIMIT = 60
 """Bytes that a file may have on a disk that is full."""
 
@@ -181,7 +182,7 @@ def test_an_input_is_never_replaced(name: str, capsys: pytest.CaptureFixture[str
     Path("symbolic.svg").symlink_to("my.svg")
     Path("hard.svg").hardlink_to("my.svg")
     before = Path("my.svg").read_bytes()
-    assert main(["figure", "my.svg", *BRIEF, "-o", name, "--force"]) == 2
+    assert main([*FIGURE, "my.svg", "--plot", name, "--force"]) == 2
     assert "is an input of this command; choose another name" in capsys.readouterr().err
     assert Path("my.svg").read_bytes() == before
 
@@ -194,7 +195,7 @@ def test_a_table_that_the_model_names_is_an_input() -> None:
     Path("table.svg").write_text("time,x1,x2\n0,0,1\n1,0,4\n", encoding="utf-8")
     Path("my.yaml").write_text(f"{head}forcing: {{sampled: table.svg}}\n{tail}", encoding="utf-8")
     before = Path("table.svg").read_bytes()
-    assert main(["figure", "my.yaml", *BRIEF, "-o", "table.svg", "--force"]) == 2
+    assert main([*FIGURE, "my.yaml", "--plot", "table.svg", "--force"]) == 2
     assert Path("table.svg").read_bytes() == before
 
 
@@ -202,7 +203,7 @@ def test_force_replaces_a_file_and_keeps_its_mode() -> None:
     """Nothing else stays in the folder; an input of a command before is none of this one."""
     Path("out.svg").write_text(MINE, encoding="utf-8")
     Path("out.svg").chmod(0o600)
-    assert main(["figure", "two_mass", *BRIEF, "-o", "out.svg", "--force"]) == 0
+    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
     assert Path("out.svg").read_text("utf-8").startswith("<?xml")
     assert Path("out.svg").stat().st_mode & 0o777 == 0o600
     assert list(Path().iterdir()) == [Path("out.svg")]
@@ -219,7 +220,7 @@ def test_a_link_to_a_file_of_another_kind_has_the_format_of_its_own_name() -> No
     """The file behind the link is replaced."""
     Path("old.txt").write_text(MINE, encoding="utf-8")
     Path("out.svg").symlink_to("old.txt")
-    assert main(["figure", "two_mass", *BRIEF, "-o", "out.svg", "--force"]) == 0
+    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
     assert Path("out.svg").is_symlink()
     assert "<svg" in Path("old.txt").read_text("utf-8")
 
@@ -228,7 +229,7 @@ def test_a_link_in_a_circle_is_no_output(capsys: pytest.CaptureFixture[str]) -> 
     """One line, and the link stays."""
     Path("out.svg").symlink_to("out.svg")
     for more in ([], ["--force"]):
-        assert main(["figure", "two_mass", "-o", "out.svg", *more]) == 2
+        assert main([*FIGURE, "two_mass", "--plot", "out.svg", *more]) == 2
         assert capsys.readouterr().err.startswith("impact-observer: out.svg: ")
     assert Path("out.svg").is_symlink()
 
@@ -239,5 +240,5 @@ def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFix
     os.mkfifo("pipe.svg")
     Path("null.svg").symlink_to("/dev/null")
     name = "null.svg" if kind == "a device" else "pipe.svg"
-    assert main(["figure", "two_mass", "-o", name, "--force"]) == 2
+    assert main([*FIGURE, "two_mass", "--plot", name, "--force"]) == 2
     assert f"{name}: is a device or a pipe" in capsys.readouterr().err

@@ -22,7 +22,6 @@ OFFLINE = {
     "smooth": ["{bag}", "-o", OUT],
     "compare": ["{bag}", "--plot", "out.svg"],
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
-    "figure": ["two_mass", "--duration", "0.5", "-o", "out.png"],
     "plot": ["{bag}", "-o", "out.svg"],
     "export": ["{bag}", "--what", "events", "-o", "out.csv"],
     "info": ["{bag}"],

@@ -33,7 +33,6 @@ COMMANDS = {
     "smooth": "the best estimate of a recording at every instant, from all its impacts",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
-    "figure": "from a model to the picture: V(t) of several laws",
     "plot": "states of a bag over time with deviations, impacts and verdicts: a picture",
     "export": "states, errors or events of a bag as CSV or Parquet",
     "info": "what is in a bag",
@@ -44,6 +43,7 @@ COMMANDS = {
 }
 GONE = {
     "animate": "plot",
+    "figure": "compare --figure MODEL --plot FILE",
     "layout": "the files in layouts/",
     "urdf": "a robot has a URDF of its own",
 }

@@ -185,7 +185,7 @@ def groups() -> dict[str, list[str]]:
     made["compare"] = [
         "compare golden/version_0_1 golden/version_0_2 --json --csv metrics.csv",
         "compare bags/missed --laws geometric,minimum-variance --initial random:1 --json",
-        "figure two_mass --duration 3 -o picture.png --json",
+        "compare --figure two_mass --duration 3 --json",
         "compare bags/two_mass --json",
         "compare golden/version_0_1 --observers nobody --json",
     ]
