@@ -25,8 +25,6 @@ from impact_observer.resources import shared
 Attack: TypeAlias = Callable[[random.Random], object]
 _COMMANDS = """
 check-model {model}
-info {bag}
-info {mcap}
 check {bag}
 check {mcap}
 check {bag} --model {model}

@@ -24,7 +24,6 @@ OFFLINE = {
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
     "plot": ["{bag}", "-o", "out.svg"],
     "export": ["{bag}", "--what", "events", "-o", "out.csv"],
-    "info": ["{bag}"],
     "check": ["{bag}"],
 }
 """What is run of each command without ROS."""

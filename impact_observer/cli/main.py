@@ -35,14 +35,14 @@ COMMANDS = {
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "plot": "states of a bag over time with deviations, impacts and verdicts: a picture",
     "export": "states, errors or events of a bag as CSV or Parquet",
-    "info": "what is in a bag",
-    "check": "whether an observer can use a bag, and what is wrong with it",
+    "check": "what a bag holds, whether an observer can use it, and what is wrong with it",
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",
     "watch": "a live view of plant and observers in the terminal",
 }
 GONE = {
     "animate": "plot",
+    "info": "check",
     "figure": "compare --figure MODEL --plot FILE",
     "layout": "the files in layouts/",
     "urdf": "a robot has a URDF of its own",

@@ -27,7 +27,7 @@ def shown(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return "".join(capsys.readouterr())
 
 
-@pytest.mark.parametrize("command", ["check", "info", "observe"])
+@pytest.mark.parametrize("command", ["check", "observe"])
 def test_names_in_a_bag_do_not_control_the_terminal(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

