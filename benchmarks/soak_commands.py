@@ -42,13 +42,13 @@ observe {bag} --law geometric --ensemble 1 -o {new}
 observe {bag} --law geometric --measurements {measured} --ensemble 1 -o {new}
 compare --figure {model} --duration 0.1 --plot {out.png}
 compare {bag} --csv {out.csv}
-observability {bag} --plot {out.svg}
+check-model {model} {bag} --plot {out.svg}
 identify {bag} --free restitution -o {out}
 plot {bag} -o {out.png}
 smooth {bag} -o {new}
 sweep {model} --duration 0.1 --runs 1 --jobs 1 -o {out.parquet}
 """.strip().splitlines()
-_SLOW = ("identify", "plot", "smooth", "sweep", "observability", "compare")
+_SLOW = ("identify", "plot", "smooth", "sweep", "compare")
 """Commands of seconds, which are tried a tenth as often."""
 _OPTIONS = ("--start", "--duration", "--namespace", "--epoch", "--rate", "--seed", "--model")
 _VALUES = ("0", "-1", "nan", "1e308", "1e-308", "inf", "", "x", "9" * 400, "--", "two_mass", "1")

@@ -21,7 +21,7 @@ from impact_observer.resources import shared
 MINE = "mine\n"
 BESIDE = {
     "identify": ["{bag}", "--free", "restitution", "--plot", "out.png"],
-    "observability": ["{bag}", "--plot", "out.png"],
+    "check-model": ["two_mass", "{bag}", "--plot", "out.png"],
     "detect": [
         "{switch}",
         "--contact",

@@ -12,8 +12,7 @@ OUT = "out"
 """In arguments: the file or folder that the command makes."""
 OFFLINE = {
     "new": ["rig", "--from", "ball"],
-    "check-model": ["two_mass"],
-    "observability": ["{bag}"],
+    "check-model": ["two_mass", "{bag}"],
     "identify": ["{bag}", "--free", "restitution", "--held-back", "0", "-o", "out.yaml"],
     "simulate": ["two_mass", "--duration", "3", "--rate", "100", "-o", OUT],
     "detect": ["{switch}", "--contact", "stop", "--topic", "/switch", "-o", OUT],

@@ -23,8 +23,7 @@ PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
     "new": "copy a commented rig to edit: a model, its sensors, a launch file",
-    "check-model": "what a model means for an observer: modes, contacts, impact law",
-    "observability": "what the impacts in a bag reveal of the state: rank, condition, unknowns",
+    "check-model": "what a model means for an observer, and what the impacts in a bag determine",
     "identify": "estimate a model's parameters from impact times, or check it against them",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of sensors, or in a signal (CSV, WAV)",
@@ -43,6 +42,7 @@ COMMANDS = {
 GONE = {
     "animate": "plot",
     "info": "check",
+    "observability": "check-model MODEL BAG",
     "figure": "compare --figure MODEL --plot FILE",
     "layout": "the files in layouts/",
     "urdf": "a robot has a URDF of its own",

@@ -187,10 +187,10 @@ def groups() -> dict[str, list[str]]:
         "identify bags/switch --free restitution",
     ]
     made["observability"] = [
-        "observability bags/two_mass --json",
-        "observability bags/three_mass --json",
-        "observability bags/ball_on_table --json",
-        "observability golden/version_0_1 --json",
+        "check-model two_mass bags/two_mass --json",
+        "check-model three_mass bags/three_mass --json",
+        "check-model ball_on_table bags/ball_on_table --json",
+        "check-model two_mass golden/version_0_1 --json",
     ]
     made["compare"] = [
         "compare golden/version_0_1 golden/version_0_2 --json --csv metrics.csv",
