@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.events import (
+    Contacts,
+    ImpactEstimate,
+    ImpactEvent,
+    Kind,
+    Remark,
+    Ruling,
+    Verdict,
+)
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import SampleOutcome
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.deviation_sources import VariancePart, variance_parts
@@ -21,7 +30,7 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between, text
+from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -264,6 +273,33 @@ class RunHistory:
             return ()
         start = max(insertion.entry.key.stamp - self._history, timeline.start.stamp)
         return self._issued.complete([((), insertion)], start)[1]
+
+    def impact(self, verdict: Verdict) -> ImpactEstimate | None:
+        """See ``Observer.impact``."""
+        timeline, names = self.timeline, self._names
+        if timeline is None or not {verdict.contact, verdict.hit_contact} <= {*names}:
+            return None
+        reported, hit = names.index(verdict.contact), names.index(verdict.hit_contact)
+        entry, sequence = None, verdict.sequence
+        if verdict.ruling is Ruling.INSERTED:
+            before = timeline.entry_at(verdict.stamp)
+            stamp, contacts = verdict.stamp - before.belief.clock.late, [hit]
+        else:
+            before, entry = timeline.around(verdict.stamp, sequence, reported)
+            if entry is None:
+                return None
+            stamp, kinds = entry.since, entry.key.switches
+            contacts = [hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN]
+        s, prediction = seconds_between(before.since, stamp), self.update.prediction(before)
+        closed = before.closed if entry or (held := prediction.closed(s)) is None else held
+        if hit not in contacts or (entry is None and hit in closed):  # a release
+            return None
+        t, hits = Elapsed(stamp - (self.update.epoch or stamp)), tuple(sorted({*contacts}))
+        change = ContactChange(t, closed, hits, closed, verdict.stamp, sequence, s)
+        after = None if entry is None else entry.belief
+        balance = self.update.law.impact_balance(change, before.belief, prediction, after)
+        own, instant = balance.rows[hits.index(hit)], stamp - from_seconds(balance.early)
+        return ImpactEstimate(instant, names[hit], verdict.ruling, sequence, *own.tolist())
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""
