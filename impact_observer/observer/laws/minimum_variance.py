@@ -242,28 +242,28 @@ class MinimumVariance(Law):
         """The balance of the contacts that hit, with deviations, at the estimated instant.
 
         The state just before is that of the likeliest hypothesis, corrected by the impact. Where
-        no such hypothesis is known, or the model is doubted, the state is the predicted one.
+        the model is doubted, the covariance is the published one. After a restart the state is so,
+        too, and its deviations are at least as large as the gap at the stamp is wrong.
         """
         conditioning, hypotheses = self.filter.conditioning, (after or before).hypotheses
+        state = self._published(before, prediction, change)
         if after is None:
-            joint = conditioning.joint_of_missed(
-                change, self._published(before, prediction, change)
-            )
+            joint = conditioning.joint_of_missed(change, state)
         else:
-            state, clock = _met(change, prediction.belief(change.flown), after), _clock(hypotheses)
-            if state is None:
-                state = self._published(before, prediction, change)
+            clock, prior = _clock(hypotheses), prediction.belief(change.flown)
+            if (met := _met(change, prior, after)) is not None:
+                is_doubted = prior.fit.is_compared or prior.account is not None
+                state = met._replace(root=state.root if is_doubted else met.root)
+            else:
                 z = conditioning.likelihood(change, state, clock).innovations.values()
                 state = state._replace(root=max(1.0, *z) * state.root)
             change = change.from_closed(state.closed)
-            prior = conditioning.joint_prior(change, state, clock)
-            joint = conditioning.joint_posterior(change, prior)
+            early = conditioning.joint_prior(change, state, clock)
+            joint = conditioning.joint_posterior(change, early)
         joint = conditioning.at_jump(change, joint)
         least = self.uncertainty.least_deviations(self.filter.scales.sizes(joint.x))
-        kicks, level = (
-            np.zeros_like(joint.x)[:, None],
-            mean_level(hypotheses, ErrorKind.RESTITUTION),
-        )
+        kicks = np.zeros_like(joint.x)[:, None]
+        level = mean_level(hypotheses, ErrorKind.RESTITUTION)
         if level and self._bank.errors is not None:
             kicks = level * self._bank.errors.kicks(joint.x, change.hit)
         return balance_at(self.filter.members, change, joint, least, kicks[self.system.n :])
@@ -559,15 +559,14 @@ def _best_first(
 def _met(change: ContactChange, before: Belief, after: Belief) -> GaussianState | None:
     """The mixture of the hypotheses before an impact from which the likeliest after it may come.
 
-    None where the likeliest one comes from no other, and where the model is doubted.
+    None where the likeliest one comes from no other.
     """
     event = change.stamp, change.sequence
     notes = [note for note in after.hypotheses[0].ledger.notes if note.event == event]
     missed = sum(note.is_inserted for note in notes)
     is_new = any(note.reason.startswith(RESTART) for note in notes)
-    is_doubted = before.fit.is_compared or before.account is not None
     own = [h for h in before.hypotheses if len(h.ledger.missed) == missed]
-    if not own or is_new or is_doubted or after.clock.late != before.clock.late:
+    if not own or is_new or after.clock.late != before.clock.late:
         return None
     shown = _shown(own, before.fit)
     return mixture([h for h in shown if h.state.closed == shown[0].state.closed])
