@@ -277,29 +277,36 @@ class RunHistory:
     def impact(self, verdict: Verdict) -> ImpactEstimate | None:
         """See ``Observer.impact``."""
         timeline, names = self.timeline, self._names
-        if timeline is None or not {verdict.contact, verdict.hit_contact} <= {*names}:
+        contacts = verdict.contact, verdict.hit_contact
+        if timeline is None or not {*contacts} <= {*names}:
             return None
-        reported, hit = names.index(verdict.contact), names.index(verdict.hit_contact)
-        entry, sequence = None, verdict.sequence
+        reported, hit = map(names.index, contacts)
         if verdict.ruling is Ruling.INSERTED:
-            before = timeline.entry_at(verdict.stamp)
-            stamp, contacts = verdict.stamp - before.belief.clock.late, [hit]
+            before, entry = timeline.entry_at(verdict.stamp), None
+            stamp, hits = verdict.stamp - before.belief.clock.late, {hit}
+            held = self.update.prediction(before).closed(seconds_between(before.since, stamp))
+            closed = before.closed if held is None else held
+        elif (found := timeline.around(verdict.stamp, verdict.sequence, reported)) is not None:
+            before, entry = found
+            stamp, closed, kinds = entry.since, before.closed, entry.key.switches
+            hits = {hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN}
         else:
-            before, entry = timeline.around(verdict.stamp, sequence, reported)
-            if entry is None:
-                return None
-            stamp, kinds = entry.since, entry.key.switches
-            contacts = [hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN]
-        s, prediction = seconds_between(before.since, stamp), self.update.prediction(before)
-        closed = before.closed if entry or (held := prediction.closed(s)) is None else held
-        if hit not in contacts or (entry is None and hit in closed):  # a release
             return None
-        t, hits = Elapsed(stamp - (self.update.epoch or stamp)), tuple(sorted({*contacts}))
-        change = ContactChange(t, closed, hits, closed, verdict.stamp, sequence, s)
-        after = None if entry is None else entry.belief
+        if hit not in hits or (entry is None and hit in closed):  # a release
+            return None
+        change = ContactChange(
+            Elapsed(stamp - (self.update.epoch or stamp)),
+            closed,
+            tuple(sorted(hits)),
+            closed,
+            verdict.stamp,
+            verdict.sequence,
+            seconds_between(before.since, stamp),
+        )
+        after, prediction = None if entry is None else entry.belief, self.update.prediction(before)
         balance = self.update.law.impact_balance(change, before.belief, prediction, after)
-        own, instant = balance.rows[hits.index(hit)], stamp - from_seconds(balance.early)
-        return ImpactEstimate(instant, names[hit], verdict.ruling, sequence, *own.tolist())
+        own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
+        return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""

@@ -342,8 +342,8 @@ class Timeline:
         """The last entry at or before ``stamp`` (ns)."""
         return self.interval(stamp)[0]
 
-    def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry | None]:
-        """The entry before the event of a contact, and that of the event; None if it is unknown.
+    def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry] | None:
+        """The entry before the event of a contact, and that of the event; None if not known.
 
         The event has this ``stamp`` (ns) and ``sequence``.
         """
@@ -352,7 +352,7 @@ class Timeline:
             at -= 1
             if any(i == contact for i, _ in entry.key.switches):
                 return self.entries[at - 1], entry
-        return self.entries[0], None
+        return None
 
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
         """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""

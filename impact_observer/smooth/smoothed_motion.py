@@ -171,11 +171,9 @@ class SmoothedMotion:
                 continue
             joint = arc.filter.conditioning.at_jump(change, self._joint(k))
             least = self._law.uncertainty.least_deviations(self._law.filter.scales.sizes(joint.x))
-            errors = np.zeros((2 * n, 0))  # of velocities after it; a rest has none
-            if not change.closed:
-                errors = arc.left(self.smoothed.path, k).N
-            members, kicks = arc.filter.members, errors[n : 2 * n]
-            balance = balance_at(members, change, joint, least, kicks)
+            # Where contacts rest, the jump has no other error.
+            errors = joint.root[:, :0] if change.closed else arc.left(self.smoothed.path, k).N
+            balance = balance_at(arc.filter.members, change, joint, least, errors[n : 2 * n])
             stamp, sequence = int(self._instants[k]), change.sequence
             ruling = Ruling.INSERTED if moment.is_inserted else Ruling.APPLIED
             for i, own in zip(change.hit, balance.rows.tolist(), strict=True):
