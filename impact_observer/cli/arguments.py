@@ -249,7 +249,12 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     parser.add_argument(
         "--separator",
         choices=("tab", "semicolon", "comma", "blank"),
-        help="of columns (default: the one that fits)",
+        help="of columns (default: the one that makes most rows alike)",
+    )
+    parser.add_argument(
+        "--decimal",
+        choices=("point", "comma"),
+        help="of numbers (default: either, but point where commas separate columns)",
     )
     parser.add_argument(
         "--skip-rows",
@@ -276,6 +281,7 @@ def table_form(args: argparse.Namespace) -> "TableForm":
         time_column=args.time_column,
         sort=args.sort,
         separator=args.separator,
+        decimal=args.decimal,
         skip_rows=args.skip_rows,
         frame_rate=args.frame_rate,
     )
