@@ -23,8 +23,8 @@ from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.signals import read_signal
-from impact_observer.io.table_layout import SEPARATORS, TableForm
 from impact_observer.io.table_times import UNITS
+from impact_observer.io.tables import SEPARATORS, TableForm
 from impact_observer.io.typestores import typestore
 from impact_observer.model import parse_model
 from impact_observer.model.document import load_matrix

@@ -12,7 +12,7 @@ from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 
 if TYPE_CHECKING:
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
 CONVERGENCE = ("ensemble", "agreed")
 """Options on whether an estimate has converged; only ``observe`` offers them."""
@@ -274,7 +274,7 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
 
 def table_form(args: argparse.Namespace) -> "TableForm":
     """The form of a table."""
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
     return TableForm(
         unit=args.time_unit,

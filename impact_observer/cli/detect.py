@@ -139,7 +139,7 @@ def _in_bag(
     from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.errors import UsageError
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
     if table_form(args) != TableForm() or args.time_zero is not None:
         raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")

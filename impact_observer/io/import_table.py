@@ -17,12 +17,11 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
-from impact_observer.io.signals import Signal, later_zero, read_signal, topic_of, zero_of
-from impact_observer.io.table_layout import TableForm, is_number
-from impact_observer.io.tables import Table, read_table
+from impact_observer.io.signals import Signal, check_stamps, read_signal, topic_of, zero_of
+from impact_observer.io.tables import Table, TableForm, is_number, read_table, shown
 from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
-from impact_observer.stamps import MAX_STAMP, text
+from impact_observer.stamps import text
 from impact_observer.states import Vector, frozen
 
 _EXPECTED = "time[, contact[, kind]]"
@@ -167,7 +166,7 @@ def _events(
 ) -> list[ImpactEvent]:
     """The events; ``contacts`` are those of the model, None without a model."""
     rows, lines = len(table.times), table.lines.tolist()
-    _check_stamps(table, start, epoch)
+    check_stamps(table.path, start + table.times, start, epoch)
     names, kinds = (_texts(table, name) for name in _COLUMNS)
     events: list[ImpactEvent] = []
     places = np.split(np.arange(rows), np.flatnonzero(np.diff(table.times)) + 1)
@@ -204,9 +203,9 @@ def _contact(table: Table, line: int, cell: str, contacts: Sequence[str] | None)
         table.wrong(line, f"names no contact; expected {which}{remedy}")
     if contacts is not None and cell not in contacts:
         expected = ", ".join(contacts) or "none"
-        table.wrong(line, f"contact {cell!r} is none of the model's: {expected}")
-    if contacts is None and is_number(cell, decimal_comma=True):
-        table.wrong(line, f"contact {cell!r}: a number found; expected a name")
+        table.wrong(line, f"contact {shown(cell)} is none of the model's: {expected}")
+    if contacts is None and is_number(cell, True):
+        table.wrong(line, f"contact {shown(cell)}: a number found; expected a name")
     return cell
 
 
@@ -214,21 +213,8 @@ def _kind(table: Table, line: int, cell: str) -> Kind:
     """The kind of a switch; an impact if the cell is empty."""
     if cell.lower() not in _KINDS:
         names = ", ".join(kind.name.lower() for kind in Kind)
-        table.wrong(line, f"kind {cell!r} found; expected one of {names}")
+        table.wrong(line, f"kind {shown(cell)} found; expected one of {names}")
     return _KINDS[cell.lower()]
-
-
-def _check_stamps(table: Table, start: int, epoch: int) -> None:
-    """Check that all stamps are ones that a message may have, and none lies before the epoch."""
-    stamps = start + table.times
-    for k in np.flatnonzero((stamps < max(epoch, 1)) | (stamps > MAX_STAMP))[:1]:
-        least = f"{text(epoch)} s, the epoch, or more" if epoch > 0 else "more than 0"
-        table.wrong(
-            int(table.lines[k]),
-            f"the stamp would be {text(int(stamps[k]))} s; expected {least}, at most"
-            f" {text(MAX_STAMP)} s: choose {later_zero(int(table.times[k]))}, the stamp of time 0,"
-            " or --epoch",
-        )
 
 
 def _states(path: Path, form: TableForm, model: Model | None, start: int) -> _Stream:
@@ -239,12 +225,14 @@ def _states(path: Path, form: TableForm, model: Model | None, start: int) -> _St
     columns = [[f"q_{each}", each] for each in names] + [[f"u_{each}"] for each in names]
     expected = ", ".join(["time", *(each[0] for each in columns)])
     table = read_table(path, form, expected, strict=True)
-    _check_stamps(table, start, 0)
+    check_stamps(path, start + table.times, start)
     found = [[name for each in either if (name := table.find(each))] for either in columns]
-    for either, present in zip(columns, found, strict=True):
-        if len(present) != 1:
-            seen = " and ".join(present) or ", ".join(table.cells)
-            table.wrong(table.header, f"columns {seen} found; expected one {' or '.join(either)}")
+    for present in found:
+        if len(present) > 1:
+            table.wrong(table.header, f"columns {' and '.join(present)} found; expected one")
+    if missing := [each[0] for each, present in zip(columns, found, strict=True) if not present]:
+        seen = ", ".join(table.cells)
+        table.wrong(table.header or 1, f"columns {seen} found; {', '.join(missing)} missing")
     values = [_finite(table, present[0]) for present in found]
     make, n = bag_messages(), len(names)
     states = (
@@ -263,7 +251,7 @@ def _finite(table: Table, name: str) -> Vector:
     values = table.numbers(name)
     for k in np.flatnonzero(np.isnan(values))[:1]:
         cell = table.cells[name][k].strip()
-        table.wrong(int(table.lines[k]), f"{name} is {cell!r}; expected a finite number")
+        table.wrong(int(table.lines[k]), f"{name} is {shown(cell)}; expected a finite number")
     return values
 
 

@@ -13,9 +13,8 @@ from impact_observer.errors import UsageError
 from impact_observer.input_files import check_input
 from impact_observer.io.bag_part import BagPart, TimeZero
 from impact_observer.io.bag_topics import SOUND_FILES
-from impact_observer.io.table_layout import TableForm
-from impact_observer.io.tables import Table, left_out, read_table
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
+from impact_observer.io.tables import Table, TableForm, left_out, read_table
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector
 
 _SINCE_1970 = 100_000_000 * NS_PER_S
@@ -94,13 +93,7 @@ def read_signal(path: Path, form: TableForm | None = None, zero: int | None = No
     if len({*signal.topics.values()}) < len(signal.columns):
         problem = f"two columns of one name in {', '.join(signal.columns)}; rename one"
         raise UsageError(f"{path}: {problem}: only letters and digits count")
-    for stamp in (int(signal.stamps[0]), int(signal.stamps[-1])):
-        if not 0 < stamp <= MAX_STAMP:
-            raise UsageError(
-                f"{path}: a stamp would be {text(stamp)} s; expected more than 0, at most"
-                f" {text(MAX_STAMP)} s: choose {later_zero(stamp - signal.zero)}, the stamp of"
-                " time 0"
-            )
+    check_stamps(path, signal.stamps, signal.zero)
     return signal
 
 
@@ -134,17 +127,14 @@ def _lost_digits(table: Table) -> list[str]:
     rows, same = len(table.times), int(np.count_nonzero(steps == 0))
     if same <= _FEW or same * _SHARE <= rows:
         return []
-    remedy = "are their digits lost, as with %g? Write times with more digits, or remove them and"
-    remedy += " say --frame-rate HZ"
-    times, first = rows - same, f"{text(int(table.times[0]))} s"
+    times, span = rows - same, seconds_between(int(table.times[0]), int(table.times[-1]))
+    seen = f"{table.path}: {same} of {rows} rows have the time of the row before"
+    remedy = "write times with more digits, or remove them and say --frame-rate HZ"
     if times * _SHARE <= rows or times == 1:
-        seen = f"only {times} of {rows} times differ, the first is {first}"
-        raise UsageError(f"{table.path}: {seen}; {remedy}")
-    span = float(steps.sum()) / NS_PER_S
-    step = span / (times - 1)
-    seen = f"{same} of {rows} rows have the time of the row before: times change every {step:.3g}"
-    cost = f"rows come every {span / (rows - 1):.3g} s, so stamps are up to {step:.3g} s off"
-    return [f"{table.path}: {seen} s, {cost}; {remedy}"]
+        raise UsageError(f"{seen}: their digits are lost; {remedy}")
+    step, mean = span / (times - 1), span / (rows - 1)
+    found = f"times change every {step:.3g} s, rows come every {mean:.3g} s"
+    return [f"{seen}: {found}, so stamps are up to {step:.3g} s off; {remedy}"]
 
 
 def _sound(path: Path, zero: int) -> Signal:
@@ -200,14 +190,28 @@ def topic_of(column: str) -> str:
     return f"/{name}" if name[:1].isalpha() else f"/column_{name}"
 
 
-def later_zero(time: int) -> str:
-    """The option that makes the stamp at a ``time`` of a file, ns, positive."""
-    if time > 0:
-        return "--time-zero"
-    zero = 10 * NS_PER_S
-    while zero + time <= 0:
-        zero *= 10
-    return f"--time-zero {zero // NS_PER_S}"
+def check_stamps(path: Path, stamps: Stamps, zero: int, epoch: int = 0) -> None:
+    """Check that messages may have the stamps of a file, and that none lies before an epoch.
+
+    Args:
+        path: the file.
+        stamps: ns, ascending.
+        zero: stamp of the file's time zero, ns.
+        epoch: ns; 0 for none.
+
+    Raises:
+        UsageError: names the first or last stamp, and a time zero.
+    """
+    first, last = int(stamps[0]), int(stamps[-1])
+    if max(epoch, 1) <= first and last <= MAX_STAMP:
+        return
+    stamp = last if last > MAX_STAMP else first
+    least = f"{text(epoch)} s, the epoch, or more" if epoch > 0 else "more than 0"
+    remedy = f"--time-zero {1 - (first - zero) // NS_PER_S}" if first < zero else "--time-zero"
+    raise UsageError(
+        f"{path}: a stamp would be {text(stamp)} s; expected {least}, at most {text(MAX_STAMP)} s:"
+        f" choose {remedy}, the stamp of time 0, or --epoch"
+    )
 
 
 def zero_of(first: int, zero: int | None) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times in the cells of tables: units in names of columns, and texts to the nanosecond."""
+"""Times in tables, to the nanosecond: decimals with the unit in their column's name, and dates."""
 
 import re
 from collections.abc import Sequence
@@ -12,16 +12,12 @@ import numpy as np
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
 from impact_observer.states import Stamps, Vector
 
-UNITS = {
-    "s": NS_PER_S,
-    "ms": 10**6,
-    "us": 1000,
-    "ns": 1,
-    "min": 60 * NS_PER_S,
-    "h": 3600 * NS_PER_S,
-}
+UNITS = {"s": NS_PER_S, "ms": 10**6, "us": 1000, "ns": 1, "min": 60 * NS_PER_S}
+UNITS["h"] = 60 * UNITS["min"]
 """Nanoseconds of each unit of time."""
 UNDERSTOOD = "expected s, ms, us, ns, min or h, also in words or with a number, as in (100 ms)"
+NO_TIME = -1 - MAX_STAMP
+"""Stands for a time that could not be read, ns: no stamp is as early."""
 _SPELLINGS = {
     "s": "s sec secs second seconds",
     "ms": "ms msec msecs millis millisec millisecond milliseconds",
@@ -31,29 +27,21 @@ _SPELLINGS = {
     "h": "h hr hrs hour hours",
 }
 _UNIT_OF = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
-_NO_UNITS = {"ticks", "jiffies", "cycles", "counts", "samples", "frames"}
-_DOUBTFUL = {"min", "h", *_NO_UNITS}
+_DOUBTFUL = {"min", "h", "ticks", "jiffies", "cycles", "counts", "samples", "frames"}
 """Last words of a name that may be no unit, or are none of time."""
 _TIME = {"time", "t", "zeit", "uhrzeit", "temps", "heure", "tiempo", "hora"}
-"""Words for time, as European instruments and spreadsheets write them."""
 _DAYS = {"date", "day", "datum", "fecha"}
-_LIKE_TIME = _DAYS - {"day"} | {
-    *("times", "timestamp", "time stamp", "stamp", "elapsed", "elapsed time", "time elapsed"),
-    *("datetime", "date time", "utc", "utc time", "zeitstempel", "x value"),
-}
+_STAMPS = _DAYS | {"times", "timestamp", "time stamp", "stamp", "elapsed", "elapsed time"}
+_STAMPS |= {"time elapsed", "datetime", "date time", "utc", "utc time", "zeitstempel", "x value"}
 _FRAMES = {"frame", "frames", "sample", "samples", "sequence", "index"}
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _AMOUNT = re.compile(r"(\d+(?:[.,]\d+)?)?\s*([^\W\d_]+)\.?")
-_WORDS = re.compile(r"[^\W_]+")
-_HUMPS = re.compile(r"(?<=[a-z])(?=[A-Z])")
-_DAY = (
-    r"(?:(?P<y>\d{4})[-/.](?P<m>\d\d?)[-/.](?P<d>\d\d?)|(?P<D>\d\d?)\.(?P<M>\d\d?)\.(?P<Y>\d{4}))"
+_DATE = re.compile(
+    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4}))"
+    r"(?:(?:T|\s+|,\s*)([\d:.,]+)\s*(Z|UTC|GMT|[+-]\d\d:?\d\d)?)?",
+    re.IGNORECASE,
 )
-_CLOCK = r"(?P<hour>\d{1,4}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,:](?P<part>\d+))?)?"
-_ZONE = r"\s*(?P<zone>Z|UTC|GMT|[+-]\d\d:?\d\d)?"
-_DATE = re.compile(rf"{_DAY}(?:(?:T|\s+|,\s*){_CLOCK}{_ZONE})?", re.IGNORECASE)
-_TIME_OF_DAY = re.compile(_CLOCK)
-_FIRST_DAY = date(1970, 1, 1).toordinal()
+_CLOCK = re.compile(r"(\d{1,4}):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?")
 
 
 class UnknownUnitError(ValueError):
@@ -61,12 +49,10 @@ class UnknownUnitError(ValueError):
 
 
 def unit_named(text: str) -> Fraction | None:
-    """Nanoseconds of a unit such as ``msec``, ``100ms``, ``(µs)`` or ``Seconds``; else None."""
-    match = _AMOUNT.fullmatch(text.strip().strip("()[]").strip())
+    """Nanoseconds of a unit such as ``msec``, ``100ms``, ``µs`` or ``Seconds``; else None."""
+    match = _AMOUNT.fullmatch(text.strip())
     unit = match and _UNIT_OF.get(match[2].lower())
-    if not match or not unit:
-        return None
-    return Fraction((match[1] or "1").replace(",", ".")) * UNITS[unit]
+    return Fraction((match[1] or "1").replace(",", ".")) * UNITS[unit] if match and unit else None
 
 
 def unit_in(name: str) -> Fraction | None:
@@ -76,13 +62,11 @@ def unit_in(name: str) -> Fraction | None:
         UnknownUnitError: there is a unit that is not understood, or a word that may be one.
     """
     bracketed = [text for text in _BRACKETS.findall(name) if text.strip()]
-    units = [unit for text in bracketed if (unit := unit_named(text)) is not None]
-    if bracketed and not units:
-        raise UnknownUnitError(bracketed[-1])
-    last = "" if units else "".join(_words(name)[-1:])
-    if last in _DOUBTFUL:
+    last = bracketed[-1] if bracketed else "".join(_words(name)[-1:])
+    unit = next((unit for each in bracketed if (unit := unit_named(each))), None)
+    if unit is None and (bracketed or last in _DOUBTFUL):
         raise UnknownUnitError(last)
-    return units[0] if units else unit_named(last)
+    return unit or unit_named(last)
 
 
 def unit_words(unit: Fraction) -> str:
@@ -92,33 +76,30 @@ def unit_words(unit: Fraction) -> str:
 
 
 def time_rank(name: str) -> int:
-    """2 for a column called time or t, 1 for other names of times, 0 for all other names."""
+    """2 for a column called time or t, 1 for stamps and units of time, 0 for all other names."""
     words = _words(_BRACKETS.sub("", name))
-    try:
-        unit = unit_in(name)
-    except UnknownUnitError:
-        unit = None
-    if words and (words[-1] in _UNIT_OF if unit else words[-1] in _DOUBTFUL and words[1:]):
+    has_unit = any(unit_named(each) for each in _BRACKETS.findall(name))
+    if words[-1:] and (words[-1] in _UNIT_OF or words[-1] in _DOUBTFUL) and len(name) > len("ms"):
+        has_unit |= not words[1:] and words[-1] not in _DOUBTFUL
         words.pop()
     base = " ".join(words)
-    if base in _TIME:
-        return 2 if unit or name.strip() != "T" else 0  # a capital T alone may be a temperature
-    is_unit = not base and unit is not None and name[0].isalpha() and len(name) > len("ms")
-    return int(base in _LIKE_TIME or is_unit)
+    if base in _TIME and name.strip() != "T":  # which may be a temperature
+        return 2
+    return int(has_unit or (base in _STAMPS and base != "day"))
 
 
 def is_day(name: str) -> bool:
     """Whether a column may hold the day of times of day."""
-    return " ".join(_words(name)) in _DAYS
+    return name.strip().lower() in _DAYS
 
 
 def counts_frames(name: str) -> bool:
     """Whether a column is named as one that counts frames or samples."""
-    return bool(_FRAMES & {*_words(name)[:1]})
+    return "".join(_words(name)[:1]) in _FRAMES
 
 
 def _words(name: str) -> list[str]:
-    return [word.lower() for word in _WORDS.findall(_HUMPS.sub(" ", name))]
+    return re.findall(r"[^\W_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
 def ns_of_date(text: str) -> int | None:
@@ -126,52 +107,48 @@ def ns_of_date(text: str) -> int | None:
     match = _DATE.fullmatch(text.strip())
     if match is None:
         return None
-    year, month, day = (int(match[a] or match[b]) for a, b in ("yY", "mM", "dD"))
+    y, m, d, d_of_dmy, m_of_dmy, y_of_dmy, clock, zone = match.groups()
+    since_midnight = _ns_of_clock(clock or "0:00")
     try:
-        days = date(year, month, day).toordinal() - _FIRST_DAY
+        day = date(int(y or y_of_dmy), int(m or m_of_dmy), int(d or d_of_dmy)).toordinal()
     except ValueError:
         return None
-    zone = match["zone"] or ""
-    minutes = int(zone[1:3]) * 60 + int(zone[-2:]) if zone[:1] in {"+", "-"} else 0
-    minutes *= -1 if zone[:1] == "-" else 1
-    return (days * 24 * 60 - minutes) * 60 * NS_PER_S + _since_midnight(match)
+    east = 0
+    if zone and zone[0] in "+-":
+        east = int(zone[0] + "1") * (int(zone[1:3]) * 60 + int(zone[-2:])) * UNITS["min"]
+    days = (day - date(1970, 1, 1).toordinal()) * 24 * UNITS["h"]
+    return None if since_midnight is None else days + since_midnight - east
 
 
 def ns_of_clock(text: str) -> int | None:
     """Nanoseconds of ``h:mm:ss`` with any number of decimals; None for another text."""
-    match = _TIME_OF_DAY.fullmatch(text.strip())
-    return _since_midnight(match) if match is not None and match["second"] else None
+    return _ns_of_clock(text) if text.count(":") > 1 else None
+
+
+def _ns_of_clock(text: str) -> int | None:
+    match = _CLOCK.fullmatch(text.strip())
+    if match is None:
+        return None
+    hours, minutes, seconds, part = match.groups("0")
+    whole = int(hours) * UNITS["h"] + int(minutes) * UNITS["min"] + int(seconds) * NS_PER_S
+    return whole + round(Decimal(f"0.{part}") * NS_PER_S)
 
 
 def is_dated(text: str) -> bool:
     """Whether a text is a date, with or without a time, or a time of day."""
-    return ns_of_date(text) is not None or ns_of_clock(text) is not None
-
-
-def _since_midnight(match: re.Match[str]) -> int:
-    whole = (int(match["hour"] or 0) * 60 + int(match["minute"] or 0)) * 60
-    part = round(Decimal(f"0.{match['part'] or 0}") * NS_PER_S)
-    return (whole + int(match["second"] or 0)) * NS_PER_S + part
+    return ns_of_clock(text) is not None or ns_of_date(text) is not None
 
 
 def ns_of_numbers(cells: Sequence[str], values: Vector, unit: Fraction) -> Stamps:
-    """Times in a unit (ns), rounded to the nanosecond once; -1 - MAX_STAMP where there is none.
+    """Times in a unit (ns), each rounded to the nanosecond once; NO_TIME where there is none.
 
     Args:
         cells: decimals, with a point.
-        values: the same as floats, which only say where there is a number that is not too large.
+        values: the same as floats, which say where there is a number that is not too large.
         unit: ns.
     """
+    times = np.full(len(cells), NO_TIME, dtype=np.int64)
+    fits = np.flatnonzero(np.abs(values) <= MAX_STAMP / float(unit))  # no NaN does
     scale, divisor = Decimal(unit.numerator), unit.denominator
-    fits = np.abs(values) * float(unit) <= MAX_STAMP  # no NaN does
-    return np.array(
-        [
-            round(Decimal(cell) * scale / divisor) if good else NO_TIME
-            for cell, good in zip(cells, fits.tolist(), strict=True)
-        ],
-        dtype=np.int64,
-    )
-
-
-NO_TIME = -1 - MAX_STAMP
-"""Stands for a time that could not be read, ns: no stamp is as early."""
+    times[fits] = [round(Decimal(cells[k]) * scale / divisor) for k in fits.tolist()]
+    return times

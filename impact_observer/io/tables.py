@@ -5,14 +5,16 @@ A table is read whole into arrays. Its cells are read as text, so that no digit 
 Where two readings are possible, an error names the option that decides.
 """
 
+import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from io import StringIO
 from itertools import islice, repeat
 from pathlib import Path
+from textwrap import shorten
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -20,22 +22,13 @@ from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.input_files import open_input
-from impact_observer.io.table_layout import (
-    NO_NUMBERS,
-    Layout,
-    TableForm,
-    content,
-    find_layout,
-    is_number,
-    shown,
-    wrong,
-)
 from impact_observer.io.table_times import (
     NO_TIME,
     UNDERSTOOD,
     UNITS,
     UnknownUnitError,
     counts_frames,
+    is_dated,
     is_day,
     ns_of_clock,
     ns_of_date,
@@ -48,12 +41,49 @@ from impact_observer.io.table_times import (
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
-Texts = NDArray[np.object_]
+SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
+"""What separates columns, by name."""
+_NONE = "\x1f"
+"""A separator that stands in no table: each row is one cell."""
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,6})?", re.IGNORECASE)
+_WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:e[+-]?\d{1,6})?", re.IGNORECASE)
+_TO_BE_SPLIT = re.compile(r"[+-]?\.?\d.*[\s;,]")
+_NO_NUMBERS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞"}
+"""Texts of cells without a number that programs write into columns of numbers."""
+_NOTHING = " \t,;\x1a"
+"""Characters of lines without content."""
+_COMMENTS = "#\\"
+"""First characters of comments, and of the frequencies among the labels of Audacity."""
 _NO_TEXT = re.compile(rb"[\x01-\x08\x0e-\x19\x1c-\x1f]")
 _SAMPLE = 1000
-"""First filled cells that show whether a column has numbers."""
+"""First rows, or filled cells of a column, that show how a table is written."""
 _LAST, _FEW = 20, 3
 """How many rows are compared with a last one that may be cut, at most and at least."""
+_SHOWN = 60
+"""Letters of a cell in an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableForm:
+    """Options for reading a table; None, 0 and False leave the choice to the table.
+
+    Attributes:
+        unit: of time, a key of ``UNITS``; None for that in the header, else seconds.
+        time_column: name of the column of time; None for one that is called a time.
+        sort: whether rows may stand in any order.
+        separator: of columns, a key of ``SEPARATORS``.
+        decimal: ``point`` or ``comma``; None for either, where no commas separate columns.
+        skip_rows: lines at the beginning that are not read.
+        frame_rate: of the frames that a column, or the rows, count, Hz.
+    """
+
+    unit: str | None = None
+    time_column: str | None = None
+    sort: bool = False
+    separator: str | None = None
+    decimal: str | None = None
+    skip_rows: int = 0
+    frame_rate: Fraction | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +94,8 @@ class Table:
         path: the file.
         times: ns after the file's time zero, ascending, shape (rows,).
         lines: where the rows stand in the file, from 1, shape (rows,).
-        cells: texts by the name of a column, each of shape (rows,), without columns of time.
-            Names that stand in the header twice have ``.1`` and ``.2`` at their ends.
+        cells: texts by the name of a column, each of shape (rows,), without columns of time. Names
+            that stand in the header twice have ``.1`` and ``.2`` at their ends.
         header: line of the header; 0 without a header.
         words: how times were read, such as ``times in ms``.
         is_counted: whether times are those of frames or rows at a constant rate.
@@ -76,7 +106,7 @@ class Table:
     path: Path
     times: Stamps
     lines: NDArray[np.int64]
-    cells: Mapping[str, Texts]
+    cells: Mapping[str, NDArray[np.object_]]
     header: int
     words: str
     is_counted: bool
@@ -84,7 +114,7 @@ class Table:
     remarks: tuple[str, ...]
 
     def find(self, name: str) -> str | None:
-        """The column of a name, which may have other capitals there; None without the column.
+        """The column of a name, which may have other capitals; None without the column.
 
         Raises:
             UsageError: two columns have the name.
@@ -96,17 +126,15 @@ class Table:
 
     def numbers(self, name: str) -> Vector:
         """The numbers in a column, shape (rows,); NaN where a cell has no finite number."""
-        return _floats(self.cells[name].tolist(), decimal_comma=self.decimal_comma)
+        return _floats(_with_points(self.cells[name].tolist(), self.decimal_comma))
 
     def columns_of_numbers(self) -> list[str]:
         """Names of the columns of which most of the first filled cells are numbers."""
         return [name for name, cells in self.cells.items() if self._are_numbers(cells)]
 
-    def _are_numbers(self, cells: Texts) -> bool:
-        filled = (cell.strip() for cell in cells if cell.strip().lower() not in NO_NUMBERS)
-        known = [
-            is_number(each, decimal_comma=self.decimal_comma) for each in islice(filled, _SAMPLE)
-        ]
+    def _are_numbers(self, cells: NDArray[np.object_]) -> bool:
+        filled = (cell.strip() for cell in cells if cell.strip().lower() not in _NO_NUMBERS)
+        known = [is_number(each, self.decimal_comma) for each in islice(filled, _SAMPLE)]
         return 2 * sum(known) > len(known)
 
     def omission(self, name: str, values: Vector) -> str:
@@ -121,12 +149,7 @@ class Table:
 
     def wrong(self, line: int, problem: str) -> NoReturn:
         """Raise the error of a line."""
-        wrong(self.path, line, problem)
-
-
-def left_out(what: str, count: int, total: int) -> str:
-    """Words for what is left out: its count and its part of a total."""
-    return f"{count} of {total} {what} left out ({100 * count / total:.2g} %)"
+        raise UsageError(f"{self.path}, line {line}: {problem}")
 
 
 def read_table(path: Path, form: TableForm, expected: str, *, strict: bool = False) -> Table:
@@ -142,263 +165,402 @@ def read_table(path: Path, form: TableForm, expected: str, *, strict: bool = Fal
     Raises:
         UsageError: names the file, the line, what was found, and what is expected.
     """
-    lines, remarks = _lines(path)
-    layout = find_layout(path, lines, form, expected, strict=strict)
-    rows = _rows(path, lines, layout)
-    names = _told_apart(layout.names)
-    times = _times(path, layout, rows, names, form, strict=strict)
-    lost = _lost(path, lines, rows, times, strict=strict)
-    if lost:
-        first, total = min(lost), len(rows.lines) + len(rows.cut)
-        what = left_out("rows", len(lost), total)
-        remarks.append(f"{what}, the first in line {first}: {lost[first]}")
-        if 2 * len(lost) > total:
-            wrong(path, first, f"{lost[first]}; {len(lost)} of {total} rows cannot be read")
-    kept = np.flatnonzero(~np.isin(rows.lines, [*lost]))
-    order = _order(path, times, rows.lines, kept, sort=form.sort)
-    return Table(
-        path=path,
-        times=times.ns[order],
-        lines=rows.lines[order],
-        cells={
-            name: rows.cells[k][order]
-            for k, name in enumerate(names)
-            if name and k not in times.places
-        },
-        header=layout.header,
-        words=times.words,
-        is_counted=times.is_counted,
-        decimal_comma=layout.decimal_comma,
-        remarks=tuple(f"{path}: {each}" for each in remarks),
-    )
+    return _Reader(path, form, strict=strict).table(expected)
 
 
-def _lines(path: Path) -> tuple[list[str], list[str]]:
-    """The lines of a file, and remarks on how they are encoded."""
-    with open_input(path) as file:
-        data = file.read()
-    is_wide = data[:2] in {b"\xff\xfe", b"\xfe\xff"}
-    if not is_wide and (_NO_TEXT.search(data[:4096]) or data[:1] == b"\0"):
-        remedy = "save it as CSV UTF-8; a sound (WAV) is for impact-observer detect"
-        raise UsageError(f"{path}: is no text; {remedy}")
-    remarks = []
-    try:
-        decoded = data.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        decoded = data.decode("cp1252", "replace")
-        remarks.append("is no text in UTF-8; read as Windows-1252")
-    return decoded.replace("\r\n", "\n").replace("\r", "\n").split("\n"), remarks
+def is_number(cell: str, decimal_comma: bool) -> bool:
+    """Whether a cell is a decimal number."""
+    return bool(_NUMBER.fullmatch(cell) or (decimal_comma and _WITH_COMMA.fullmatch(cell)))
 
 
-class _TextRows(NamedTuple):
-    """The rows of a table as text.
-
-    Attributes:
-        lines: where they stand, from 1, shape (rows,).
-        cells: of each column, each of shape (rows,); empty where a row does not reach the column.
-        cut: why other lines are left out, by their numbers.
-        extra: what is wrong with rows that have more cells than the header, by their lines.
-    """
-
-    lines: NDArray[np.int64]
-    cells: list[Texts]
-    cut: dict[int, str]
-    extra: dict[int, str]
+def left_out(what: str, count: int, total: int) -> str:
+    """Words for what is left out: its count and its part of a total."""
+    return f"{count} of {total} {what} left out ({100 * count / total:.2g} %)"
 
 
-def _rows(path: Path, lines: Sequence[str], layout: Layout) -> _TextRows:
-    """Split all rows."""
-    import pandas as pd  # noqa: PLC0415 (takes a third of a second)
+def shown(cell: str) -> str:
+    """A cell or line for an error."""
+    return repr(cell if len(cell) <= _SHOWN else f"{cell[:_SHOWN]}...")
 
-    numbers = [*content(lines, layout.first)]
-    nul = "NUL bytes, as a loss of power leaves them"
-    cut = {k: nul for k in numbers if "\0" in lines[k - 1]}
-    if lines[-1] and _is_cut([lines[k - 1] for k in numbers[-_LAST:]], layout):
-        cut[numbers[-1]] = f"{shown(lines[-1])} is cut: the file ends in it"
-    numbers = [k for k in numbers if k not in cut]
-    texts, mark, known = [lines[k - 1] for k in numbers], layout.mark, len(layout.names)
+
+class _Reading(NamedTuple):
+    """The first rows of a table if columns are separated by a mark."""
+
+    mark: str
+    decimal_comma: bool
+    rows: list[list[str]]
+    places: tuple[int, ...]
+    """Of the numbers and dates in most rows."""
+    alike: int
+    """How many rows have numbers and dates in just these places."""
+
+    @classmethod
+    def of(cls, lines: Sequence[str], mark: str, decimal: str | None) -> "_Reading":
+        """Split the lines."""
+        comma = decimal == "comma" or (decimal is None and mark != ",")
+        rows = [_split(line, mark) for line in lines]
+        groups = Counter(places for row in rows if (places := _places(row, comma)))
+        ((places, alike),) = groups.most_common(1) or [((), 0)]
+        return cls(mark, comma, rows, places, alike)
+
+    def has_columns(self) -> bool:
+        """Whether a row that is like most rows has several cells."""
+        return any(len(r) > 1 for r in self.rows if _places(r, self.decimal_comma) == self.places)
+
+    def first(self) -> int:
+        """Which row is the first one of numbers; some of them may be missing there."""
+        k = [_places(row, self.decimal_comma) for row in self.rows].index(self.places)
+        while k and self._is_incomplete(self.rows[k - 1]):
+            k -= 1
+        return k
+
+    def _is_incomplete(self, row: Sequence[str]) -> bool:
+        found = {*_places(row, self.decimal_comma)}
+        missing = [row[k].lower() for k in self.places if k < len(row) and k not in found]
+        return bool(found & {*self.places}) and _NO_NUMBERS.issuperset(missing)
+
+
+def _split(line: str, mark: str) -> list[str]:
+    """The cells of a line, without blanks around them; none if quotes are not closed."""
     if mark == " ":
-        most = max((len(each.split()) for each in texts), default=0)
-    else:
-        most = max(map(str.count, texts, repeat(mark)), default=0) + 1
-    width = max(most, known)
+        line = " ".join(line.split())
+        line = line if '"' in line else re.sub(r" (?=[\[(])", "_", line)  # time (s)
     try:
-        frame = pd.read_csv(
-            StringIO("\n".join(texts)),
-            sep=r"\s+" if mark == " " else mark,
-            header=None,
-            names=range(width),
-            index_col=False,
-            dtype=object,
-            na_filter=False,
-            skip_blank_lines=False,
-            skipinitialspace=True,
+        row = next(csv.reader([line], delimiter=mark, strict=True, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+    return [cell.strip() for cell in row]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    """The cells without empty ones at the end."""
+    return cells[: max((k for k, cell in enumerate(cells, 1) if cell), default=0)]
+
+
+def _places(cells: Sequence[str], decimal_comma: bool) -> tuple[int, ...]:
+    """Places of the numbers and dates in a row; none if a cell should be split further."""
+    known = [is_number(cell, decimal_comma) or is_dated(cell) for cell in cells]
+    if any(_TO_BE_SPLIT.match(c) for c, good in zip(cells, known, strict=True) if not good):
+        return ()
+    return tuple(k for k, good in enumerate(known) if good)
+
+
+class _Reader:
+    """Reads a table step by step; :meth:`table` has the order of the steps."""
+
+    header: int
+    """Line of the header; 0 without a header."""
+    names: list[str]
+    """Of the columns, as they stand there."""
+    start, step = 0, Fraction(0)
+    """Of the times of frames and rows, ns."""
+    is_dated: bool
+    is_clock: bool
+    """Whether times are dates, or times of day without a date."""
+
+    def __init__(self, path: Path, form: TableForm, *, strict: bool) -> None:
+        """Read the lines of the file."""
+        self.path, self.form, self.strict = path, form, strict
+        self.remarks: list[str] = []
+        self.lost: dict[int, str] = {}  # why lines are left out, by their numbers
+        self.bad: dict[int, str] = {}  # of these: an error in a strict table
+        with open_input(path) as file:
+            data = file.read()
+        is_wide = data[:2] in {b"\xff\xfe", b"\xfe\xff"}
+        if not is_wide and (_NO_TEXT.search(data[:4096]) or data[:1] == b"\0"):
+            remedy = "save it as CSV UTF-8; a sound (WAV) is for impact-observer detect"
+            raise UsageError(f"{path}: is no text; {remedy}")
+        try:
+            decoded = data.decode("utf-16" if is_wide else "utf-8-sig")
+        except UnicodeDecodeError:
+            decoded = data.decode("cp1252", "replace")
+            self.remarks.append("is no text in UTF-8; read as Windows-1252")
+        self.lines = decoded.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+    def table(self, expected: str) -> Table:
+        """The table, as of :func:`read_table`."""
+        self.find_rows(expected)
+        self.find_names()
+        self.split_rows()
+        times = self.read_times()
+        self.leave_out(times)
+        kept = np.flatnonzero(~np.isin(self.rows, [*self.lost]))
+        kept = kept[self.order(times[kept], self.rows[kept])]
+        return Table(
+            path=self.path,
+            times=times[kept],
+            lines=self.rows[kept],
+            cells={name: cells[kept] for name, cells in self.columns.items()},
+            header=self.header,
+            words=self.words,
+            is_counted=bool(self.step),
+            decimal_comma=self.reading.decimal_comma,
+            remarks=tuple(f"{self.path}: {each}" for each in self.remarks),
         )
-    except pd.errors.ParserError:
-        frame = pd.DataFrame()
-    if len(frame) != len(texts):
-        odd = next((k for k in numbers if lines[k - 1].count('"') % 2), layout.first)
-        wrong(path, odd, "a quotation mark is not closed")
-    extra = {}
-    for k in range(known, width):
-        for row in np.flatnonzero(frame[k] != ""):
-            extra[numbers[row]] = f"{k + 1} columns found; the header has {known}"
-    cells = [frame[k].to_numpy(object) for k in range(known)]
-    return _TextRows(np.array(numbers, dtype=np.int64), cells, cut, extra)
 
+    def wrong(self, line: int, problem: str) -> NoReturn:
+        """Raise the error of a line."""
+        raise UsageError(f"{self.path}, line {line}: {problem}")
 
-def _is_cut(lines: Sequence[str], layout: Layout) -> bool:
-    """Whether the last line ends earlier than those before, which have equally many decimals."""
-    point = "[.,]" if layout.decimal_comma else "[.]"
-    tails = [re.search(rf"{point}(\d[\deE+-]*)$", line.rstrip()) for line in lines]
-    *before, last = (len(tail[1]) if tail else 0 for tail in tails)
-    return len(before) >= _FEW and len({*before}) == 1 and last < before[0]
+    def content(self, first: int) -> Iterator[int]:
+        """Numbers of the lines from ``first`` on that are neither empty nor comments."""
+        numbered = enumerate(islice(self.lines, first - 1, None), first)
+        return (k for k, line in numbered if line.strip(_NOTHING) and line[0] not in _COMMENTS)
 
+    def above(self, line: int) -> int:
+        """Number of the last line above a line that is not empty; 0 for none."""
+        numbers = range(line - 1, self.form.skip_rows, -1)
+        return next((k for k in numbers if self.lines[k - 1].strip(_NOTHING)), 0)
 
-class _Times(NamedTuple):
-    """The times of rows.
+    def find_rows(self, expected: str) -> None:
+        """Find the reading with most rows that are alike, and the first row."""
+        sample = [*islice(self.content(self.form.skip_rows + 1), _SAMPLE)]
+        lines, decimal = [self.lines[k - 1] for k in sample], self.form.decimal
+        marks = [*"\t;,", _NONE, " "]  # of equally good ones the first is taken
+        if self.form.separator is not None:
+            marks = [SEPARATORS[self.form.separator]]
+        elif decimal == "comma":
+            marks.remove(",")
+        found = [_Reading.of(lines, mark, decimal) for mark in marks]
+        if len(marks) > 1:
+            found = [each for each in found if each.mark == _NONE or each.has_columns()]
+        best = max(found, key=lambda each: each.alike)
+        if not best.alike:
+            options = "; --separator and --decimal say how it is written" if sample else ""
+            raise UsageError(f"{self.path}: holds no row of numbers; expected {expected}{options}")
+        self.reading, self.first = best, sample[best.first()]
+        as_good = {each.mark for each in found if each.alike == best.alike}
+        if best.mark == "," and _NONE in as_good:
+            self.check_commas()
 
-    Attributes:
-        ns: times, ns; NO_TIME where there is none, shape (rows,).
-        texts: that were read, one of each row.
-        places: of the columns of times and days.
-        words: how times are read.
-        expected: form of a text.
-        remedy: what helps where a clock steps back and the rows must not be sorted.
-        is_counted: whether times are those of frames or rows.
-        can_sort: whether rows may stand in any order if the user says so.
-    """
+    def check_commas(self) -> None:
+        """Check that a line above the rows shows that commas stand between columns."""
+        above = self.above(self.first)
+        if not above or "," not in self.lines[above - 1]:
+            row = shown(self.lines[self.first - 1])
+            problem = f"{row} is two columns, or one with a decimal comma"
+            self.wrong(self.first, f"{problem}; expected --separator comma or --decimal comma")
 
-    ns: Stamps
-    texts: list[str]
-    places: list[int]
-    words: str
-    expected: str = "a time as a decimal number"
-    remedy: str = "--sort would swap the rows before and after the step, so mend the times"
-    is_counted: bool = False
-    can_sort: bool = True
+    def find_names(self) -> None:
+        """Find the header: the last line above the rows that names a time or has as many cells.
 
+        A row of units may be below the names.
+        """
+        line, cells = self.first, list[str]()
+        while line := self.above(line):
+            cells = self.cells_above(line)
+            has_time = any(time_rank(each) or each == self.form.time_column for each in cells)
+            is_long = len(cells) > self.reading.places[-1] and self.lines[line - 1][0] != "#"
+            if has_time or is_long:
+                break
+        self.header, self.names = line, cells if line else self.made_up_names()
+        above = self.above(line) if line else 0
+        cells, upper = _trimmed(cells), _trimmed(self.cells_above(above) if above else [])
+        if not above or len(upper) != len(cells):
+            return
+        pairs = [*zip(upper, cells, strict=True)]
+        if {"Start", "Increment"} <= {*upper}:  # of Rigol
+            start, step = (cells[upper.index(each)] for each in ("Start", "Increment"))
+            if not (_NUMBER.fullmatch(start) and _NUMBER.fullmatch(step) and float(step)):
+                self.wrong(line, "no start and increment of the times; expected numbers")
+            self.start, self.step = round(Fraction(start) * NS_PER_S), Fraction(step) * NS_PER_S
+            self.names = [cells[0], *upper[1 : upper.index("Start")]]
+        elif all(re.fullmatch(r"[\[(].*[\])]|", each) for each in cells):
+            self.names = [f"{name} {unit}".strip() for name, unit in pairs]
+        elif any(map(unit_named, cells)) and max(map(time_rank, cells)) < 2:
+            self.names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
 
-def _times(
-    path: Path, layout: Layout, rows: _TextRows, names: list[str], form: TableForm, *, strict: bool
-) -> _Times:
-    """The times of rows, in the form of the first one."""
-    places = _places_of_time(path, layout, rows, names, form, strict=strict)
-    counts = not places or form.time_column or counts_frames(layout.names[places[0]])
-    step = NS_PER_S / form.frame_rate if form.frame_rate and counts else layout.step
-    texts = [str(k) for k in range(len(rows.lines))]
-    if places:
-        texts = [each.strip() for each in rows.cells[places[0]]]
-    if step:
-        words = f"times of {'frames' if places else 'rows'} at {float(NS_PER_S / step):.10g} Hz"
-        ns = _scaled(texts, step, layout)
-        ns = np.where(ns == NO_TIME, ns, ns + layout.start)
-        return _Times(ns, texts, places, words, is_counted=True)
-    first = next((each for each in texts if each.lower() not in NO_NUMBERS), "")
-    if ns_of_clock(first) is None and ns_of_date(first) is None:
-        unit = _unit(path, layout, places[0], form)
-        ns, words = _scaled(texts, unit, layout), f"times in {unit_words(unit)}"
-        return _Times(ns, texts, places, words)
-    if form.unit is not None:
-        option = f"--time-unit {form.unit}"
-        wrong(path, layout.header or layout.first, f"{option} given for dates; leave it out")
-    days = [k for k, name in enumerate(layout.names) if is_day(name) and k not in places]
-    if ns_of_date(first) is None and not days:
-        ns = _each(ns_of_clock, texts)
-        remedy = "times of day need a date where they pass midnight"
-        words, expected = "times as h:min:s", "a time as h:min:s"
-        return _Times(ns, texts, places, words, expected, remedy, can_sort=False)
-    if ns_of_date(first) is None:
-        texts = [f"{a.strip()} {b}" for a, b in zip(rows.cells[days[0]], texts, strict=True)]
-        places = [*places, days[0]]
-    expected = "a time as a date, YYYY-MM-DD h:min:s or DD.MM.YYYY h:min:s"
-    remedy = "dates need a zone, such as +01:00, where summer time ends"
-    ns = _each(ns_of_date, texts)
-    return _Times(ns, texts, places, "times as dates in UTC", expected, remedy)
+    def cells_above(self, line: int) -> list[str]:
+        """The cells of a line above the rows, without a ``#`` before them."""
+        return _split(self.lines[line - 1].lstrip("#"), self.reading.mark)
 
+    def made_up_names(self) -> list[str]:
+        """Names of columns without a header: the first one of numbers is the time.
 
-def _places_of_time(
-    path: Path, layout: Layout, rows: _TextRows, names: list[str], form: TableForm, *, strict: bool
-) -> list[int]:
-    """Places of the columns of time, which are alike; none where rows are counted."""
-    line, listed = layout.header or layout.first, ", ".join(filter(None, names))
-    if layout.step:
-        return [0]
-    if form.time_column is not None:
-        pairs = zip(layout.names, names, strict=True)
-        places = [k for k, pair in enumerate(pairs) if form.time_column in pair]
-        if not places:
-            wrong(path, line, f"{listed} found; expected a column {form.time_column}")
-    else:
-        frames = [k for k, name in enumerate(layout.names) if counts_frames(name)]
-        if form.frame_rate is not None and len(frames) == 1:
-            return frames
-        units = layout.units + [""] * len(names)
-        ranks = [
-            max(time_rank(a), time_rank(b)) for a, b in zip(layout.names, units, strict=False)
-        ]
+        In a strict table the first one without numbers is the contact, and the next one the kind.
+        """
+        places, width = self.reading.places, max(map(len, self.reading.rows))
+        kept = range(width) if self.strict else places
+        names = [f"column{k + 1}" if k in kept else "" for k in range(width)]
+        values = [*places]
+        if self.form.frame_rate is None or self.strict:
+            names[values.pop(0)] = "time"
+        if len(values) == 1:
+            names[values[0]] = "value"
+        words = [k for k in range(places[0], width) if k not in places]
+        if words and self.strict:
+            names[words[0] : words[0] + 2] = ["contact", "kind"][: width - words[0]]
+        return names
+
+    def split_rows(self) -> None:
+        """Split the rows: ``rows`` are their lines, ``cells`` the texts of each named column."""
+        import pandas as pd  # noqa: PLC0415 (takes a third of a second)
+
+        numbers = [*self.content(self.first)]
+        if self.lines[-1] and self.is_cut(numbers):
+            self.lost[numbers[-1]] = f"{shown(self.lines[-1])} is cut: the file ends in it"
+        for line in numbers:
+            if "\0" in self.lines[line - 1]:
+                self.lost[line] = "NUL bytes, as a loss of power leaves them"
+        numbers = [line for line in numbers if line not in self.lost]
+        if not numbers:
+            self.wrong(self.first, self.lost[self.first])
+        lines, mark = [self.lines[line - 1] for line in numbers], self.reading.mark
+        if mark == " ":
+            lines, mark = [_NONE.join(line.split()) for line in lines], _NONE
+        known = len(self.names)
+        width = max(known, *map(str.count, lines, repeat(mark))) + 1
+        try:
+            frame = pd.read_csv(
+                StringIO("\n".join(lines)),
+                sep=mark,
+                header=None,
+                names=range(width),
+                index_col=False,
+                dtype=object,
+                na_filter=False,
+                skip_blank_lines=False,
+                skipinitialspace=True,
+            )
+        except ValueError:
+            frame = pd.DataFrame()
+        if len(frame) != len(lines):
+            odd = (line for line in numbers if self.lines[line - 1].count('"') % 2)
+            self.wrong(next(odd, self.first), "a quotation mark is not closed")
+        self.rows = np.array(numbers, dtype=np.int64)
+        self.cells = [frame[k].to_numpy(object) for k in range(known)]
+        for k in range(known, width):
+            for row in np.flatnonzero(frame[k] != ""):
+                self.bad[numbers[row]] = f"{k + 1} columns found; the header has {known}"
+
+    def is_cut(self, numbers: Sequence[int]) -> bool:
+        """Whether the last line ends earlier than those before, of equally many decimals."""
+        decimals = r"[.,](\d[\deE+-]*)$" if self.reading.decimal_comma else r"[.](\d[\deE+-]*)$"
+        lines = (self.lines[line - 1].rstrip() for line in numbers[-_LAST:])
+        *before, last = (len("".join(re.findall(decimals, line))) for line in lines)
+        return len(before) >= _FEW and len({*before}) == 1 and last < before[0]
+
+    def read_times(self) -> Stamps:
+        """Times of the rows, ns; NO_TIME where there is none. All other columns get names."""
+        places, rate = self.places_of_time(), self.form.frame_rate
+        if rate and (not places or self.form.time_column or counts_frames(self.names[places[0]])):
+            self.step = NS_PER_S / rate
+        texts = [str(k) for k in range(len(self.rows))]
+        if places:
+            texts = [each.strip() for each in self.cells[places[0]]]
+        first = next((each for each in texts if each.lower() not in _NO_NUMBERS), "")
+        self.is_clock = not self.step and ns_of_clock(first) is not None
+        self.is_dated = not self.step and ns_of_date(first) is not None
+        days = [k for k, name in enumerate(self.names) if self.is_clock and is_day(name)]
+        if days:
+            texts = [f"{a.strip()} {b}" for a, b in zip(self.cells[days[0]], texts, strict=True)]
+            self.is_dated, self.is_clock = True, False
+        self.texts, self.columns = (
+            texts,
+            {
+                name: self.cells[k]
+                for k, name in enumerate(_told_apart(self.names))
+                if name and k not in (*places, *days)
+            },
+        )
+        if self.is_dated or self.is_clock:
+            if self.form.unit is not None:
+                problem = f"--time-unit {self.form.unit} given for dates; leave it out"
+                self.wrong(self.header or self.first, problem)
+            self.words = "times as dates in UTC" if self.is_dated else "times as h:min:s"
+            read = map(ns_of_date if self.is_dated else ns_of_clock, texts)
+            known = [NO_TIME if t is None or abs(t) > MAX_STAMP else t for t in read]
+            return np.array(known, dtype=np.int64)
+        unit = self.step or self.unit(self.names[places[0]])
+        self.words = f"times in {unit_words(unit)}"
+        if self.step:
+            what = "frames" if places else "rows"
+            self.words = f"times of {what} at {float(NS_PER_S / unit):.10g} Hz"
+        texts = _with_points(texts, self.reading.decimal_comma)
+        times = ns_of_numbers(texts, _floats(texts), unit)
+        return np.where(times == NO_TIME, times, times + self.start)
+
+    def places_of_time(self) -> list[int]:
+        """Places of the columns of time, which are alike; none where rows are counted."""
+        given, told = self.form.time_column, _told_apart(self.names)
+        ranks = [time_rank(name) for name in self.names]
         places = [k for k, rank in enumerate(ranks) if rank and rank == max(ranks)]
-    if any((rows.cells[k] != rows.cells[places[0]]).any() for k in places[1:]):
-        both = ", ".join(names[k] for k in places)
-        wrong(path, line, f"two columns of time, {both}; expected one: --time-column NAME")
-    if not places and (form.frame_rate is None or strict):
-        remedy = "--time-column NAME, --frame-rate HZ for numbers of frames, or --skip-rows N"
-        wrong(path, line, f"no column of time in {listed}; expected {remedy}")
-    return places
+        if given is not None:
+            places = [k for k, name in enumerate(told) if given in (name, self.names[k])]
+        elif self.step or self.form.frame_rate:
+            frames = [k for k, name in enumerate(self.names) if counts_frames(name)]
+            places = frames if len(frames) == 1 else places
+        listed = ", ".join(told[k] for k in places or range(len(told)))
+        listed, line = shorten(listed, 5 * _SHOWN, placeholder=" ..."), self.header
+        if any((self.cells[k] != self.cells[places[0]]).any() for k in places[1:]):
+            self.wrong(line, f"several columns of time, {listed}; expected --time-column NAME")
+        if not places and (given or self.strict or not self.form.frame_rate):
+            remedy = "--time-column NAME, --frame-rate HZ for numbers of frames, or --skip-rows N"
+            found = f"no column {given or 'of time'} in {listed}"
+            self.wrong(line or self.first, f"{found}; expected {remedy}")
+        return places
 
-
-def _unit(path: Path, layout: Layout, place: int, form: TableForm) -> Fraction:
-    """The unit of a column of time, ns: that of the form, of its name or of the row of units."""
-    name, given, unit = layout.names[place], form.unit, None
-    try:
-        unit = unit_in(name)
-        if unit is None and layout.units and (name := layout.units[place]):
-            unit = unit_named(name)
-            if unit is None:
-                raise UnknownUnitError(name.strip("()[]"))
-    except UnknownUnitError as unknown:
-        if given is None:
+    def unit(self, name: str) -> Fraction:
+        """The unit of a column of time, ns: that of the form, else of its name, else a second."""
+        unit = None if self.form.unit is None else Fraction(UNITS[self.form.unit])
+        try:
+            return unit or unit_in(name) or Fraction(NS_PER_S)
+        except UnknownUnitError as unknown:
             problem = f"{name}: {str(unknown)!r} is no unit of time that is understood"
-            wrong(path, layout.header, f"{problem}; {UNDERSTOOD}, or --time-unit")
-    if given is None:
-        return unit or Fraction(NS_PER_S)
-    if unit not in (None, UNITS[given]):
-        says = f"the header says {unit_words(unit)}, --time-unit {given}"
-        wrong(path, layout.header, f"{says}; leave one out")
-    return Fraction(UNITS[given])
+            raise UsageError(
+                f"{self.path}, line {self.header}: {problem}; {UNDERSTOOD}, or --time-unit"
+            ) from None
 
+    def leave_out(self, times: Stamps) -> None:
+        """Note the rows without a time, and all from another table on.
 
-def _scaled(texts: Sequence[str], unit: Fraction, layout: Layout) -> Stamps:
-    """Numbers in a unit (ns) as times, ns; NO_TIME where there is none."""
-    if layout.decimal_comma:
-        texts = [each.replace(",", ".") for each in texts]
-    return ns_of_numbers(texts, _floats(texts, decimal_comma=False), unit)
+        Raises:
+            UsageError: most rows cannot be read; or one of them, in a strict table.
+        """
+        numbers = self.rows.tolist()
+        for k in np.flatnonzero(times == NO_TIME).tolist():
+            above, cell = self.lines[numbers[k] - 2], self.texts[k]
+            if k and not self.strict and not above.strip() and cell[:1].isalpha():
+                self.lost |= dict.fromkeys(numbers[k:], "another table begins: split the file")
+                break
+            option = "" if self.step or self.is_dated or self.is_clock else " (--time-unit)"
+            expected = f"{self.words}{option}, at most {text(MAX_STAMP)} s"
+            self.bad[numbers[k]] = f"{shown(cell)} found; expected {expected}"
+        if self.strict and self.bad:
+            self.wrong(min(self.bad), self.bad[min(self.bad)])
+        total = len({*numbers, *self.lost})
+        self.lost |= self.bad
+        if self.lost:
+            first, count = min(self.lost), len(self.lost)
+            if 2 * count > total:
+                self.wrong(first, f"{self.lost[first]}; {count} of {total} rows cannot be read")
+            what = left_out("rows", count, total)
+            self.remarks.append(f"{what}, the first in line {first}: {self.lost[first]}")
 
+    def order(self, times: Stamps, lines: NDArray[np.int64]) -> NDArray[np.intp]:
+        """The places of times by time.
 
-def _each(read: Callable[[str], int | None], texts: Sequence[str]) -> Stamps:
-    """Texts as times, ns; NO_TIME where there is none."""
-    times = (read(each) for each in texts)
-    known = [NO_TIME if t is None or abs(t) > MAX_STAMP else t for t in times]
-    return np.array(known, dtype=np.int64)
-
-
-def _floats(texts: Sequence[str], *, decimal_comma: bool) -> Vector:
-    """Decimals as float64; NaN where there is no finite number."""
-    if decimal_comma:
-        texts = [each.replace(",", ".") for each in texts]
-    try:
-        values = np.array([float(each) for each in texts], dtype=np.float64)
-    except ValueError:
-        values = np.array([_float(each) for each in texts], dtype=np.float64)
-    values[np.isinf(values)] = np.nan
-    return values
-
-
-def _float(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
+        Raises:
+            UsageError: times are out of order without ``sort``, or by more than they last.
+        """
+        steps = np.diff(times)
+        if not np.any(steps < 0):
+            return np.arange(len(times))
+        k = int(np.argmin(steps))
+        before, after = times[: k + 1], times[k + 1 :]
+        is_apart = min(len(before), len(after)) > 1 and after.max() < before.min()
+        remedy = "--sort puts the rows in order"
+        if self.is_clock:
+            remedy = "times of day need a date where they pass midnight"
+        elif is_apart and -2 * steps[k] > np.ptp(times):
+            remedy = "--sort would swap the rows before and after the step; mend the times"
+            remedy = "dates need a zone where summer time ends" if self.is_dated else remedy
+        elif self.form.sort:
+            return np.argsort(times, kind="stable")
+        step = f"{seconds_between(int(times[k + 1]), int(times[k])):.9g} s"
+        ends = f"from {text(int(times[k]))} to {text(int(times[k + 1]))} s"
+        where = f"{self.path}, line {lines[k + 1]}"
+        raise UsageError(f"{where}: the clock steps back by {step}, {ends}; {remedy}")
 
 
 def _told_apart(names: Sequence[str]) -> list[str]:
@@ -410,54 +572,20 @@ def _told_apart(names: Sequence[str]) -> list[str]:
     return told
 
 
-def _lost(
-    path: Path, lines: Sequence[str], rows: _TextRows, times: _Times, *, strict: bool
-) -> dict[int, str]:
-    """Why rows are left out, by their lines.
-
-    Raises:
-        UsageError: the table is strict, and a row cannot be read.
-    """
-    bad = dict(rows.extra)
-    for k in np.flatnonzero(times.ns == NO_TIME).tolist():
-        line, cell = int(rows.lines[k]), times.texts[k]
-        if k and not (strict or lines[line - 2].strip()) and cell[:1].isalpha():
-            bad |= dict.fromkeys(
-                rows.lines[k:].tolist(), "another table begins there: split the file"
-            )
-            break
-        bad[line] = f"{shown(cell)} found; expected {times.expected}"
-        if re.fullmatch(r"[+-]?\d[\d.,]*(e\+?\d+)?", cell, re.IGNORECASE):
-            bad[line] = (
-                f"time {shown(cell)} is too large for {times.words}; stamps end at"
-                f" {text(MAX_STAMP)} s: is that its unit? --time-unit ms, us or ns"
-            )
-    if strict and bad:
-        wrong(path, min(bad), bad[min(bad)])
-    return {**rows.cut, **bad}
+def _with_points(texts: Sequence[str], decimal_comma: bool) -> list[str]:
+    """Decimals with a point."""
+    return [each.replace(",", ".") for each in texts] if decimal_comma else [*texts]
 
 
-def _order(
-    path: Path, times: _Times, lines: NDArray[np.int64], kept: NDArray[np.intp], *, sort: bool
-) -> NDArray[np.intp]:
-    """The rows that are kept, by time.
+def _floats(texts: Sequence[str]) -> Vector:
+    """Decimals with a point as float64; NaN where there is no finite number."""
+    values = np.array([_float(each) for each in texts], dtype=np.float64)
+    values[np.isinf(values)] = np.nan
+    return values
 
-    Rows are out of order by less than they last, else a clock was set back.
 
-    Raises:
-        UsageError: rows are out of order, or a clock steps back.
-    """
-    ns = times.ns[kept]
-    steps = np.diff(ns)
-    if not np.any(steps < 0):
-        return kept
-    k = int(np.argmin(steps))
-    before, after = ns[: k + 1], ns[k + 1 :]
-    is_apart = min(len(before), len(after)) > 1 and after.max() < before.min()
-    can_sort = times.can_sort and not (is_apart and -2 * steps[k] > np.ptp(ns))
-    if not (sort and can_sort):
-        step = f"{seconds_between(int(ns[k + 1]), int(ns[k])):.9g} s"
-        ends = f"from {text(int(ns[k]))} to {text(int(ns[k + 1]))} s"
-        remedy = "--sort puts the rows in order" if can_sort else times.remedy
-        wrong(path, int(lines[kept[k + 1]]), f"the clock steps back by {step}, {ends}; {remedy}")
-    return kept[np.argsort(ns, kind="stable")]
+def _float(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
