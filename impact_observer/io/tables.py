@@ -286,6 +286,8 @@ class _Reader:
         self.leave_out(times)
         kept = np.flatnonzero(~np.isin(self.rows, [*self.lost]))
         kept = kept[self.order(times[kept], self.rows[kept])]
+        if self.above(begin := self.header or self.first):
+            self.words += f", {'header' if self.header else 'first row'} in line {begin}"
         return Table(
             path=self.path,
             times=times[kept],
@@ -326,8 +328,10 @@ class _Reader:
             found = [each for each in found if each.mark == _NONE or each.has_columns()]
         best = max(found, key=lambda each: each.alike)
         if not best.alike:
-            options = "; --separator and --decimal say how it is written" if sample else ""
-            raise UsageError(f"{self.path}: holds no row of numbers; expected {expected}{options}")
+            problem = f"{self.path}: holds no row of numbers; expected {expected}"
+            if sample:
+                problem += f"; line {sample[-1]} is {shown(lines[-1])} (--separator, --decimal)"
+            raise UsageError(problem)
         self.reading, self.first = best, sample[best.first()]
         as_good = {each.mark for each in found if each.alike == best.alike}
         if best.mark == "," and _NONE in as_good:

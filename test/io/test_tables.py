@@ -196,6 +196,12 @@ def test_tables_of_instruments_are_read(tmp_path: Path, name: str) -> None:
     )
 
 
+def test_the_line_of_the_header_is_said_where_others_are_above(tmp_path: Path) -> None:
+    """What stands above is not read."""
+    assert read(tmp_path, table("time,az\n", plain)).times == "times in s"
+    assert read(tmp_path, LAYOUTS["preamble"][0]).times == "times in s, header in line 8"
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
 def test_old_encodings_are_read(tmp_path: Path, encoding: str) -> None:
     """A table that is no UTF-8 is read with a remark."""
@@ -401,7 +407,8 @@ def test_what_is_left_out_is_said_with_its_part(
     ("text", "found"),
     [
         ("", "no row of numbers"),
-        ("time,a\n", "no row of numbers"),
+        ("time,a\n", "line 1 is 'time,a'"),
+        ("time,a\n5/6/2024 10:00,1\n", "line 2 is '5/6/2024 10:00,1'"),
         ("time,a\n0,1\nx,2\n2,3\ny,4\nz,5\n", "line 3: 'x'"),
         ('time,a\n0,1\n"1,2\n2,3\n', "line 3: a quotation mark"),
         ("time,x\n0,on\n", "x beside the time"),
