@@ -10,7 +10,7 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from impact_observer.errors import DynamicsError, UsageError
+from impact_observer.errors import DynamicsError, InputTimeoutError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.integrators import described
 from impact_observer.io import interfaces
@@ -90,6 +90,8 @@ class PlantNode(ManagedNode):
             on_problem=self.lines.warning,
             on_samples=lambda _: self._tick(),
         )
+        # A motion that no message can change, and that cannot be computed, is the end.
+        self.ends_by = (DynamicsError,) if self._live is None else (InputTimeoutError,)
         how = described(self._integrator, self._step)
         self._impacts = self.publisher(interfaces.IMPACTS)
         self._states = self.publisher(interfaces.PLANT_JOINT_STATES)
@@ -207,11 +209,11 @@ class PlantNode(ManagedNode):
         return True
 
     def _wait_for_inputs(self, now: int) -> None:
-        """Raise DynamicsError if live forces or grounds are missing for too long."""
+        """Raise InputTimeoutError if live forces or grounds are missing for too long."""
         self._waits_since = self._waits_since or time.monotonic()
         if time.monotonic() - self._waits_since > self._timeout:
             silent = self._inputs.silent(now, 0.0)
-            raise DynamicsError(
+            raise InputTimeoutError(
                 f"the plant waits: {silent.partition(';')[0]}; input_timeout is over"
             )
 
