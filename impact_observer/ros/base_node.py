@@ -23,7 +23,6 @@ from impact_observer.process_end import one_line
 from impact_observer.ros import parameters
 from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.parameter_services import ParameterServices
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
 from impact_observer.ros.subscribing import waiting_messages
@@ -59,11 +58,10 @@ class BaseNode(Node):
         Raises:
             UsageError: a parameter is of the wrong type, out of range, or missing.
         """
-        super().__init__(name, start_parameter_services=False)
+        super().__init__(name)
         self._lasting = set[object]()
         self._jump: JumpHandle | None = None
         self.values = parameters.declare(self, table)
-        ParameterServices(self, table)
         self.lines = LogLines(self.get_logger())
         self.make = ros_messages()
         self.doubts = ""

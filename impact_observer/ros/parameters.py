@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.options import (
     AT_ONCE,
@@ -302,7 +302,7 @@ def on_change(
             for name, value in values.items():
                 rows[name].check(value)
             check(values)
-        except UsageError as error:
+        except ImpactObserverError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
