@@ -142,7 +142,7 @@ class BagReader:
         self._received: frozenset[str] = frozenset()
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
-        self.end = self._reader.end_time - 1 if self.message_count else 0
+        self.end = int(self._reader.end_time) - 1 if self.message_count else 0
 
     def _check_files(self) -> None:
         """Check that the files are regular ones, and the checksums of indexes of MCAP files.

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The viewer node: plant and estimates side by side as markers for RViz."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -10,14 +11,14 @@ from impact_observer.draw.scene.scene import Scene
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
-from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
+from impact_observer.io.messages import JointState, read_event, read_joint_state
 from impact_observer.model import read_model
 from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.ros import parameters
 from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import Receiver
 from impact_observer.stamps import NS_PER_S
 
 _GLOW = NS_PER_S // 5
@@ -54,47 +55,43 @@ class ViewerNode(ManagedNode):
 
     def _subscribe(self) -> None:
         """Subscribe to the states of all rows, and to impacts."""
+        names = self._system.coordinates
         for row in self._rows:
-            self.create_subscription(
-                message_class(interfaces.JOINT_STATE),
+            Receiver(
+                self,
                 f"{row.name}/joint_states",
-                partial(self._on_state, row.name),
-                qos_profile(interfaces.STATES),
-            )
+                partial(self._on_states, row.name),
+                read=lambda message, _: read_joint_state(message).ordered(names),
+            ).connect(interfaces.JOINT_STATE, interfaces.STATES)
         # Volatile: past events are of no use here, and a played bag may not offer them.
-        events = interfaces.Quality(depth=interfaces.EVENTS.depth)
-        self.create_subscription(
-            message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(events)
+        events = Receiver(
+            self, "impacts", self._on_events, read=lambda message, _: read_event(message)
         )
+        events.connect(interfaces.IMPACT_EVENT, interfaces.Quality(depth=interfaces.EVENTS.depth))
 
-    def _on_state(self, name: str, message: AnyMessage) -> None:
+    def _on_states(self, name: str, states: Sequence[JointState]) -> None:
         """Keep the last state of a row."""
-        state = self.read_state(f"{name}/joint_states", message, self._system.coordinates)
-        if state is None:
-            return
-        if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
-            self._closed.clear()  # a bag is played again
-        self._states[name] = state
+        for state in states:
+            before = self._states.get(name)
+            if name == PLANT_ROW and before is not None and state.stamp < before.stamp:
+                self._closed.clear()  # a bag is played again
+            self._states[name] = state
 
-    def _on_event(self, message: AnyMessage) -> None:
-        """Take an event of the run of the sender that is in use, by the rule of the observer."""
-        try:
-            event = read_event(message)
-        except MessageError as error:
-            self.lines.error(f"impacts: {error}")
-            return
-        weighed = self._runs.weigh(event)
-        if weighed.reason:
-            return
-        run, previous = self._runs.in_use, weighed.previous
-        is_other = run and previous and not previous.goes_on_as(run)
-        if is_other or weighed.replaces:
-            self._hits.clear()
-            self._closed.clear()
-        for each in (*weighed.released, event):
-            self._note(each)
+    def _on_events(self, events: Sequence[ImpactEvent]) -> None:
+        """Take the events of the run of the sender that is in use, by the rule of the observer."""
+        for event in events:
+            weighed = self._runs.weigh(event)
+            if weighed.reason:
+                continue
+            run, previous = self._runs.in_use, weighed.previous
+            is_other = run and previous and not previous.goes_on_as(run)
+            if is_other or weighed.replaces:
+                self._hits.clear()
+                self._closed.clear()
+            for each in (*weighed.released, event):
+                self._note_switches(each)
 
-    def _note(self, event: ImpactEvent) -> None:
+    def _note_switches(self, event: ImpactEvent) -> None:
         """Keep the time of impacts, and the closed contacts."""
         for switch in event.switches:
             if switch.contact not in self._system.contact_names:

@@ -417,7 +417,6 @@ def system(environment: dict[str, str]) -> Iterator[None]:
         "use_sim_time": True,
         "initial_state": "'random:1'",
         "rate": 20.0,
-        "events_durability": "transient_local",
     }
     plant = {"model": "two_mass", "rate": 20.0, "publish_clock": True}
     with ExitStack() as stack:
