@@ -127,7 +127,6 @@ setup(
     extras_require={
         "parquet": ["pyarrow>=14"],
         "robots": requirements("robots"),
-        "sound": ["soundfile>=0.12"],
         "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
         "test": requirements("test"),
         "docs": requirements("docs"),

@@ -138,11 +138,10 @@ class Rig:
         """The arguments for ``python -m`` of each process."""
         entry = "impact_observer.ros.entry"
         model = f"model:={folder / 'fast.yaml'}"
-        past = "events_durability:=transient_local"
         topics = ["--topics", "/impacts", "/rig/impacts"]
         return {
             "plant": [entry, "plant", "--ros-args", "-p", model],
-            "observer": [entry, "observer", "--ros-args", "-p", model, "-p", past],
+            "observer": [entry, "observer", "--ros-args", "-p", model],
             "detector": [
                 *(entry, "detector", "--ros-args", "-p", f"sources:={folder / 'switch.yaml'}"),
                 *("-r", "impacts:=/rig/impacts"),

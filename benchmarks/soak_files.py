@@ -9,7 +9,6 @@ import random
 import struct
 from collections.abc import Callable
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,10 +22,9 @@ from impact_observer.check.salvage import Salvage
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.signal_file import SignalFile
-from impact_observer.io.sound_file import SoundFile
-from impact_observer.io.table_layout import SEPARATORS, TableForm
+from impact_observer.io.signals import read_signal
 from impact_observer.io.table_times import UNITS
+from impact_observer.io.tables import SEPARATORS, TableForm
 from impact_observer.io.typestores import typestore
 from impact_observer.model import parse_model
 from impact_observer.model.document import load_matrix
@@ -37,8 +35,6 @@ Attack: TypeAlias = Callable[[random.Random], object]
 """Draws one input and gives it to what is attacked; what it raises is judged by the caller."""
 S = 1_000_000_000
 EPOCH = 5 * S
-_MOST = 5000
-"""Rows of a table or blocks of a sound that are read."""
 _LONG = (0, 1, 2, 3, 16, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1)
 _SIDES = (0, 1, 2, -1, 2**31, 10**11)
 _KINDS = ("<f8", ">f4", "|O", "<c16", "|S5", "<M8[s]", "[('a','<f8')]", "x", "|V0")
@@ -103,7 +99,7 @@ def sound(folder: Path) -> Attack:
         if draw.random() < 0.3:
             text = mutated(draw, text, [text])
         file.write_bytes(text)
-        return [block.shape for block in islice(SoundFile(file).blocks(), _MOST)]
+        return read_signal(file).stamps.shape
 
     return attack
 
@@ -180,10 +176,10 @@ def signal(folder: Path) -> Attack:
             time_column=draw.choice((None, None, "x", "")),
             sort=draw.random() < 0.2,
             separator=draw.choice((None, None, *SEPARATORS)),
+            decimal=draw.choice((None, None, "point", "comma")),
             skip_rows=draw.choice((0, 0, 1, 50)),
         )
-        read = SignalFile(file, form, draw.choice((None, None, 1, 2**62)))
-        return [row for row, _ in zip(read.rows([*read.topics]), range(_MOST), strict=False)]
+        return read_signal(file, form, draw.choice((None, None, 1, 2**62))).stamps.shape
 
     return attack
 

@@ -26,7 +26,7 @@ from impact_observer.detector.sensor_file import parse_sources
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, JointState
-from impact_observer.io.csv_import import import_csv
+from impact_observer.io.import_table import import_table
 from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.measured_samples import SensorReader
 from impact_observer.io.messages import (
@@ -142,7 +142,7 @@ def _csv(folder: Path) -> Attack:
         file, bag = folder / "impacts.csv", folder / f"imported{next(number)}"
         file.write_bytes(mutated(draw, _IMPACTS, [_IMPACTS, _TABLE]))
         try:
-            return import_csv(file, bag)
+            return import_table(file, bag)
         finally:
             _remove(bag)
 

@@ -34,7 +34,13 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("observer", "observer, timeline with roll-back, verdicts, the laws"),
         Room("trajectory", "one linearisation of a motion with its impacts"),
     ),
-    (Room("io", "messages, bags in and out, CSV and WAV in", "rosbags, mcap"),),
+    (
+        Room(
+            "io",
+            "messages, bags in and out, tables and sounds in",
+            "rosbags, mcap, pandas, soundfile",
+        ),
+    ),
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
         Room("draw", "pictures and tables of text", "matplotlib"),

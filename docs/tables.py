@@ -24,7 +24,7 @@ _PAGE = """\
 
 Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
 `sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters at the start; the next
-table has those that may be set later. Others are read-only, and `ros2 param set` says why.
+table has those that may be set later. Others are read-only: start the node again.
 A whole number is accepted for a double: `-p rate:=100`.
 
 ## Parameters of an observer that may be set while it runs

@@ -111,6 +111,10 @@ class DynamicsError(ImpactObserverError, ArithmeticError):
     """A motion that cannot be computed."""
 
 
+class InputTimeoutError(DynamicsError):
+    """A live force or ground of which no sample comes."""
+
+
 class ImpactLawError(DynamicsError):
     """An impact whose law has no solution on the contacts that are closed."""
 

@@ -4,7 +4,7 @@
 The classes mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without ROS.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple, TypeAlias
@@ -159,6 +159,41 @@ class SmoothedImpact(NamedTuple):
     deviation: float
 
 
+class ImpactEstimate(NamedTuple):
+    """The estimate of an impact of one contact; mirrors ``impact_observer_msgs/ImpactEstimate``.
+
+    Speeds are relative to the stop. Of contacts of angles m is rad and N is N m. Standard
+    deviations are -1 where a law has none. A rejected event was no impact: all numbers are 0.
+
+    Attributes:
+        stamp: the instant, estimated, ns; of a rejected event the reported one.
+        contact: name of the contact; empty where a whole event is rejected.
+        ruling: applied, inserted for a missed detection, or rejected.
+        sequence: number of the event; 0 without an event, or if the sender does not count.
+        speed_before: of approach, m/s: positive where the gap closes.
+        speed_after: of separation, m/s: positive where the gap opens.
+        impulse: N s.
+        energy_loss: share of the contact in the kinetic energy that the impact takes, J.
+        speed_before_deviation: standard deviation, m/s.
+        speed_after_deviation: standard deviation, m/s.
+        impulse_deviation: standard deviation, N s.
+        energy_loss_deviation: standard deviation, J.
+    """
+
+    stamp: int
+    contact: str
+    ruling: Ruling
+    sequence: int = 0
+    speed_before: float = 0.0
+    speed_after: float = 0.0
+    impulse: float = 0.0
+    energy_loss: float = 0.0
+    speed_before_deviation: float = -1.0
+    speed_after_deviation: float = -1.0
+    impulse_deviation: float = -1.0
+    energy_loss_deviation: float = -1.0
+
+
 class MeasurementVerdict(NamedTuple):
     """The verdict on a sample of a sensor; mirrors ``impact_observer_msgs/MeasurementVerdict``.
 
@@ -201,3 +236,19 @@ def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Rul
         if each.ruling in DECIDING:
             last[each.stamp, each.sequence, each.contact] = each.ruling
     return last
+
+
+def rejected_impacts(
+    final: Mapping[tuple[int, int, str], Ruling], events: Iterable[ImpactEvent]
+) -> list[ImpactEstimate]:
+    """The impacts among ``events`` that are rejected by the ``final_rulings``."""
+    hits = {
+        (each.stamp, each.sequence, contact)
+        for each in events
+        for contact in ("", *(s.contact for s in each.switches if s.kind is not Kind.OPEN))
+    }
+    return [
+        ImpactEstimate(stamp, contact, ruling, sequence)
+        for (stamp, sequence, contact), ruling in final.items()
+        if ruling is Ruling.REJECTED and (stamp, sequence, contact) in hits
+    ]

@@ -16,14 +16,10 @@ AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 
-USED_AT_THE_START = "it is used at the start only; start the node again"
-"""Why most parameters cannot be set while a node runs."""
-
 AT_ONCE = "at once"
 AT_NEXT_START = "at the next reset or start of the plant; at once before the first event"
 FROM_ESTIMATE = "from the last estimate on, at which the filter begins anew"
 """When values act that are set while a node runs."""
-_OTHER_FILTER = "it needs another filter; start another observer beside this one"
 Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 _Default = TypeVar("_Default", bound=Value)
 
@@ -44,7 +40,6 @@ class Option:
         flag: flag of the command line if it differs from ``name``.
         metavar: name of the value in ``--help``.
         live: when a value acts that is set while a node runs; empty if none can be set.
-        fixed: why none can be set; empty for ``USED_AT_THE_START``.
     """
 
     name: str
@@ -58,7 +53,6 @@ class Option:
     flag: str = ""
     metavar: str = ""
     live: str = ""
-    fixed: str = ""
 
     @property
     def type(self) -> str:
@@ -149,11 +143,10 @@ def option(
     flag: str = "",
     metavar: str = "",
     live: str = "",
-    fixed: str = "",
 ) -> _Default:
     """Make a field of a dataclass of options; the arguments are those of ``Option``."""
     row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar)
-    return field(default=default, metadata={"option": replace(row, live=live, fixed=fixed)})
+    return field(default=default, metadata={"option": replace(row, live=live)})
 
 
 def rows_of(options: type) -> tuple[Option, ...]:
@@ -171,7 +164,7 @@ class Options:
         UsageError: a value is of the wrong type, or not in its range.
     """
 
-    law: str = option("geometric", "law by which events correct the estimate", fixed=_OTHER_FILTER)
+    law: str = option("geometric", "law by which events correct the estimate")
     initial_state: str = option(
         "zero",
         "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s, also where a model has"
@@ -251,7 +244,6 @@ class Options:
         "minimum-variance: parameters of the model to estimate with the state, by the names of"
         " identify --free, optionally with standard deviations, such as restitution=0.1",
         metavar="NAME[=D],...",
-        fixed=_OTHER_FILTER,
     )
     parameter_drift: float = option(
         0.0,
@@ -259,14 +251,12 @@ class Options:
         low=0.0,
         high=1e3,
         metavar="R",
-        fixed=_OTHER_FILTER,
     )
     ensemble: int = option(
         10,
         "number of replicas, whose distances show convergence",
         low=1,
         high=1_000_000,
-        fixed=_OTHER_FILTER,
     )
     agreed: float = option(
         1e-4,

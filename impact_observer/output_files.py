@@ -33,9 +33,10 @@ def check_output(
         force: whether an existing file may be replaced, unless it was read.
 
     Raises:
-        UsageError: ``path`` has none of the ``suffixes``, its folder does not exist, ``path`` is
-            no regular file, was read, or exists and there is no ``force``.
+        UsageError: ``path`` is no UTF-8 or has none of the ``suffixes``, its folder does not
+            exist, ``path`` is no regular file, was read, or exists and there is no ``force``.
     """
+    check_name(path)
     if suffixes and path.suffix.lower() not in suffixes:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(suffixes)}")
     try:
@@ -56,6 +57,14 @@ def check_output(
         raise UsageError(f"{path}: is an input of this command; choose another name")
     if exists and not force:
         raise UsageError(f"{path}: exists already; --force replaces it, or choose another name")
+
+
+def check_name(path: Path) -> None:
+    """Raise UsageError if the name of a file to be written is no UTF-8, as YAML and bags need."""
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{path}: is not UTF-8; expected another name") from None
 
 
 @dataclass

@@ -109,6 +109,36 @@ class Stop:
             os._exit(128 + number)
 
 
+@contextmanager
+def ends_within(seconds: float) -> Iterator[None]:
+    """Within the block, end the process some ``seconds`` after a signal, whatever is being done.
+
+    A thread waits for the signal and ends the process, with 128 and the number of the signal as
+    exit code, unless one call into C holds the interpreter.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    is_over = threading.Event()
+
+    def watch() -> None:
+        if (received := os.read(read, 1)) and not is_over.wait(seconds):
+            os.write(2, b"ended %g s after a signal, with work unfinished\n" % seconds)
+            os._exit(128 + received[0])
+        os.close(read)
+
+    previous = signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        signal.set_wakeup_fd(previous)
+        os.close(write)
+
+
 def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
     """Run ``job``; an error becomes one line on standard error and an exit code.
 

@@ -67,6 +67,10 @@ class Drill:
         """The gap between the bodies."""
         return float(GAP + x[0, 1] - x[0, 0])
 
+    def speed_after(self, x: Vector) -> float:
+        """The speed with which the gap opens in a state."""
+        return float(x[1, 1] - x[1, 0])
+
     def recorded(self, seconds: float, seed: int) -> list[tuple[float, Vector]]:
         """The instants of hits and the states after them; the drive begins before time 0."""
         random, step = np.random.default_rng(seed), 1e-4

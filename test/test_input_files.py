@@ -141,10 +141,12 @@ def test_a_packed_text_is_unpacked_up_to_a_size() -> None:
 
 
 def test_a_line_that_never_ends_is_no_table(capsys: pytest.CaptureFixture[str]) -> None:
-    """The file is not read into memory."""
+    """The line of the error shows its beginning."""
     Path("long.csv").write_bytes(b"time\n0.5\n" + b"1" * 1_100_000)
     assert main(["import", "long.csv", "-o", "out"]) == 2
-    assert "line 3: is longer than 1000000 letters" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "long.csv, line 3: '111" in error
+    assert len(error) < 500
 
 
 def test_a_time_of_day_of_any_length_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -306,7 +306,6 @@ def test_initial_state_arrives_as_a_string(launcher: Launcher, state: str) -> No
         ("rate", "50", 50.0),
         ("epoch", str(EPOCH), EPOCH),
         ("use_sim_time", "true", True),
-        ("events_durability", "transient_local", "transient_local"),
     ],
 )
 def test_argument_arrives_with_the_type_of_its_parameter(

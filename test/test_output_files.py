@@ -16,6 +16,7 @@ from workloads import OFFLINE, OUT, make_inputs
 from impact_observer.cli.main import main
 from impact_observer.errors import OutputError, UsageError
 from impact_observer.output_files import unwritable
+from impact_observer.plain_text import printable
 from impact_observer.resources import shared
 
 MINE = "mine\n"
@@ -242,3 +243,16 @@ def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFix
     name = "null.svg" if kind == "a device" else "pipe.svg"
     assert main([*FIGURE, "two_mass", "--plot", name, "--force"]) == 2
     assert f"{name}: is a device or a pipe" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["\udcff", "\udcff.png"])
+def test_a_name_that_is_not_utf8_is_one_line_before_the_job(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A bag, whose metadata have its name, and a picture."""
+    simulate = ["simulate", "two_mass", "--duration", "1", "-o", name]
+    picture = [*FIGURE, "two_mass", "--plot", name]
+    assert main(simulate if name == "\udcff" else picture) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"impact-observer: {printable(name)}: is not UTF-8")
+    assert not [*Path().iterdir()]

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from impact_observer.errors import ImpactObserverError, ModelError, UsageError
 from impact_observer.plain_text import printable
-from impact_observer.process_end import TRACEBACK, Stop, one_line, run
+from impact_observer.process_end import TRACEBACK, Stop, ends_within, one_line, run
 
 LATE = """
 import signal, time
@@ -28,6 +29,13 @@ def job():
         for _ in range(600):
             time.sleep(0.1)
 raise SystemExit(run("job", job))
+"""
+BUSY = """
+from impact_observer.process_end import Stop, ends_within
+with Stop(), ends_within(0.2):
+    print("begun", flush=True)
+    while True:
+        pass
 """
 
 
@@ -67,6 +75,27 @@ def test_a_third_signal_ends_at_once_without_a_traceback() -> None:
         process.send_signal(signal.SIGINT)
         assert process.stderr.readline().startswith("ended at once")
         assert process.wait(timeout=90) == 130
+
+
+def test_work_that_goes_on_after_a_signal_is_ended() -> None:
+    """The exit code is that of the signal."""
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=90)
+        assert process.returncode == 128 + signal.SIGTERM
+        assert "work unfinished" in errors
+
+
+def test_a_process_that_ends_in_order_is_left_alone() -> None:
+    """Nothing ends the process later, and later signals have their effects again."""
+    with Stop() as stop, ends_within(0.05):
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.requested
+    time.sleep(0.1)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from impact_observer.errors import UsageError
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 
 if TYPE_CHECKING:
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
 CONVERGENCE = ("ensemble", "agreed")
 """Options on whether an estimate has converged; only ``observe`` offers them."""
@@ -249,7 +249,12 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
     parser.add_argument(
         "--separator",
         choices=("tab", "semicolon", "comma", "blank"),
-        help="of columns (default: the one that fits)",
+        help="of columns (default: the one that makes most rows alike)",
+    )
+    parser.add_argument(
+        "--decimal",
+        choices=("point", "comma"),
+        help="of numbers (default: either, but point where commas separate columns)",
     )
     parser.add_argument(
         "--skip-rows",
@@ -269,13 +274,14 @@ def add_table(parser: "argparse._ActionsContainer") -> None:
 
 def table_form(args: argparse.Namespace) -> "TableForm":
     """The form of a table."""
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
     return TableForm(
         unit=args.time_unit,
         time_column=args.time_column,
         sort=args.sort,
         separator=args.separator,
+        decimal=args.decimal,
         skip_rows=args.skip_rows,
         frame_rate=args.frame_rate,
     )

@@ -11,6 +11,7 @@ a signal is its column, or its channel (channel1); a single one need not be name
 """
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,7 +139,7 @@ def _in_bag(
     from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.errors import UsageError
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.table_layout import TableForm
+    from impact_observer.io.tables import TableForm
 
     if table_form(args) != TableForm() or args.time_zero is not None:
         raise UsageError(f"{args.bag}: options of a table go with a signal, not with a bag")
@@ -164,20 +165,23 @@ def _in_signal(
 ) -> "BagDetection":
     """Detect in a signal; print which stamps were given to it."""
     from impact_observer.detector.signal_detection import detect_signal, pulses_in
+    from impact_observer.errors import UsageError
     from impact_observer.io.bag_part import BagPart
-    from impact_observer.io.signal_file import SignalFile
+    from impact_observer.io.signals import read_signal
     from impact_observer.stamps import text
 
-    def opened() -> SignalFile:
-        return SignalFile(args.bag, table_form(args), args.time_zero)
-
-    signal, pulses = opened(), list[int]()
+    progress.show(f"reading {args.bag}")
+    signal, pulses, part = read_signal(args.bag, table_form(args), args.time_zero), [], None
+    if args.frame_rate and not signal.is_counted:
+        raise UsageError(
+            f"{args.bag}: has a column of time; leave out --frame-rate, or the column"
+        )
     if args.start is not None or args.duration is not None:
-        signal.part = BagPart.between(signal.zero, args.start, args.duration)
+        part = BagPart.between(signal.time_zero, args.start, args.duration)
     if args.pulses is not None:
-        pulses = pulses_in(opened(), args.pulses)
+        pulses = pulses_in(signal, args.pulses)
         progress.line(f"{args.pulses}: {len(pulses)} pulses, the first at {text(pulses[0])} s")
-    by_default = pulses[0] if pulses else signal.start
+    by_default = pulses[0] if pulses else signal.zero
     epoch = by_default if args.epoch is None else args.epoch
 
     def show(rows: int) -> None:
@@ -191,6 +195,7 @@ def _in_signal(
         model=model,
         epoch=epoch,
         pulses=pulses,
+        part=part,
         flush=args.flush,
         traced=args.plot is not None,
         progress=show,
@@ -200,7 +205,7 @@ def _in_signal(
     if result.seconds:
         rows += f" ({(result.rows - 1) / result.seconds:.4g} Hz)"
     rows += f", {signal.times}" if signal.times else ""
-    progress.line(f"{args.bag}: {rows}; time 0 is stamp {text(signal.start)} s, {known}")
+    progress.line(f"{args.bag}: {rows}; time 0 is stamp {text(signal.zero)} s, {known}")
     return result
 
 
@@ -237,14 +242,22 @@ def _sources(
 
 
 def _topic(args: argparse.Namespace, columns: "Mapping[str, str]") -> str:
-    """The topic of a signal's column: the one that is named, or the only one."""
+    """The topic of a signal's column: the one that is named, or the only one.
+
+    A name may stand without its unit in brackets.
+    """
     from impact_observer.errors import UsageError
+    from impact_observer.io.interfaces import absolute
 
     if args.topic is None and len(columns) == 1:
         return next(iter(columns.values()))
-    if args.topic is None:
-        raise UsageError(f"{args.bag}: columns {', '.join(columns)}; name one with --topic")
-    return columns.get(args.topic, args.topic)
+    for name, topic in columns.items():
+        if args.topic is not None and args.topic in (name, re.sub(r"\s*[\[(].*", "", name)):
+            return topic
+    if args.topic is None or absolute(args.topic) not in columns.values():
+        found = "" if args.topic is None else f"no column {args.topic}; "
+        raise UsageError(f"{args.bag}: {found}columns {', '.join(columns)}; name one with --topic")
+    return absolute(args.topic)
 
 
 def _in_words(counts: "SensorCounts") -> str:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the states, errors or events of a bag to a CSV or Parquet file.
+"""Write the states, errors, events or impacts of a bag to a CSV or Parquet file.
 
 Each row has its stamp in ns and seconds since the epoch, or without one since the first impact.
 Coordinates are q_NAME and u_NAME, their
 standard deviations, where an observer has them, deviation_q_NAME and deviation_u_NAME, errors
-dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_observer[parquet].
+dq_NAME and du_NAME with V. An impact has its contact and verdict, the contact speed before and
+after, the impulse and the energy that is lost, each followed by its deviation. All is in SI units.
+Parquet needs pyarrow: impact_observer[parquet].
 """
 
 import argparse
@@ -15,12 +17,13 @@ from impact_observer.cli.arguments import add_force, add_model, add_namespace, a
 from impact_observer.errors import UsageError
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
+IMPACTS = "impacts"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
-        "%(prog)s BAG -o FILE [--what {states,errors,events}] [--topics TOPIC ...] "
+        "%(prog)s BAG -o FILE [--what {states,errors,events} | --impacts] [--topics TOPIC ...] "
         "[--model MODEL] [--epoch S] [--start S] [--duration S] [--namespace NS] [--force]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
@@ -33,18 +36,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a .csv or .parquet file",
     )
     add_force(parser, "output")
-    parser.add_argument(
+    rows = parser.add_mutually_exclusive_group()
+    rows.add_argument(
         "--what",
         choices=WHAT,
         default=STATES,
         help="states of truth and estimates (default), errors of estimates with V, or events",
+    )
+    rows.add_argument(
+        "--impacts",
+        action="store_const",
+        const=IMPACTS,
+        dest="what",
+        help="speeds, impulse and energy of each impact, as observe and smooth estimate them",
     )
     add_namespace(parser)
     parser.add_argument(
         "--topics",
         metavar="TOPIC",
         nargs="+",
-        help="topics of states, or observers, only (default: the truth and every observer)",
+        help="topics, or observers, only (default: all; of states with the truth)",
     )
     add_model(parser, "for V: a model file or a sample (default: the one in the bag)")
     parser.add_argument(
@@ -59,7 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Export a bag and print how many rows were written."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.compare.bag_export import error_rows, event_rows, state_rows, state_topics
+    from impact_observer.compare.bag_export import (
+        error_rows,
+        event_rows,
+        impact_rows,
+        named_impacts,
+        state_rows,
+        state_topics,
+    )
     from impact_observer.compare.table_files import write_table
     from impact_observer.io.bag_part import read_part, time_zero, topic_of_impacts
     from impact_observer.io.reader import BagReader
@@ -69,13 +87,18 @@ def run(args: argparse.Namespace) -> int:
     if args.topics is not None and args.what == EVENTS:
         raise UsageError(f"topics: {', '.join(args.topics)} given; {EVENTS} have their own topic")
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
-        is_of_events = args.what == EVENTS
-        topics = topic_of_impacts(reader) if is_of_events else state_topics(reader, args.topics)
+        if args.what == EVENTS:
+            topics = topic_of_impacts(reader)
+        else:
+            chosen = named_impacts if args.what == IMPACTS else state_topics
+            topics = chosen(reader, args.topics)
         zero = partial(time_zero, epoch=args.epoch)
         read_part(reader, args.start, args.duration, topics, zero=zero, tell=progress.line)
         show = partial(progress.step, f"exporting {args.bag.name}")
-        if is_of_events:
+        if args.what == EVENTS:
             blocks = event_rows(reader, args.epoch, show)
+        elif args.what == IMPACTS:
+            blocks = impact_rows(reader, args.topics, args.epoch, show)
         elif args.what == ERRORS:
             system = simulated(model_of(reader, args.model))
             blocks = error_rows(reader, system, args.topics, args.epoch, show)

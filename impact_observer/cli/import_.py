@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import add_bag_output, add_model, add_table, stamp, table_form
 
 if TYPE_CHECKING:
-    from impact_observer.io.csv_import import Imported
+    from impact_observer.io.import_table import Imported
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,18 +39,18 @@ def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
     from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
-    from impact_observer.io.csv_import import import_csv
+    from impact_observer.io.import_table import import_table
     from impact_observer.model import read_model
 
     model = None if args.model is None else read_model(args.model)
-    hits = HitTimes()
     with Progress() as progress:
 
-        def show(rows: int) -> None:
-            if rows % 1000 == 0:
-                progress.show(f"{args.csv}: {rows} rows")
+        def show(messages: int) -> None:
+            if messages % 1000 == 0:
+                progress.show(f"{args.output}: {messages} messages")
 
-        imported = import_csv(
+        progress.show(f"reading {args.csv}")
+        imported = import_table(
             args.csv,
             args.output,
             model=model,
@@ -61,11 +61,11 @@ def run(args: argparse.Namespace) -> int:
             epoch=args.epoch,
             flush=args.flush,
             progress=show,
-            each=hits.add_event,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
         lines = imported.remarks
         if model is not None:
+            hits = HitTimes(imported.events)
             lines += doubts(args.output, hits, model.subject, has_covariance=False)
         for line in lines:
             progress.line(f"warning: {line}")
@@ -79,12 +79,13 @@ def _summary(imported: "Imported") -> str:
     from impact_observer.draw.reports import counted
     from impact_observer.stamps import text
 
-    span = f"stamps {text(imported.first)} to {text(imported.last)} s"
+    first, last = imported.events[0], imported.events[-1]
+    span = f"stamps {text(first.stamp)} to {text(last.stamp)} s"
     zero = f"time 0 is stamp {text(imported.start)} s"
-    epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
-    if not (imported.epoch or imported.start):
+    epoch = f"epoch {text(first.epoch)} s" if first.epoch else "epoch unknown"
+    if not (first.epoch or imported.start):
         epoch += ", as a stamp of 0 is none (--time-zero 1 makes time 0 a stamp)"
-    events = f"{counted(imported.events, 'event')} of {counted(imported.rows, 'row')}"
+    events = f"{counted(len(imported.events), 'event')} of {counted(imported.rows, 'row')}"
     events += f", {imported.times}"
     states = f", {imported.states} true states" if imported.states else ""
     for topic, count in imported.samples.items():

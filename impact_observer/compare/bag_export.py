@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states, errors or events of a bag as rows of a table, block by block.
+"""The states, errors, events or impacts of a bag as rows of a table, block by block.
 
 In all functions ``epoch`` is the stamp of ``t = 0``, ns. If None, ``t = 0`` is that of
 ``time_zero``. ``topics`` are topics of states, or observers' prefixes; None
@@ -16,10 +16,18 @@ from impact_observer.compare.bag_comparison import states_of_topics
 from impact_observer.compare.comparison import compare_states
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError, UnfitBagError
+from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import time_zero
-from impact_observer.io.reader import BagReader, first_block, named_states, states_of
-from impact_observer.io.recordings import events_in, outcomes_in
+from impact_observer.io.interfaces import absolute
+from impact_observer.io.reader import (
+    BagReader,
+    first_block,
+    named_states,
+    named_topic,
+    states_of,
+)
+from impact_observer.io.recordings import events_in, impact_topics, outcomes_in
 from impact_observer.io.state_arrays import ObserverStates, deviations_in
 from impact_observer.model import System
 from impact_observer.robots.robot import Robot
@@ -120,6 +128,36 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     progress(len(rows), len(rows))
 
 
+def impact_rows(
+    reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
+) -> Iterator[TableBlock]:
+    """The estimates of impacts, each number followed by its standard deviation, in SI units.
+
+    NaN stands for a deviation that a law does not have, and for all numbers of a rejected impact.
+
+    Raises:
+        UsageError: a topic is not in the bag.
+        BagError: there are no estimates of impacts, or the bag is damaged.
+    """
+    chosen, zero = named_impacts(reader, topics), time_zero(reader, epoch)
+    for done, topic in enumerate(chosen, start=1):
+        rows = [*reader.impact_estimates(topic)]
+        values, deviations = np.reshape([each[4:] for each in rows], (-1, 2, 4)).swapaxes(0, 1)
+        deviations[deviations < 0] = np.nan
+        values[[each.ruling is Ruling.REJECTED for each in rows]] = np.nan
+        numbers = {"sequence": np.array([each.sequence for each in rows], dtype=np.int64)}
+        for k, name in enumerate(ImpactEstimate._fields[4:8]):
+            numbers |= {name: values[:, k], f"{name}_deviation": deviations[:, k]}
+        words = {
+            "topic": [topic] * len(rows),
+            "contact": [each.contact for each in rows],
+            "verdict": [each.ruling.name.lower() for each in rows],
+        }
+        stamps = np.array([each.stamp for each in rows], dtype=np.int64)
+        yield TableBlock(topic, zero, stamps, words, numbers)
+        progress(done, len(chosen))
+
+
 def _columns(
     kinds: tuple[str, str], names: Sequence[str], x: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
@@ -141,3 +179,17 @@ def state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
     truth = reader.truth_topic()
     estimates = [states_of(reader, prefix) for prefix in reader.observers()]
     return [*([truth] if truth else []), *estimates]
+
+
+def named_impacts(reader: BagReader, named: Collection[str] | None) -> list[str]:
+    """Topics of estimates of impacts: the named ones, else those of every observer.
+
+    Raises:
+        UsageError: the bag has no such topic or observer.
+        BagError: the bag has no estimates of impacts.
+    """
+    of_owner = {topic.rpartition("/")[0]: topic for topic in impact_topics(reader)}
+    if named is None:
+        return [*of_owner.values()]
+    topics = (of_owner.get(absolute(name)) or named_topic(reader, name) for name in named)
+    return [*dict.fromkeys(topics)]

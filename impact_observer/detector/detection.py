@@ -17,6 +17,7 @@ from impact_observer.detector.sensors import (
 )
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
+from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
 from impact_observer.stamps import MAX_STAMP, from_seconds, odd_epoch, seconds_between
@@ -51,7 +52,8 @@ class SensorCounts:
         impacts: how often the contact closed.
         closings: how often persistent contact began.
         openings: how often persistent contact ended.
-        invalid: messages with a number that is not finite, or a stamp that no event may have.
+        invalid: messages with a number that is not finite, without the field or the stamp, or
+            with a stamp that no event may have.
         out_of_order: messages with a stamp before that of an earlier one.
         last_event: stamp of the last event, ns; 0 before the first.
         largest_signal: of a peak source, in the field's own unit.
@@ -116,17 +118,27 @@ class Detector:
         """Take a complete source; returns the index that :meth:`feed` needs."""
         self.sources.append(source)
         self.counts.append(SensorCounts())
-        self._sensors.append(_SENSORS[source.kind or ""](source))
-        self._sensors[-1].trace = SignalTrace() if self._is_traced else None
+        self._sensors.append(self._sensor(source))
         self._paths.append(source.path() if source.field else ())
         self._newest.append(0)
         return len(self.sources) - 1
+
+    def change_source(self, index: int, source: Source) -> None:
+        """Go on with another complete source of the same contact, such as of another type."""
+        if source != self.sources[index]:
+            self.sources[index], self._sensors[index] = source, self._sensor(source)
+            self._paths[index] = source.path() if source.field else ()
+
+    def _sensor(self, source: Source) -> Sensor:
+        sensor = _SENSORS[source.kind or ""](source)
+        sensor.trace = SignalTrace() if self._is_traced else None
+        return sensor
 
     def restart(self) -> None:
         """Begin a new episode, for example after the clock has jumped back."""
         self.episode += 1
         before = self._sensors
-        self._sensors = [_SENSORS[source.kind or ""](source) for source in self.sources]
+        self._sensors = [self._sensor(source) for source in self.sources]
         for old, new in zip(before, self._sensors, strict=True):
             new.dead_times, new.trace = old.dead_times, old.trace
         self._newest = [0] * len(self.sources)
@@ -137,13 +149,19 @@ class Detector:
         """Returns the events that a message of source ``index`` decides; ``received`` is in ns.
 
         Raises:
-            UsageError: the first message has no such field, or a message has no header although
-                the source declares ``stamp: header``.
+            UsageError: a message has no such field, or has no stamp in a header although the
+                source declares ``stamp: header``, and no message before could be used.
         """
-        detections = self.advance(received)
         counts = self.counts[index]
         counts.messages += 1
-        sample = self._sample(index, message, received)
+        try:
+            sample = self._sample(index, message, received)
+        except UsageError:
+            counts.invalid += 1
+            if counts.invalid >= counts.messages:
+                raise
+            return self.advance(received)
+        detections = self.advance(received)
         if not all(map(math.isfinite, sample.values)) or sample.time.stamp > MAX_STAMP:
             counts.invalid += 1
         elif sample.time.stamp < self._newest[index]:
@@ -183,12 +201,10 @@ class Detector:
     def left_out(self, index: int) -> list[str]:
         """How many messages of a source were left out, of how many, and why, a line each."""
         source, counts = self.sources[index], self.counts[index]
+        unusable = "a number that is not finite, no such field or stamp, or one no event may have"
         reasons = (
             (counts.out_of_order, "stamped before an earlier one, as by a clock that steps back"),
-            (
-                counts.invalid,
-                "with a number that is not finite, or a stamp that no event may have",
-            ),
+            (counts.invalid, f"with {unusable}"),
         )
         return [
             f"{source.contact}: {count} of {counts.messages} messages on {source.topic} left out"
@@ -291,11 +307,12 @@ class Detector:
             problem = f"header found, but a message of {source.topic} has no stamp in one"
             raise source.wrong("stamp", f"{problem}; expected receive")
         try:
-            values = numbers_at(message, self._paths[index]) if self._paths[index] else ()
+            path = self._paths[index]
+            values = numbers_at(message, path) if path else ()
         except ValueError as error:
-            if self.counts[index].messages - 1 <= self.counts[index].invalid:
-                raise source.wrong("field", f"{source.topic}: {error}") from None
-            values = (math.nan,)  # an array that is shorter than those before
+            raise source.wrong("field", f"{source.topic}: {error}") from None
+        if source.is_scalar:
+            source.scalar(values)
         return Sample(SampleTime(received, received if stamp is None else stamp), values)
 
     def _events(self, switches: Iterable[tuple[DetectedSwitch, int]]) -> list[Detection]:

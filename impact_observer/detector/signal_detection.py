@@ -4,6 +4,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,10 @@ from impact_observer.detector.bag_detection import (
 from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
+from impact_observer.io.bag_part import BagPart
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import all_or_nothing
-from impact_observer.io.signal_file import SignalFile
+from impact_observer.io.signals import Signal
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
 from impact_observer.stamps import seconds_between
@@ -38,29 +40,29 @@ class _Number:
 
 
 def detect_signal(
-    signal: SignalFile,
+    signal: Signal,
     sources: Sequence[Source],
     output: Path,
     *,
     model: Model | None = None,
     epoch: int = 0,
     pulses: Sequence[int] = (),
+    part: BagPart | None = None,
     flush: float = FLUSH,
     traced: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> BagDetection:
     """Write a bag with the impacts in a signal, which is not copied.
 
-    Memory is constant for a table.
-
     Args:
-        signal: the file, of which no row was read yet.
+        signal: the signal.
         sources: the sensors, as declared; the topic of each is that of a column.
         output: the bag to make.
         model: the model of the new bag, or None.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
         pulses: stamps of the index pulses of a drive, ns, ascending; written to
             ``phase_reference``.
+        part: that is read; None for all.
         flush: longest time until a message is on the disk, s.
         traced: whether to keep the signals, for a picture.
         progress: called with the number of rows read.
@@ -75,37 +77,39 @@ def detect_signal(
     )
     if model is not None:
         check_contacts(model, present_sources)
-    part = signal.part
-    is_late = part is not None and part.low > signal.first
+    begin = int(signal.stamps[0])
+    is_late = part is not None and part.low > begin
+    chosen = signal if part is None else signal.within(part)
+    if part is not None and not len(chosen.stamps):
+        problem = f"no row from {part.words}; choose another part with --start and --duration"
+        raise UsageError(f"{signal.path}: {problem}")
     detector = Detector(present_sources, epoch=epoch, traced=traced, joins_late=is_late)
     result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
-    result.zero = signal.zero
+    result.zero, result.rows = signal.time_zero, len(chosen.stamps)
+    result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
     with all_or_nothing(output, flush) as writer:
         if model is not None:
-            write_model(writer, model, max(signal.first, part.low if part else 0))
+            write_model(writer, model, max(begin, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)
         if pulses:
             writer.declare(interfaces.PHASE_REFERENCE.topic)
-        result.rows, first, last = _run(signal, writer, detector, pulses, progress)
-        if not result.rows and part is not None:
-            raise UsageError(
-                f"{signal.path}: no row from {part.words}; choose another part with --start and"
-                " --duration"
-            )
-        result.seconds = seconds_between(first, last)
-        result.doubts += signal.remarks()
+        columns = {topic: name for name, topic in signal.topics.items()}
+        names = [columns[source.topic] for source in detector.sources]
+        _run(chosen, names, writer, detector, pulses=pulses, progress=progress)
+        result.doubts += signal.remarks
+        result.doubts += [signal.omissions[n] for n in {*names} & {*signal.omissions}]
         result.finish(signal.path, detector, model)
     return result
 
 
-def pulses_in(signal: SignalFile, column: str) -> list[int]:
+def pulses_in(signal: Signal, column: str) -> list[int]:
     """Stamps of the rising edges of a column, such as a drive's index pulses, ns.
 
     An edge goes from the lowest to the highest quarter of the column's range. Its instant is
     where the line between two samples crosses the middle.
 
     Args:
-        signal: the file, of which no row was read yet.
+        signal: the signal.
         column: name of a column, or the topic that the column is taken for.
 
     Raises:
@@ -115,9 +119,8 @@ def pulses_in(signal: SignalFile, column: str) -> list[int]:
     name = names.get(column, column)
     if name not in signal.topics:
         raise UsageError(f"pulses: no column {column}; columns: {', '.join(signal.topics)}")
-    rows = [(stamp, value) for stamp, (value,) in signal.rows([name]) if value is not None]
-    stamps = np.array([stamp for stamp, _ in rows] or [0], dtype=np.int64)
-    values = np.array([value for _, value in rows] or [0.0])
+    there = np.isfinite(signal.columns[name])
+    stamps, values = signal.stamps[there], signal.columns[name][there]
     low, middle, high = (float(x) for x in np.quantile([values.min(), values.max()], _LEVELS))
     level = np.where(values >= high, 1, np.where(values <= low, -1, 0))
     known = np.flatnonzero(level)
@@ -132,35 +135,33 @@ def pulses_in(signal: SignalFile, column: str) -> list[int]:
 
 
 def _run(
-    signal: SignalFile,
+    signal: Signal,
+    columns: Sequence[str],
     writer: BagWriter,
     detector: Detector,
+    *,
     pulses: Sequence[int],
     progress: Callable[[int], None],
-) -> tuple[int, int, int]:
+) -> None:
     """Feed the detector with every row, as if each were received at its stamp.
 
-    Returns:
-        The number of rows, and the stamps of the first and the last one, ns.
+    ``columns`` are those of the detector's sources.
     """
     make, waiting = bag_messages(), deque(pulses)
-    columns = {topic: column for column, topic in signal.topics.items()}
 
     def write(detections: list[Detection]) -> None:
         for decided, event in detections:
             writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
 
-    done, first, stamp = 0, 0, signal.first
-    rows = signal.rows([columns[source.topic] for source in detector.sources])
-    for done, (stamp, values) in enumerate(rows, start=1):
-        first = first or stamp
+    stamps = signal.stamps.tolist()
+    rows = zip(*(signal.columns[name].tolist() for name in columns), strict=True)
+    for done, (stamp, values) in enumerate(zip(stamps, rows, strict=True), start=1):
         while waiting and waiting[0] <= stamp:
             pulse = waiting.popleft()
             writer.write(interfaces.PHASE_REFERENCE.topic, pulse, make.pulse(pulse))
         for index, value in enumerate(values):
-            if value is not None:
+            if isfinite(value):
                 write(detector.feed(index, _Number(value), stamp))
         progress(done)
     # After the longest delay no message can be missing any more, as in a bag.
-    write(detector.advance(stamp + MAX_DELAY))
-    return done, first, stamp
+    write(detector.advance(stamps[-1] + MAX_DELAY))

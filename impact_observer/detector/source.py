@@ -201,6 +201,11 @@ class Source:
         """Returns a number of a complete source."""
         return float(getattr(self, key))
 
+    @property
+    def is_scalar(self) -> bool:
+        """Whether the field of a complete source must be one number."""
+        return self.kind == SWITCH or (self.kind == PEAK and self.direction != "both")
+
     def scalar(self, values: tuple[float, ...]) -> float:
         """Returns the number of a field that must not be a vector.
 

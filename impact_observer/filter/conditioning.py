@@ -178,7 +178,7 @@ class Conditioning:
         A contact that closes may neglect the speed ``leftover`` before it rested, m/s; where that
         is infinite, the state is at rest afterwards, and nothing is measured by that.
         """
-        joint = self._at_jump(change, joint)
+        joint = self.at_jump(change, joint)
         member = self.members.of_estimate(joint)
         turned = self._is_turned(member, change, joint)
         after = self._jumped(change, joint, soft=turned or bool(change.delay(self.system)))
@@ -201,6 +201,10 @@ class Conditioning:
         self, change: ContactChange, state: GaussianState, leftover: float = 0.0
     ) -> GaussianState:
         """The state after a missed event; see ``ImpactFilter.posterior_of_missed``."""
+        return self.after_jump(change, self.joint_of_missed(change, state), leftover)
+
+    def joint_of_missed(self, change: ContactChange, state: GaussianState) -> Joint:
+        """The instant of a missed event, which is the root of its guard, and the state then."""
         x, root, member = state.x, state.root, self.members.of_estimate(state)
         contacts = change.contacts[:1]
         hit = bool(change.hit)
@@ -224,8 +228,7 @@ class Conditioning:
         differences[:1] = row.dot(differences[1 : 1 + row.size])
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
         whole[0, 0], whole[0, 1:], whole[1:, 1:] = nonlinear, row.dot(root[: row.size]), root
-        joint = Joint.of(change.t, e, state, triangular(whole), differences)
-        return self.after_jump(change, joint, leftover)
+        return Joint.of(change.t, e, state, triangular(whole), differences)
 
     def jump_remainder(self, change: ContactChange, joint: Joint) -> Matrix:
         """What is not linear in the jump of ``joint``: a root of its second moment, (2n, any)."""
@@ -241,7 +244,7 @@ class Conditioning:
         expansion = rows.expanded(rates, joint.x, member.moving.forces(joint.t))
         return np.column_stack(product(joint.own, expansion.D, expansion.E))
 
-    def _at_jump(self, change: ContactChange, joint: Joint) -> Joint:
+    def at_jump(self, change: ContactChange, joint: Joint) -> Joint:
         """``joint`` when the velocities jump, which in an impact that lasts is later."""
         if not (late := change.delay(self.system)):
             return joint

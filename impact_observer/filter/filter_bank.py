@@ -22,6 +22,8 @@ from impact_observer.filter.tuning import TUNING
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.weighing import Branch
 
+RESTART = "restart: "
+"""Prefix of the reason of a verdict after which the filter goes on from another estimate."""
 Restarts: TypeAlias = Callable[[], Sequence[Hypothesis]]
 """Makes the hypotheses of a restart; their probabilities add up to one."""
 
@@ -131,7 +133,7 @@ def _weighed_beside(
 ) -> Iterator[Hypothesis]:
     """``restarts`` after an event, weighed beside the hypotheses ``made`` of it."""
     total = log_sum([h.weight for h in made]) if made else 0.0
-    ruling = (Ruling.APPLIED, "restart: the estimate before it is rejected")
+    ruling = (Ruling.APPLIED, f"{RESTART}the estimate before it is rejected")
     before = made[0].ledger.without_event(change) if made else Ledger()
     ledger = before._replace(settled={}).with_event(change, ruling, {})
     jump_error = made[0].jump_error if made else None

@@ -113,9 +113,12 @@ class Uncertainty:
         ``sizes`` are those of the motion of (q, u), shape (2n,), see ``Scales.sizes``.
         """
         covariance = root @ root.T
-        least = max(self.undeclared, STATE_ROUNDING)
-        covariance.flat[:: len(root) + 1] += (least * sizes) ** 2
+        covariance.flat[:: len(root) + 1] += self.least_deviations(sizes) ** 2
         return frozen(covariance)
+
+    def least_deviations(self, sizes: Vector) -> Vector:
+        """Standard deviations of (q, u) by rounding and what is undeclared, shape (2n,)."""
+        return max(self.undeclared, STATE_ROUNDING) * sizes
 
     @property
     def estimates_parameters(self) -> bool:

@@ -21,7 +21,8 @@ _OF_RCLPY = (*_PARAMETERS, *_SETTING, *_TRANSITIONS, *_STATES, "get_type_descrip
 OF_EVERY_NODE = tuple(f"~/{each}" for each in _OF_RCLPY)
 """Services of parameters, of the life cycle and of types."""
 LOGS, CHANGES, TRANSITIONS = "/rosout", "/parameter_events", "~/transition_event"
-"""Topics that rclpy publishes."""
+TOPICS_OF_EVERY_NODE = (LOGS, CHANGES, TRANSITIONS, interfaces.DIAGNOSTIC_ARRAYS.name)
+"""Topics that every node publishes."""
 
 
 class Access(NamedTuple):
@@ -63,14 +64,11 @@ NODES = {
             interfaces.OBSERVER_VERDICTS,
             interfaces.OBSERVER_MEASUREMENTS,
             interfaces.OBSERVER_BOUND,
-            interfaces.DIAGNOSTIC_ARRAYS,
         ),
         (interfaces.IMPACTS, *LIVE, ENCODER),
         ("~/reset", "~/set_state"),
     ),
-    "detector": Access(
-        (interfaces.IMPACTS, interfaces.DIAGNOSTIC_ARRAYS), (SENSOR, interfaces.PHASE_REFERENCE)
-    ),
+    "detector": Access((interfaces.IMPACTS,), (SENSOR, interfaces.PHASE_REFERENCE)),
     "monitor": Access(
         (interfaces.MONITOR_ERROR,),
         (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES),
@@ -82,7 +80,7 @@ NODES = {
 def policy(node: str) -> str:
     """The policy of a node of this name, without a namespace, as XML."""
     access = NODES[node]
-    published = [*(each.name for each in access.publishes), LOGS, CHANGES, TRANSITIONS]
+    published = [*(each.name for each in access.publishes), *TOPICS_OF_EVERY_NODE]
     subscribed = [*(each.name for each in access.subscribes), interfaces.SIMULATED_CLOCK.name]
     served = [*access.serves, *OF_EVERY_NODE]
     lines = [

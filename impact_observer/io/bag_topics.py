@@ -17,7 +17,7 @@ _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
 SOUND_FILES = (".wav", ".flac", ".ogg")
 """Suffixes of sounds."""
-SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", *SOUND_FILES)
+SIGNAL_FILES = (".csv", ".txt", ".tsv", ".dat", ".lvm", *SOUND_FILES)
 """Suffixes of tables and sounds, of which commands make bags."""
 
 

@@ -88,12 +88,15 @@ SENSORS = Quality(reliable=False, depth=100)
 
 SMOOTHER = "smoother"
 """The owner of the topics of smoothed recordings."""
+_ALSO_SMOOTHED = ("observer/joint_states", "observer/state", "observer/verdicts")
+"""Topics of an observer that a smoother has under its own name."""
 IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
 CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
 OBSERVER_STATE = "impact_observer_msgs/msg/ObserverState"
 EVENT_VERDICT = "impact_observer_msgs/msg/EventVerdict"
 MEASUREMENT_VERDICT = "impact_observer_msgs/msg/MeasurementVerdict"
 SMOOTHED_IMPACT = "impact_observer_msgs/msg/SmoothedImpact"
+IMPACT_ESTIMATE = "impact_observer_msgs/msg/ImpactEstimate"
 ESTIMATE_ERROR = "impact_observer_msgs/msg/EstimateError"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
@@ -144,10 +147,15 @@ class Interface:
         if len(parts) < len(wanted) or parts[-1] != wanted[-1]:
             return False
         owner = parts[-2] if len(parts) > 1 else ""
-        if len(wanted) == 1:
-            return owner != SMOOTHER
-        alike = owner == wanted[0] or owner.startswith(f"{wanted[0]}_")
-        return alike or (owner == SMOOTHER and wanted[0] == "observer")
+        if len(wanted) == 1:  # /observer/impacts is none of /impacts in a namespace
+            return owner != SMOOTHER and not _is_of("observer", owner)
+        smoothed = owner == SMOOTHER and self.name in _ALSO_SMOOTHED
+        return _is_of(wanted[0], owner) or smoothed
+
+
+def _is_of(kind: str, owner: str) -> bool:
+    """Whether an ``owner`` of topics, such as ``observer_geometric``, is a node of this kind."""
+    return owner == kind or owner.startswith(f"{kind}_")
 
 
 IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
@@ -159,9 +167,11 @@ PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
 OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
 OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
 OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
+OBSERVER_IMPACTS = Interface("observer/impacts", IMPACT_ESTIMATE, EVENTS)
 OBSERVER_MEASUREMENTS = Interface("observer/measurements", MEASUREMENT_VERDICT, INPUTS)
 OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
+SMOOTHED_ESTIMATES = Interface("smoother/impact_estimates", IMPACT_ESTIMATE, EVENTS)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
@@ -179,9 +189,11 @@ INTERFACES = (
     OBSERVER_JOINT_STATES,
     OBSERVER_STATES,
     OBSERVER_VERDICTS,
+    OBSERVER_IMPACTS,
     OBSERVER_MEASUREMENTS,
     OBSERVER_BOUND,
     SMOOTHED_IMPACTS,
+    SMOOTHED_ESTIMATES,
     MONITOR_ERROR,
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,

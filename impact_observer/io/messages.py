@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import (
     REVISED,
+    ImpactEstimate,
     ImpactEvent,
     Kind,
     MeasurementVerdict,
@@ -33,6 +34,8 @@ from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 
+_IMPACT_NUMBERS = ImpactEstimate._fields[4:]
+"""Fields that an estimate of an impact shares with its message: speeds and so on, deviations."""
 _MAX_UINT32 = 2**32 - 1
 _MAX_UINT64 = 2**64 - 1
 AnyMessage: TypeAlias = Any
@@ -170,6 +173,18 @@ class Messages:
             contact=impact.contact,
             verdict=int(impact.ruling),
             deviation=_number("SmoothedImpact.deviation", impact.deviation),
+        )
+
+    def impact_estimate(self, impact: ImpactEstimate) -> AnyMessage:
+        """``impact`` as ``impact_observer_msgs/ImpactEstimate``."""
+        _check_counter("ImpactEstimate.sequence", impact.sequence, _MAX_UINT64)
+        numbers = {name: getattr(impact, name) for name in _IMPACT_NUMBERS}
+        return self._classes(interfaces.IMPACT_ESTIMATE)(
+            header=self._header("ImpactEstimate", impact.stamp),
+            contact=impact.contact,
+            verdict=int(impact.ruling),
+            sequence=impact.sequence,
+            **{name: _number(f"ImpactEstimate.{name}", each) for name, each in numbers.items()},
         )
 
     def measurement_verdict(self, verdict: MeasurementVerdict) -> AnyMessage:
@@ -409,6 +424,21 @@ def read_smoothed_impact(message: AnyMessage) -> SmoothedImpact:
         contact=message.contact,
         ruling=_member(Ruling, "SmoothedImpact.verdict", message.verdict),
         deviation=float(message.deviation),
+    )
+
+
+def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
+    """The estimate of an impact in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, the ruling is unknown, or a number is not finite.
+    """
+    return ImpactEstimate(
+        read_stamp("ImpactEstimate.header.stamp", message.header.stamp),
+        message.contact,
+        _member(Ruling, "ImpactEstimate.verdict", message.verdict),
+        int(message.sequence),
+        *(_number(f"ImpactEstimate.{name}", getattr(message, name)) for name in _IMPACT_NUMBERS),
     )
 
 

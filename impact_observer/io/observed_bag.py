@@ -6,7 +6,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from impact_observer.events import (
     Ruling,
     Verdict,
     final_rulings,
+    rejected_impacts,
 )
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import OBSERVER, in_log_order, messages_of
@@ -32,6 +33,7 @@ from impact_observer.model import System
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
+from impact_observer.observer.replay import Impacts, noting_impacts
 from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
@@ -109,9 +111,15 @@ def observe_bag(
         samples = () if measured is None else measured.samples
         items = replay_batches(observer, events, stamps, rejects=True, samples=samples)
         loud = set() if measured is None else measured.published
+        impacts: Impacts = {}
+        items = noting_impacts(items, observer, impacts)
         made = messages.serialized(_with_samples(items, observer, loud))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
+        topic, make = interfaces.OBSERVER_IMPACTS.topic, bag_messages()
+        every = [*impacts.values(), *rejected_impacts(messages.final, events)]
+        for each in sorted(every, key=attrgetter("stamp")):  # the last verdict decides on each
+            writer.write(topic, each.stamp, make.impact_estimate(each))
         observer.require_start()
         is_later = stamps.size and stamps[-1] > observer.last_event > 0
         if is_later and (silence := observer.silence(int(stamps[-1]))):

@@ -28,7 +28,7 @@ from impact_observer.errors import (
     UnfitBagError,
     UsageError,
 )
-from impact_observer.events import ImpactEvent, MeasurementVerdict, Verdict
+from impact_observer.events import ImpactEstimate, ImpactEvent, MeasurementVerdict, Verdict
 from impact_observer.input_files import check_input, open_input
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
@@ -46,6 +46,7 @@ from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
     read_event,
+    read_impact_estimate,
     read_measurement_verdict,
     read_stamp,
     read_verdict,
@@ -141,7 +142,7 @@ class BagReader:
         self._received: frozenset[str] = frozenset()
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
-        self.end = self._reader.end_time - 1 if self.message_count else 0
+        self.end = int(self._reader.end_time) - 1 if self.message_count else 0
 
     def _check_files(self) -> None:
         """Check that the files are regular ones, and the checksums of indexes of MCAP files.
@@ -274,6 +275,12 @@ class BagReader:
         fitting = (topic for topic in here if any(each.fits(topic) for each in own))
         return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
 
+    def impact_topics(self) -> tuple[str, ...]:
+        """Topics of estimates of impacts, of observers and of a smoother, sorted."""
+        own = (interfaces.OBSERVER_IMPACTS, interfaces.SMOOTHED_ESTIMATES)
+        here = filter(self._is_here, self.topics)
+        return tuple(sorted(topic for topic in here if any(each.fits(topic) for each in own)))
+
     def raw(
         self,
         topics: Collection[str] | None = None,
@@ -373,6 +380,14 @@ class BagReader:
         return (
             verdict for verdict, _ in self._values(topic, interfaces.EVENT_VERDICT, read_verdict)
         )
+
+    def impact_estimates(self, topic: str) -> Iterator[ImpactEstimate]:
+        """The estimates of impacts of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message is not valid.
+        """
+        return self._values(topic, interfaces.IMPACT_ESTIMATE, read_impact_estimate)
 
     def sample_verdicts(self, topic: str) -> Iterator[MeasurementVerdict]:
         """The verdicts on samples of a topic, in bag order.

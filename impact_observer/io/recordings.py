@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from impact_observer import __version__
 from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError
-from impact_observer.events import ImpactEvent
+from impact_observer.events import ImpactEstimate, ImpactEvent
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
@@ -269,6 +269,32 @@ def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) ->
         return outcomes
     used = Counter(each.accepted for each in reader.sample_verdicts(f"{prefix}/measurements"))
     return replace(outcomes, measured=(used[True], used[False]))
+
+
+def impact_topics(reader: BagReader) -> tuple[str, ...]:
+    """The topics of estimates of impacts in a bag, sorted.
+
+    Raises:
+        BagError: the bag has none.
+    """
+    if not (topics := reader.impact_topics()):
+        raise UnfitBagError(
+            f"{reader.path}: has no estimates of impacts ({interfaces.OBSERVER_IMPACTS.topic});"
+            " run observe or smooth on it, and take the bag that it makes"
+        )
+    return topics
+
+
+def impact_estimates(reader: BagReader) -> dict[str, list[ImpactEstimate]]:
+    """The estimates of impacts in a bag, by topic, in order of stamps.
+
+    Those of ``observe`` are on ``/observer/impacts``, those of ``smooth`` on
+    ``/smoother/impact_estimates``. Impacts that were rejected are among them, without numbers.
+
+    Raises:
+        BagError: the bag has no such topic, or a message is not valid.
+    """
+    return {topic: [*reader.impact_estimates(topic)] for topic in impact_topics(reader)}
 
 
 def epoch_of(events: Iterable[ImpactEvent]) -> int:

@@ -17,7 +17,7 @@ from impact_observer.io.interfaces import Quality, interface, usual_quality
 from impact_observer.io.mcap_output import Item, McapOutput
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
-from impact_observer.output_files import unwritable
+from impact_observer.output_files import check_name, unwritable
 
 _BATCH = 1024
 _BATCH_BYTES = 2**20
@@ -38,8 +38,10 @@ def check_free(path: Path) -> None:
     """Check that a bag can be made at ``path``.
 
     Raises:
-        UsageError: something is there already, its parent is no folder, or the name is too long.
+        UsageError: something is there already, its parent is no folder, or the name is too long
+            or no UTF-8.
     """
+    check_name(path)
     try:
         path.lstat()
         raise UsageError(f"{path}: exists already; remove it or choose another name")

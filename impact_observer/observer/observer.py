@@ -15,6 +15,7 @@ from impact_observer.errors import DynamicsError, ImpactObserverError, UsageErro
 from impact_observer.events import (
     REVISED,
     Contacts,
+    ImpactEstimate,
     ImpactEvent,
     Kind,
     Remark,
@@ -524,6 +525,16 @@ class Observer:
         """
         self._follow()
         return self._run.estimate(whole_stamp(stamp))
+
+    def impact(self, verdict: Verdict) -> ImpactEstimate | None:
+        """The estimate of an impact that a ``verdict`` just received applies or inserts.
+
+        Returns None for a release, and where the event is in the past that is kept no longer.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+        """
+        return self._run.impact(verdict)
 
     def silence(self, stamp: int) -> str:
         """The warning that predicted impacts have not come up to ``stamp`` (ns), or nothing.

@@ -4,12 +4,12 @@
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import attrgetter
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from impact_observer.errors import DynamicsError
-from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.events import DECIDING, ImpactEstimate, ImpactEvent, Ruling, Verdict
 from impact_observer.observer.event_order import NEAR_NUMBERS, NEAR_STAMPS
 from impact_observer.observer.observer import Observer
 from impact_observer.observer.samples import SensorSample
@@ -17,6 +17,7 @@ from impact_observer.observer.sender_runs import Placed, Weighed, placed
 from impact_observer.stamps import MAX_STAMP, whole_stamps
 from impact_observer.states import Estimate, Estimates, Stamps
 
+_Item = TypeVar("_Item", bound=Estimates | Verdict)
 _BATCH = 4096
 """Most estimates that are made together."""
 
@@ -88,6 +89,24 @@ def replay_batches(
     yield from _measured(observer, waiting, MAX_STAMP)
     if errors and not observer.last_event:
         raise errors[0]
+
+
+Impacts: TypeAlias = dict[tuple[int, int, str], ImpactEstimate]
+"""Estimates of impacts, by the stamp (ns), sequence and contact of their verdicts."""
+
+
+def noting_impacts(
+    items: Iterable[_Item], observer: Observer, impacts: Impacts
+) -> Iterator[_Item]:
+    """``items`` of a replay of ``observer``; ``impacts`` become those of the verdicts so far."""
+    for item in items:
+        if isinstance(item, Verdict) and item.ruling in DECIDING:
+            key = item.stamp, item.sequence, item.contact
+            if item.ruling is Ruling.REJECTED:
+                impacts.pop(key, None)
+            elif found := observer.impact(item):
+                impacts[key] = found
+        yield item
 
 
 def _measured(observer: Observer, waiting: list[SensorSample], before: int) -> Sequence[Verdict]:

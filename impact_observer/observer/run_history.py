@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.events import Contacts, ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.events import (
+    Contacts,
+    ImpactEstimate,
+    ImpactEvent,
+    Kind,
+    Remark,
+    Ruling,
+    Verdict,
+)
+from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import SampleOutcome
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.deviation_sources import VariancePart, variance_parts
@@ -21,7 +30,7 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between, text
+from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -264,6 +273,40 @@ class RunHistory:
             return ()
         start = max(insertion.entry.key.stamp - self._history, timeline.start.stamp)
         return self._issued.complete([((), insertion)], start)[1]
+
+    def impact(self, verdict: Verdict) -> ImpactEstimate | None:
+        """See ``Observer.impact``."""
+        timeline, names = self.timeline, self._names
+        contacts = verdict.contact, verdict.hit_contact
+        if timeline is None or not {*contacts} <= {*names}:
+            return None
+        reported, hit = map(names.index, contacts)
+        if verdict.ruling is Ruling.INSERTED:
+            before, entry = timeline.entry_at(verdict.stamp), None
+            stamp, hits = verdict.stamp - before.belief.clock.late, {hit}
+            held = self.update.prediction(before).closed(seconds_between(before.since, stamp))
+            closed = before.closed if held is None else held
+        elif (found := timeline.around(verdict.stamp, verdict.sequence, reported)) is not None:
+            before, entry = found
+            stamp, closed, kinds = entry.since, before.closed, entry.key.switches
+            hits = {hit if i == reported else i for i, kind in kinds if kind is not Kind.OPEN}
+        else:
+            return None
+        if hit not in hits or (entry is None and hit in closed):  # a release
+            return None
+        change = ContactChange(
+            Elapsed(stamp - (self.update.epoch or stamp)),
+            closed,
+            tuple(sorted(hits)),
+            closed,
+            verdict.stamp,
+            verdict.sequence,
+            seconds_between(before.since, stamp),
+        )
+        after, prediction = None if entry is None else entry.belief, self.update.prediction(before)
+        balance = self.update.law.impact_balance(change, before.belief, prediction, after)
+        own, stamp = balance.rows[change.hit.index(hit)], stamp - from_seconds(balance.early)
+        return ImpactEstimate(stamp, names[hit], verdict.ruling, verdict.sequence, *own.tolist())
 
     def estimate(self, stamp: int) -> Estimate:
         """See ``Observer.estimate``."""

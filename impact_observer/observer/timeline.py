@@ -342,6 +342,18 @@ class Timeline:
         """The last entry at or before ``stamp`` (ns)."""
         return self.interval(stamp)[0]
 
+    def around(self, stamp: int, sequence: int, contact: int) -> tuple[Entry, Entry] | None:
+        """The entry before the event of a contact, and that of the event; None if not known.
+
+        The event has this ``stamp`` (ns) and ``sequence``.
+        """
+        at = bisect_right(self.entries, (stamp, sequence), key=lambda entry: entry.event)
+        while at > 1 and (entry := self.entries[at - 1]).event == (stamp, sequence):
+            at -= 1
+            if any(i == contact for i, _ in entry.key.switches):
+                return self.entries[at - 1], entry
+        return None
+
     def interval(self, stamp: int) -> tuple[Entry, int | None]:
         """The ``entry_at`` a stamp (ns), and the stamp of the next entry, None for the last."""
         entry = self.entries[-1]

@@ -1,28 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The detector node: sensor messages in, impact events out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.subscription import Subscription
 
 from impact_observer.detector import Detection, Detector, SensorCounts, Source, read_sources
 from impact_observer.detector.source import SWITCH
+from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.live_inputs import read_pulse
-from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.io.messages import AnyMessage
 from impact_observer.ros import parameters
 from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import (
-    MOST_TOGETHER,
-    MessageInfo,
-    common_offer,
-    waiting_messages,
-)
+from impact_observer.ros.subscribing import FOLLOWING, MOST_TOGETHER, MessageInfo, Receiver
 from impact_observer.stamps import text
 
 _DISCOVERY_PERIOD = 0.1
@@ -47,105 +42,100 @@ class DetectorNode(ManagedNode):
 
     def configure(self) -> None:
         """Implement ``ManagedNode``."""
-        self._wanted = list(read_sources(self.values.text("sources")))
         self._detector = Detector(epoch=self.values.integer("epoch"))
+        self._sources: dict[str, list[Source]] = {}
+        for each in read_sources(self.values.text("sources")):
+            self._sources.setdefault(self.resolve_topic_name(each.topic), []).append(each)
+        self._receivers = {topic: self._receiver(topic) for topic in self._sources}
         self._indices: dict[str, list[int]] = {}
-        self._requested: dict[str, Quality] = {}
-        self._subscriptions_by_topic: dict[str, Subscription] = {}
+        self._problems: dict[str, str] = {}
         self._last_counts: dict[int, tuple[int, int]] = {}
         self._unstamped = 0
         self._doubts: list[str] = []
         self._impacts = self.publisher(interfaces.IMPACTS)
         if not self._detector.epoch:
             pulses = interfaces.PHASE_REFERENCE
-            self.create_subscription(
-                message_class(pulses.type),
-                pulses.name,
-                self._on_pulse,
-                qos_profile(pulses.quality),
-            )
+            Receiver(
+                self, pulses.name, self._on_pulses, read=lambda message, _: read_pulse(message)
+            ).connect(pulses.type, pulses.quality)
         self.repeat(_DISCOVERY_PERIOD, self._discover)
         self.repeat(_TICK, self._on_tick)
         self.diagnose(self._statuses)
         self.when_clock_jumps_back(self._detector.restart)
-        topics = sorted({self.resolve_topic_name(each.topic) for each in self._wanted})
-        contacts = sorted({each.contact for each in self._wanted})
-        self.introduce(f"contacts {', '.join(contacts)}", f"publishers of {', '.join(topics)}")
+        contacts = sorted({each.contact for own in self._sources.values() for each in own})
+        topics = ", ".join(sorted(self._sources))
+        self.introduce(f"contacts {', '.join(contacts)}", f"publishers of {topics}")
+
+    def _receiver(self, topic: str) -> Receiver:
+        """The receiver of a topic, whose messages keep their time of publication."""
+        return Receiver(
+            self,
+            topic,
+            partial(self._on_messages, topic),
+            read=lambda *message_and_info: message_and_info,
+            event_callbacks=FOLLOWING,
+        )
 
     def _discover(self) -> None:
-        """Subscribe to the sensors' topics that have a publisher, and thus a type."""
-        for source in tuple(self._wanted):
-            topic = self.resolve_topic_name(source.topic)
-            if publishers := self.get_publishers_info_by_topic(topic):
-                complete = source.complete(publishers[0].topic_type)
-                self._indices.setdefault(topic, []).append(self._detector.add_source(complete))
-                self._wanted.remove(source)
-        for topic in self._indices:
-            self._subscribe(topic)
+        """Follow the publishers of the sensors' topics: their types, and what they offer."""
+        for topic, receiver in self._receivers.items():
+            # Under simulated time the others wait for the clock, which stamps them.
+            receiver.most_together = 1 if self.get_clock().ros_time_is_active else MOST_TOGETHER
+            if receiver.look():
+                self._connect(topic, receiver)
 
-    def _subscribe(self, topic: str) -> None:
-        """Subscribe with the quality of service that all publishers of a topic offer."""
-        publishers = self.get_publishers_info_by_topic(topic)
-        if not publishers:
+    def _connect(self, topic: str, receiver: Receiver) -> None:
+        """Subscribe to the first type of a topic that suits its sources, with what all offer."""
+        self._problems[topic] = ""
+        for type_name in {receiver.type_name} & receiver.offers.keys() or receiver.offers:
+            try:
+                complete = [each.complete(type_name) for each in self._sources[topic]]
+                message_class(type_name)
+            except UsageError as error:
+                self._problems[topic] = str(error)
+                self.lines.error(str(error))
+                continue
+            self._problems[topic] = ""
+            self._put(topic, complete)
+            offered = receiver.offers[type_name]
+            latched = offered.transient_local and self._wants_past_messages(topic)
+            quality = Quality(offered.reliable, offered.reliable and latched, _DEPTH)
+            receiver.connect(type_name, quality)
             return
-        offered = common_offer(topic, publishers)
-        before = self._requested.get(topic)
-        reliable = offered.reliable and (before is None or before.reliable)
-        latched = reliable and offered.transient_local and self._wants_past_messages(topic)
-        wanted = Quality(reliable, latched and (before is None or before.transient_local), _DEPTH)
-        if wanted == before:
-            return
-        if before is not None:
-            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
-        self._requested[topic] = wanted
-        self._subscriptions_by_topic[topic] = self.create_subscription(
-            message_class(publishers[0].topic_type),
-            topic,
-            lambda message, info: self._on_message(topic, message, info),
-            qos_profile(wanted),
-        )
+
+    def _put(self, topic: str, sources: Sequence[Source]) -> None:
+        """Detect in a topic by ``sources`` from now on, which are complete."""
+        if topic not in self._indices:
+            self._indices[topic] = [*map(self._detector.add_source, sources)]
+        for index, source in zip(self._indices[topic], sources, strict=True):
+            self._detector.change_source(index, source)
 
     def _wants_past_messages(self, topic: str) -> bool:
         """Whether past messages are useful: messages of a switch with known times."""
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
-    def _on_message(self, topic: str, message: AnyMessage, info: MessageInfo) -> None:
-        """Detect events in a message and in the messages that wait behind it.
-
-        Under simulated time the others wait for the clock, which stamps them.
-        """
-        self._detect(topic, message, info)
-        if not self.get_clock().ros_time_is_active:
-            subscription = self._subscriptions_by_topic[topic]
-            for waiting, its_info in waiting_messages(subscription, MOST_TOGETHER):
-                self._detect(topic, waiting, its_info)
-
-    def _detect(self, topic: str, message: AnyMessage, info: MessageInfo) -> None:
-        """Publish the events in a message, unless simulated time has not begun."""
-        arrival = self.stamp_now()
-        if not self.get_clock().ros_time_is_active:
-            arrival = info["source_timestamp"] or arrival
-        if arrival == 0:
-            self._unstamped += 1
-            return
-        for index in self._indices[topic]:
-            self._publish_events(self._detector.feed(index, message, arrival))
+    def _on_messages(self, topic: str, taken: Sequence[tuple[AnyMessage, MessageInfo]]) -> None:
+        """Publish the events in messages, unless simulated time has not begun."""
+        for message, info in taken:
+            arrival = self.stamp_now()
+            if not self.get_clock().ros_time_is_active:
+                arrival = info["source_timestamp"] or arrival
+            if arrival == 0:
+                self._unstamped += 1
+                continue
+            for index in self._indices[topic]:
+                self._publish_events(self._detector.feed(index, message, arrival))
 
     def _publish_events(self, detections: list[Detection]) -> None:
         for _, event in detections:
             self.publish(self._impacts, self.make.event, event)
 
-    def _on_pulse(self, message: AnyMessage) -> None:
+    def _on_pulses(self, pulses: Sequence[int]) -> None:
         """Take the first pulse of a drive as the epoch of all events from now on."""
-        if self._detector.epoch:
-            return
-        try:
-            self._detector.epoch = read_pulse(message)
-        except MessageError as error:
-            self.lines.error(f"{interfaces.PHASE_REFERENCE.name}: {error}")
-            return
-        self.lines.info(f"epoch {text(self._detector.epoch)} s, by the first pulse of the drive")
+        if not self._detector.epoch:
+            self._detector.epoch = pulses[0]
+            self.lines.info(f"epoch {text(pulses[0])} s, by the first pulse of the drive")
 
     def _on_tick(self) -> None:
         """Let time pass: a switch without messages may stay closed."""
@@ -159,17 +149,23 @@ class DetectorNode(ManagedNode):
             if line not in doubts:
                 self.lines.warning(line)
         return [
-            *(self._missing_status(source) for source in self._wanted),
-            *(self._sensor_status(index) for index in range(len(self._detector.sources))),
+            *(
+                self._status(each, *self._fault(topic), {})
+                for topic, own in self._sources.items()
+                if topic not in self._indices
+                for each in own
+            ),
+            *(self._sensor_status(t, i) for t, own in self._indices.items() for i in own),
         ]
 
-    def _missing_status(self, source: Source) -> DiagnosticStatus:
-        """The status of a sensor without a publisher."""
-        topic = self.resolve_topic_name(source.topic)
-        return self._status(source, DiagnosticStatus.WARN, f"no node publishes {topic}", {})
+    def _fault(self, topic: str) -> tuple[bytes, str]:
+        """Level and message of what is wrong with the publishers of a topic."""
+        receiver = self._receivers[topic]
+        level = DiagnosticStatus.ERROR if receiver.offers else DiagnosticStatus.WARN
+        return level, self._problems.get(topic, "") or receiver.fault
 
-    def _sensor_status(self, index: int) -> DiagnosticStatus:
-        """The status of a sensor with a publisher."""
+    def _sensor_status(self, topic: str, index: int) -> DiagnosticStatus:
+        """The status of a sensor that has had a publisher."""
         source, counts = self._detector.sources[index], self._detector.counts[index]
         messages, unusable = self._last_counts.get(index, (0, 0))
         now_unusable = counts.invalid + counts.out_of_order
@@ -181,6 +177,8 @@ class DetectorNode(ManagedNode):
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
         if self._unstamped and not self.stamp_now():
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
+        if (fault := self._fault(topic))[1]:
+            level, message = fault
         return self._status(source, level, message, _values(source, counts, messages))
 
     def _status(

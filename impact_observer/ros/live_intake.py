@@ -5,16 +5,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
-from rclpy.node import Node
-
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.live_inputs import give, read_pulse
 from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.ahead_of_clock import AheadOfClock
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.subscribing import subscribe
+from impact_observer.ros.base_node import BaseNode
+from impact_observer.ros.subscribing import Receiver
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _MOST_AHEAD = 2000
@@ -33,7 +31,7 @@ class LiveIntake:
 
     def __init__(
         self,
-        node: Node,
+        node: BaseNode,
         live: LiveSignals | None,
         *,
         now: Callable[[], int],
@@ -70,9 +68,8 @@ class LiveIntake:
             (interfaces.PHASE_REFERENCE, on_pulse or (live is not None and live.drive)),
         ):
             if is_needed:
-                kind, name = message_class(interface.type), interface.name
                 take = partial(self.take_messages, interface)
-                subscribe(node, kind, name, interface.quality, take)
+                Receiver(node, interface.name, take).connect(interface.type, interface.quality)
 
     def take_messages(self, interface: Interface, messages: Sequence[AnyMessage]) -> None:
         """Use the samples in ``messages`` of one topic, or keep them until the clock is near."""

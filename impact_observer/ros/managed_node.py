@@ -108,6 +108,7 @@ class ManagedNode(LifecycleNodeMixin, BaseNode, ABC):
     def _forget(self) -> None:
         """Destroy what ``configure`` made, and what was made later in its callbacks."""
         self.is_configured = self.is_active = False
+        self.diagnose(tuple)
         if self._jump is not None:
             self._jump.unregister()
             self._jump = None

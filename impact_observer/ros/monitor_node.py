@@ -5,19 +5,24 @@ No other node receives both truth and estimates.
 """
 
 from collections import OrderedDict
+from collections.abc import Sequence
 
 import numpy as np
 
 from impact_observer.compare.energy_of_errors import energies, errors_of
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import AnyMessage, EstimateError, JointState
+from impact_observer.io.messages import (
+    AnyMessage,
+    EstimateError,
+    JointState,
+    read_joint_state,
+)
 from impact_observer.model import read_model
 from impact_observer.robots.robot import simulated
 from impact_observer.ros import parameters
 from impact_observer.ros.managed_node import ManagedNode
-from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import Receiver
 
 _DEPTH = 2000
 """States that are kept until their counterpart arrives, and depth of the subscriptions."""
@@ -35,39 +40,36 @@ class MonitorNode(ManagedNode):
         self._truth: OrderedDict[int, JointState] = OrderedDict()
         self._waiting: OrderedDict[int, JointState] = OrderedDict()
         self._errors = self.publisher(interfaces.MONITOR_ERROR)
-        joint_state, quality = (
-            message_class(interfaces.JOINT_STATE),
-            qos_profile(Quality(depth=_DEPTH)),
-        )
-        self.create_subscription(joint_state, "plant/joint_states", self._on_truth, quality)
-        estimates = self.create_subscription(
-            joint_state, "observer/joint_states", self._on_estimate, quality
-        )
-        owner = estimates.topic_name.rpartition("/")[0].lstrip("/")
+        quality = Quality(depth=_DEPTH)
+        truth = Receiver(self, "plant/joint_states", self._on_truth, read=self._state)
+        estimates = Receiver(self, "observer/joint_states", self._on_estimates, read=self._state)
+        for each in (truth, estimates):
+            each.connect(interfaces.JOINT_STATE, quality)
+        owner = estimates.topic.rpartition("/")[0].lstrip("/")
         self._law = self.values.text("law") or owner
         self.introduce(
             f"model {self._system.name}, law {self._law}",
             "a true state and an estimate of one stamp",
         )
 
-    def _on_truth(self, message: AnyMessage) -> None:
-        """Compare a true state with the estimate that has arrived before."""
-        state = self.read_state("plant/joint_states", message, self._system.coordinates)
-        if state is None:
-            return
-        _keep(self._truth, state)
-        if (estimate := self._waiting.pop(state.stamp, None)) is not None:
-            self._compare(state, estimate)
+    def _state(self, message: AnyMessage, _: object) -> JointState:
+        """The state in a message, with its columns in the order of the model."""
+        return read_joint_state(message).ordered(self._system.coordinates)
 
-    def _on_estimate(self, message: AnyMessage) -> None:
-        """Compare an estimate with its true state; an estimate that is corrected comes again."""
-        state = self.read_state("observer/joint_states", message, self._system.coordinates)
-        if state is None:
-            return
-        if (truth := self._truth.get(state.stamp)) is None:
-            _keep(self._waiting, state)
-        else:
-            self._compare(truth, state)
+    def _on_truth(self, states: Sequence[JointState]) -> None:
+        """Compare true states with the estimates that have arrived before."""
+        for state in states:
+            _keep(self._truth, state)
+            if (estimate := self._waiting.pop(state.stamp, None)) is not None:
+                self._compare(state, estimate)
+
+    def _on_estimates(self, states: Sequence[JointState]) -> None:
+        """Compare estimates with true states; an estimate that is corrected comes again."""
+        for state in states:
+            if (truth := self._truth.get(state.stamp)) is None:
+                _keep(self._waiting, state)
+            else:
+                self._compare(truth, state)
 
     def _compare(self, truth: JointState, estimate: JointState) -> None:
         """Publish the error of an estimate."""

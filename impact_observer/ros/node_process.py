@@ -8,29 +8,30 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
-from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import UnsetError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
-from impact_observer.process_end import Stop, end_with_parent, run
+from impact_observer.process_end import Stop, end_with_parent, ends_within, run
 from impact_observer.ros.environment import security_warning
-from impact_observer.ros.session import refusals_of_ros, require_ros, spin_once
+from impact_observer.ros.session import refusals_of_ros, require_ros
 from impact_observer.ros.wiring import FOLLOW
 
 if TYPE_CHECKING:
+    from rclpy.executors import SingleThreadedExecutor
+
     from impact_observer.ros.base_node import BaseNode
 
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
-_LOOK_PERIOD = 5.0
-"""Time between two looks at the simulated time and at the other nodes, s."""
 _OBJECTS = 10_000, 20, 20
 """New objects after which the youngest are searched for garbage, and ratios for older ones."""
 _SIGNAL_PERIOD = 0.1
 """Longest time until a signal is noticed, s."""
+_LONGEST_END = 2.0
+"""Time from a signal until a process ends in the midst of its work, s."""
 
 
 def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None = None) -> int:
@@ -46,11 +47,12 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
         args: the process's arguments with ``--ros-args``; None for ``sys.argv``.
 
     Returns:
-        0 after an orderly end, also by a signal; 1 for a failure; 2 for wrong use.
+        0 after an orderly end, also by a signal; 1 for a failure; 2 for wrong use. Work that goes
+        on for 2 s after a signal is ended, with 128 and the number of the signal.
     """
 
     def job() -> int:
-        with Stop() as stop:
+        with Stop() as stop, ends_within(_LONGEST_END):
             end_with_parent(int(os.environ.get(FOLLOW, "0")))
             given = sys.argv[1:] if args is None else args
             require_ros(given)
@@ -72,13 +74,11 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
     node = executor = None
     try:
         node = _make_node(make, args)
-        with node.lasting():
-            node.repeat(_LOOK_PERIOD, partial(warn_of_surroundings, node))
         _collect_rarely()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
-            spin_once(executor, node, _SIGNAL_PERIOD)
+            _spin_once(executor, node)
     except ExternalShutdownException:
         return
     except KeyboardInterrupt:
@@ -95,6 +95,24 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
         faulthandler.cancel_dump_traceback_later()
 
 
+def _spin_once(executor: "SingleThreadedExecutor", node: "BaseNode") -> None:
+    """Spin a node once; the node takes note of an error.
+
+    rclpy converts requests and messages outside of callbacks, so that no callback could guard
+    against what others send.
+    """
+    from rclpy.executors import ExternalShutdownException
+
+    try:
+        executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:
+        if isinstance(error, node.ends_by):
+            raise
+        node.note_error(error)
+
+
 def _collect_rarely() -> None:
     """Search what has been imported for garbage once, and the rest less often than by default.
 
@@ -103,19 +121,6 @@ def _collect_rarely() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(*_OBJECTS)
-
-
-def warn_of_surroundings(node: "BaseNode") -> None:
-    """Warn of simulated time that has not begun, and of another node of the same name."""
-    own = (node.get_name(), node.get_namespace())
-    if (count := node.get_node_names_and_namespaces().count(own)) > 1:
-        line = f"{count} nodes are called {node.get_fully_qualified_name()}: their messages are"
-        remedy = "start one with another name (-r __node:=NAME) or ROS_DOMAIN_ID"
-        node.lines.warning(f"{line} merged; {remedy}")
-    if node.get_parameter("use_sim_time").value and node.stamp_now() == 0:
-        node.lines.warning(
-            "use_sim_time is set, but no /clock has come: nothing is published until it does"
-        )
 
 
 def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode":
@@ -150,20 +155,10 @@ def _how_to_set(name: str, args: Sequence[str]) -> str:
 
 def _warn_of_unknown_parameters(node: "BaseNode", args: Sequence[str]) -> None:
     """Warn of misspelt parameters, which ROS ignores: in the log and on ``/diagnostics``."""
-    from diagnostic_msgs.msg import DiagnosticStatus
-
-    from impact_observer.ros.statuses import diagnostic_status
-
-    if not (lines := list(_unknown_parameters(node, args))):
-        return
+    lines = [*_unknown_parameters(node, args)]
     for line in lines:
         node.lines.warning(line)
-    name = f"{node.get_fully_qualified_name()}: parameters"
-    status = diagnostic_status(
-        name, DiagnosticStatus.WARN, "; ".join(lines), {}, hardware=node.get_name()
-    )
-    with node.lasting():
-        node.diagnose(lambda: [status])
+    node.doubts = "; ".join(lines)
 
 
 def _unknown_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:

@@ -38,7 +38,7 @@ class ObserverDiagnostics:
             ``invalid``, ``overflow``, ``waited``, ``shed``, ``large innovations`` and
             ``clock_jumps``.
         failure: why there is no estimate; empty while there are estimates.
-        mismatch: a publisher with an incompatible quality of service; empty for none.
+        mismatch: a publisher of impacts of another type or quality of service; empty for none.
         odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
         inputs: the samples of live forces and grounds that the node receives; None for none.

@@ -14,15 +14,12 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticStatus
 from impact_observer_msgs.srv import SetState
 from numpy.typing import ArrayLike
-from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Ruling, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.interfaces import Quality
 from impact_observer.io.live_inputs import efforts_on
 from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
@@ -31,18 +28,16 @@ from impact_observer.observer import LARGEST_INNOVATION, Law, initial_state, mak
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.make_observer import declared_by, encoder_start
 from impact_observer.options import AT_NEXT_START, FROM_ESTIMATE, OBSERVER_OPTIONS, Options, Value
-from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.estimate_times import EstimateTimes
 from impact_observer.ros.event_intake import MOST_WAITING, EventIntake, Judged
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.log_lines import without_numbers
 from impact_observer.ros.managed_node import ManagedNode
-from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.ros.sensor_intake import SensorIntake
-from impact_observer.ros.subscribing import subscribe, waiting_messages
+from impact_observer.ros.subscribing import FOLLOWING, Receiver
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate, Vector
 from impact_observer.turns import turns_given_to
@@ -125,8 +120,11 @@ class ObserverNode(ManagedNode):
         future = from_seconds(values.number("future"))
         self.intake = EventIntake(self.observer, self.stamp_now, future, limits, self._counts)
         self._go_on = self.create_guard_condition(self._apply_events)
-        self._impacts, self._next_turn = self._subscribe_to_impacts(), 0.0
-        self._rests_until = 0.0
+        name = interfaces.IMPACTS.name
+        self._impacts = Receiver(self, name, self._on_impacts, event_callbacks=FOLLOWING)
+        self._impacts.connect(interfaces.IMPACT_EVENT, interfaces.EVENTS)
+        self.repeat(_DISCOVERY_PERIOD, self._discover)
+        self._next_turn = self._rests_until = 0.0
         self._is_turn = self._went_back = self._is_due = False
         self._declared: _NewStart | None = None
         self._waits_for: tuple[str, ...] = ()
@@ -141,20 +139,6 @@ class ObserverNode(ManagedNode):
         self.introduce(
             f"model {system.name}, law {options.law}{known}",
             f"events on impacts{live}{topics}",
-        )
-
-    def _subscribe_to_impacts(self) -> Subscription:
-        durability = self.values.text("events_durability")
-        return subscribe(
-            self,
-            message_class(interfaces.IMPACTS.type),
-            interfaces.IMPACTS.name,
-            Quality(
-                transient_local=durability == "transient_local",
-                depth=interfaces.IMPACTS.quality.depth,
-            ),
-            self._on_impacts,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_mismatch),
         )
 
     def _live_intake(self, options: Options) -> LiveIntake:
@@ -193,8 +177,6 @@ class ObserverNode(ManagedNode):
             else {self._efforts.name: self._inputs.take_efforts},
         )
         names = ", ".join(each.name for each in self.observer.samples.sensors)
-        if names:
-            self.repeat(_DISCOVERY_PERIOD, self._discover)
         if names and self.observer.robot is not None:
             self.repeat(_POLL_PERIOD, intake.take_arrived)
         if names and not self.observer.law.uses_measurements:
@@ -218,10 +200,24 @@ class ObserverNode(ManagedNode):
         return self.refuse(UsageError(line))
 
     def _discover(self) -> None:
-        """Find new topics of sensors; try again to be active once a sensor has had a sample."""
+        """Look at all publishers; try again to be active once a sensor has had a sample."""
+        if self._impacts.look():
+            self._follow_publishers()
         self._sensors.discover()
         if self._waits_for and self._sensors.without_sample() != self._waits_for:
             self.trigger_activate()
+
+    def _follow_publishers(self) -> None:
+        """Ask for past events if all publishers of impacts keep these; report the others."""
+        receiver, fault = self._impacts, ""
+        if (offer := receiver.offers.get(interfaces.IMPACT_EVENT)) is not None:
+            wanted = replace(interfaces.EVENTS, transient_local=offer.transient_local)
+            receiver.connect(interfaces.IMPACT_EVENT, wanted)
+            if not offer.reliable:
+                fault = f"a publisher of {receiver.topic} is best effort; expected reliable"
+        self._diagnostics.mismatch = receiver.fault if receiver.offers and not fault else fault
+        if self._diagnostics.mismatch:
+            self.lines.error(self._diagnostics.mismatch)
 
     @property
     def _last_stamp(self) -> int:
@@ -340,7 +336,7 @@ class ObserverNode(ManagedNode):
             return
         self._is_turn = True
         self.take_clock()
-        self._take_impacts(each for each, _ in waiting_messages(self._impacts, MOST_WAITING))
+        self._take_impacts(self._impacts.waiting(MOST_WAITING))
         with self.observer.without_new_samples():
             self._publish_due()
         self._is_turn = False
@@ -509,14 +505,6 @@ class ObserverNode(ManagedNode):
             return False, str(error)
         start = self.observer.start
         return True, "holds at the start" if start is None else f"holds at {start} ns"
-
-    def _on_mismatch(self, info: QoSRequestedIncompatibleQoSInfo) -> None:
-        """Report a publisher of impacts that can never connect."""
-        self._diagnostics.mismatch = (
-            f"a publisher of impacts offers an incompatible quality of service"
-            f" ({info.last_policy_kind}); set events_durability: volatile"
-        )
-        self.get_logger().error(printable(self._diagnostics.mismatch))
 
     def _statuses(self) -> list[DiagnosticStatus]:
         """Counts and faults of the observer, and of each sensor."""

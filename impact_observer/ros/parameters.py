@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.options import (
     AT_ONCE,
@@ -47,6 +47,14 @@ _FUTURE = Option(
     "s",
     low=0.0,
     high=1e9,
+)
+_MAX_MESSAGE = Option(
+    "max_message",
+    1_000_000,
+    "longest message of events, states or samples; a longer one is refused and counted",
+    "bytes",
+    low=100,
+    high=1_000_000_000,
 )
 _LARGEST = 2**63 - 1
 """The largest int that a ROS parameter can hold."""
@@ -97,6 +105,7 @@ PLANT = (
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
     *MEASUREMENT_FAULTS,
+    _MAX_MESSAGE,
     _AUTOSTART,
 )
 OBSERVER = (
@@ -118,12 +127,6 @@ OBSERVER = (
     Option(
         "max_frame", 4096, "longest name of the frame in a header", "bytes", low=0, high=1_000_000
     ),
-    Option(
-        "events_durability",
-        "volatile",
-        "durability of the subscription to impacts; transient_local receives past impacts too",
-        choices=("volatile", "transient_local"),
-    ),
     _INPUT_TIMEOUT,
     _MEASUREMENTS,
     Option(
@@ -143,16 +146,19 @@ OBSERVER = (
         False,
         "publish nothing until each sensor of measurements has had a sample",
     ),
+    _MAX_MESSAGE,
     _AUTOSTART,
 )
 DETECTOR = (
     Option("sources", "", "a file of sensors, or the name of a sample", required=True),
     Option("epoch", 0, "stamp of t = 0 that events carry; 0: unknown", "ns", low=0),
+    _MAX_MESSAGE,
     _AUTOSTART,
 )
 MONITOR = (
     _MODEL,
     Option("law", "", "name of the law in the messages; empty: the name of the observer node"),
+    _MAX_MESSAGE,
     _AUTOSTART,
 )
 TABLES: Mapping[str, tuple[Option, ...]] = {
@@ -279,7 +285,7 @@ def on_change(
             for name, value in values.items():
                 rows[name].check(value)
             check(values)
-        except UsageError as error:
+        except ImpactObserverError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -10,7 +10,7 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from impact_observer.errors import DynamicsError, UsageError
+from impact_observer.errors import DynamicsError, InputTimeoutError, UsageError
 from impact_observer.events import Contacts
 from impact_observer.integrators import described
 from impact_observer.io import interfaces
@@ -37,6 +37,8 @@ _LONGEST_SLEEP = 0.05
 """Longest time between two readings of a clock that the node does not own, s."""
 _LONGEST_WAIT = NS_PER_S // 100
 """Longest time between two looks at the newest samples of live forces and grounds, ns."""
+_LONGEST_GAP = 10 * NS_PER_S
+"""The longest time of the clock between two looks at the clock that is caught up, ns."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=1.0)
 """How long the node waits at its end for subscribers to receive the last messages."""
 _SETTLING_TIME = 3.5
@@ -54,7 +56,8 @@ class PlantNode(ManagedNode):
     duration. A reset starts with a new sensor, and loses the events in transit.
 
     While the node is inactive its own clock stands still; with another clock the node publishes
-    what was due meanwhile once it is active again. The node is done when the duration is over.
+    what was due meanwhile once it is active again. After a longer time than 10 s, and after a jump
+    of the clock ahead, a new episode begins instead. The node is done when the duration is over.
     """
 
     def __init__(self) -> None:
@@ -90,6 +93,8 @@ class PlantNode(ManagedNode):
             on_problem=self.lines.warning,
             on_samples=lambda _: self._tick(),
         )
+        # A motion that no message can change, and that cannot be computed, is the end.
+        self.ends_by = (DynamicsError,) if self._live is None else (InputTimeoutError,)
         how = described(self._integrator, self._step)
         self._impacts = self.publisher(interfaces.IMPACTS)
         self._states = self.publisher(interfaces.PLANT_JOINT_STATES)
@@ -108,7 +113,7 @@ class PlantNode(ManagedNode):
         self._episode = 0
         self._is_held = False
         self._waits_since: float | None = None
-        self._waited_at = 0
+        self._waited_at = self._seen = 0
         self._plant: Master | None = None
         self._ready_since: float | None = None
         # The timer is set to the next thing that is due, in wall time.
@@ -169,7 +174,12 @@ class PlantNode(ManagedNode):
         if self._paused or (self._plant is None and not self._try_to_start()):
             return
         now = self._now()
+        if not self._owns_clock and (gap := now - self._seen) > _LONGEST_GAP:
+            self._begin_episode(now)
+            found = f"the clock is {gap / NS_PER_S:.3f} s ahead, which is not caught up"
+            self.note("jumps of the clock", f"{found}: episode {self._episode} begins")
         self._publish_until(now)
+        self._seen = now
         if now >= self._end and self._sensing.next_stamp is None:
             self.lines.info(f"{self._duration / NS_PER_S:g} s are over")
             for publisher in (self._impacts, self._states):
@@ -207,11 +217,11 @@ class PlantNode(ManagedNode):
         return True
 
     def _wait_for_inputs(self, now: int) -> None:
-        """Raise DynamicsError if live forces or grounds are missing for too long."""
+        """Raise InputTimeoutError if live forces or grounds are missing for too long."""
         self._waits_since = self._waits_since or time.monotonic()
         if time.monotonic() - self._waits_since > self._timeout:
             silent = self._inputs.silent(now, 0.0)
-            raise DynamicsError(
+            raise InputTimeoutError(
                 f"the plant waits: {silent.partition(';')[0]}; input_timeout is over"
             )
 
@@ -242,6 +252,7 @@ class PlantNode(ManagedNode):
         self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
+        self._seen = max(epoch, self.stamp_now())  # an epoch that is wanted is caught up with
         name = self._system.name
         self.lines.info(f"{name}: episode {self._episode}, epoch {epoch} ns")
 
@@ -347,6 +358,11 @@ class PlantNode(ManagedNode):
             if self._live is not None:
                 yield now + _LONGEST_WAIT
 
+    def _begin_episode(self, now: int) -> None:
+        """Begin a new episode at ``now``, but after all that is published."""
+        self._episode += 1
+        self._start(max(now, self._sample_stamp(self._next_sample - 1) + 1))
+
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Restart from the initial state, as a new episode whose epoch is now."""
         if self._plant is None:
@@ -355,8 +371,7 @@ class PlantNode(ManagedNode):
         if self._paused:
             response.success, response.message = False, "the plant is inactive: activate it first"
             return response
-        self._episode += 1
-        self._start(max(self._now(), self._sample_stamp(self._next_sample - 1) + 1))
+        self._begin_episode(self._now())
         response.success = True
         response.message = f"episode {self._episode}, epoch {self._epoch} ns"
         return response

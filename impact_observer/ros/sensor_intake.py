@@ -8,8 +8,6 @@ from functools import partial
 from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
-from rclpy.subscription import Subscription
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import Verdict
@@ -21,14 +19,10 @@ from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.options import AUTO, NONE
 from impact_observer.ros.ahead_of_clock import AheadOfClock
+from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.ros.subscribing import (
-    MOST_TOGETHER,
-    PolledGroup,
-    subscribe,
-    waiting_messages,
-)
+from impact_observer.ros.subscribing import MOST_TOGETHER, PolledGroup, Receiver
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
@@ -52,10 +46,10 @@ _COUNTED = 20
 class SensorIntake:
     """Gives the samples that a node receives to its observer.
 
-    A topic is subscribed to once a publisher has given the topic a type. A sample that is too far
-    ahead of the clock is used once the clock is near: perhaps the clock is late. Messages of a
-    robot are polled, as thousands come in a second. Where they come faster than they can be used,
-    some are shed, so that the newest are used in time.
+    A topic is subscribed to with the type that its publishers have, whenever the type changes. A
+    sample that is too far ahead of the clock is used once the clock is near: perhaps the clock is
+    late. Messages of a robot are polled, as thousands come in a second. Where they come faster
+    than they can be used, some are shed, so that the newest are used in time.
 
     Attributes:
         topics: absolute names of the topics.
@@ -64,7 +58,7 @@ class SensorIntake:
 
     def __init__(
         self,
-        node: Node,
+        node: BaseNode,
         observer: Observer,
         *,
         now: Callable[[], int],
@@ -101,10 +95,14 @@ class SensorIntake:
         self.problems = [""] * len(self._sensors)
         names = [node.resolve_topic_name(each.measurement.topic) for each in self._sensors]
         self.topics = tuple(dict.fromkeys(names))
-        self._without_publisher = set(self.topics)
-        self._of_joints = set[str]()
-        self._subscriptions: dict[str, Subscription] = {}
-        self._polled: dict[str, PolledGroup] = {}
+        self._is_polled = observer.robot is not None
+        self._groups = {each: PolledGroup() for each in self.topics if self._is_polled}
+        self._receivers = {
+            each: Receiver(
+                node, each, partial(self.take_messages, each), group=self._groups.get(each)
+            )
+            for each in self.topics
+        }
         self._readers: dict[str, list[SensorReader]] = {}
         self._first: dict[int, tuple[int, int]] = {}
         self._reported = [0] * len(self._sensors)
@@ -114,15 +112,15 @@ class SensorIntake:
         self._cost = 0.0
 
     def discover(self) -> None:
-        """Subscribe to the topics that have a publisher by now."""
-        for topic in sorted(self._without_publisher):
-            if publishers := self._node.get_publishers_info_by_topic(topic):
-                self._without_publisher.discard(topic)
-                self._subscribe(topic, publishers[0].topic_type)
+        """Look at the publishers of all topics, and subscribe to a type that can be read."""
+        for topic, receiver in self._receivers.items():
+            if receiver.look() and receiver.type_name not in receiver.offers:
+                self._connect(topic, receiver)
 
     def take_messages(self, topic: str, messages: Sequence[AnyMessage]) -> None:
         """Give the samples in ``messages`` of a topic to the observer; of too many, of some."""
-        if topic in self._of_joints and (before := self._before.get(topic)) is not None:
+        is_of_joints = self._receivers[topic].type_name == JOINT_STATE
+        if is_of_joints and (before := self._before.get(topic)) is not None:
             before(messages)
         since, revised = MAX_STAMP, list[Verdict]()
         for some in self._in_time(topic, messages):
@@ -141,7 +139,7 @@ class SensorIntake:
 
         What counts is the time that passes, as others may use the processor, too.
         """
-        if self._observer.robot is None:
+        if not self._is_polled:
             yield messages
             return
         if len(messages) <= _FEW:
@@ -172,10 +170,9 @@ class SensorIntake:
 
     def take_arrived(self) -> None:
         """Use the messages of a robot that have arrived."""
-        arrived = self._subscriptions if self._observer.robot is not None else {}
-        for topic, subscription in arrived.items():
-            if messages := [each for each, _ in waiting_messages(subscription, MOST_TOGETHER)]:
-                self._polled[topic].has_messages = True
+        for topic, group in self._groups.items():
+            if messages := self._receivers[topic].waiting(MOST_TOGETHER):
+                group.has_messages = True
                 self.take_messages(topic, messages)
 
     def use_waiting(self) -> None:
@@ -210,32 +207,23 @@ class SensorIntake:
         """The state of each sensor at ``now`` (ns)."""
         return [self._status(index, now) for index in range(len(self._sensors))]
 
-    def _subscribe(self, topic: str, type_name: str) -> None:
-        """Subscribe to a topic for the sensors that can read messages of its type."""
-        readers = []
+    def _connect(self, topic: str, receiver: Receiver) -> None:
+        """Subscribe to the first type of a topic that a sensor can read."""
+        for type_name in receiver.offers:
+            if readers := [*self._readers_of(topic, type_name)]:
+                self._readers[topic] = readers
+                receiver.connect(type_name, self._quality)
+                return
+
+    def _readers_of(self, topic: str, type_name: str) -> Iterator[SensorReader]:
+        """The readers of the sensors on a topic that can read messages of a type."""
         for sensor in self._sensors:
-            declared = sensor.measurement
-            if self._node.resolve_topic_name(declared.topic) != topic:
-                continue
-            try:
-                readers.append(SensorReader(declared, sensor.index, type_name))
-            except UsageError as error:
-                self._refuse(sensor.index, str(error))
-        if not readers:
-            return
-        self._readers[topic] = readers
-        if type_name == JOINT_STATE:
-            self._of_joints.add(topic)
-        try:
-            kind, take = message_class(type_name), partial(self.take_messages, topic)
-            group = None
-            if self._observer.robot is not None:
-                group = self._polled[topic] = PolledGroup()
-            made = subscribe(self._node, kind, topic, self._quality, take, group=group)
-            self._subscriptions[topic] = made
-        except ImpactObserverError as error:
-            for each in readers:
-                self._refuse(each.index, str(error))
+            if self._node.resolve_topic_name(sensor.measurement.topic) == topic:
+                try:
+                    message_class(type_name)
+                    yield SensorReader(sensor.measurement, sensor.index, type_name)
+                except UsageError as error:
+                    self._refuse(sensor.index, str(error))
 
     def _measured(self, samples: Sequence[SensorSample]) -> Sequence[Verdict]:
         """Give samples to the observer; verdicts on events that have changed."""
@@ -246,18 +234,13 @@ class SensorIntake:
             return ()
 
     def _read(self, topic: str, message: AnyMessage) -> list[SensorSample]:
-        """The samples in a message that can be used now.
-
-        A sensor whose field the messages do not have is given up.
-        """
+        """The samples in a message that can be used now."""
         now, samples = self._now(), list[SensorSample]()
-        for reader in tuple(self._readers[topic]):
+        for reader in self._readers[topic]:
             try:
                 sample = reader.sample(message, now)
             except UsageError as error:
                 self._refuse(reader.index, str(error))
-                if "[" not in reader.measurement.field:  # an array may be shorter now and then
-                    self._readers[topic].remove(reader)
                 continue
             if sample is None:
                 declared = reader.measurement
@@ -353,8 +336,8 @@ class SensorIntake:
         shed, self._shed[index] = counts["shed"] - self._shed[index], counts["shed"]
         if self.problems[index]:
             return self.problems[index]
-        if topic in self._without_publisher:
-            return f"no node publishes {topic}"
+        if fault := self._receivers[topic].fault:
+            return fault
         if age > declared.timeout:
             silence = f"no sample for {age:.3g} s" if age < float("inf") else "no sample yet"
             return f"{silence}; timeout is {declared.timeout:g} s"

@@ -123,7 +123,6 @@ def observers(setup: DemoSetup) -> tuple[NodeSetup, ...]:
                 "initial_state": setup.initial,
                 "rate": setup.rate,
                 "epoch": setup.epoch,
-                "events_durability": "transient_local",
             },
         )
         for law in setup.laws

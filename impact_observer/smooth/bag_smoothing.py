@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.errors import BagError
-from impact_observer.events import Ruling
+from impact_observer.events import ImpactEvent, Ruling, final_rulings, rejected_impacts
 from impact_observer.io import interfaces
 from impact_observer.io.bag_part import assumed_epoch
 from impact_observer.io.estimate_messages import messages_of
@@ -41,6 +41,9 @@ _ESTIMATES = tuple(
     for each in (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
 )
 _VERDICTS = f"/{interfaces.OBSERVER_VERDICTS.name_under(interfaces.SMOOTHER)}"
+_IMPACTS, _IMPACT_ESTIMATES = (
+    each.topic for each in (interfaces.SMOOTHED_IMPACTS, interfaces.SMOOTHED_ESTIMATES)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,26 +124,28 @@ def smooth_bag(
     left_out = [*samples.problems, *problems]
     if rate is None and (line := unseen_events(events, stamps, options.epoch)):
         left_out.append(line)
-    own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)
+    own = (*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES)
     with all_or_nothing(output, flush) as writer:
         topics, not_copied = carried_topics(reader, writer, own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         estimates = _estimates(writer, model.subject.coordinates, runs, stamps, progress)
-        made = heapq.merge(_decisions(writer, runs), estimates, key=itemgetter(0))
+        made = heapq.merge(_decisions(writer, runs, events), estimates, key=itemgetter(0))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
     return BagSmoothing(runs, int(np.sum(stamps >= runs[0].start)), [*not_copied, *left_out])
 
 
 def _decisions(
-    writer: BagWriter, runs: Iterable[SmoothedMotion]
+    writer: BagWriter, runs: Iterable[SmoothedMotion], events: Sequence[ImpactEvent]
 ) -> Iterator[tuple[int, str, bytes]]:
     """Messages of verdicts and impacts: log times (ns), topics, bytes; in order of stamps."""
     make, messages = bag_messages(), list[tuple[int, str, object]]()
     for run in runs:
-        messages += [(each.stamp, _VERDICTS, make.verdict(each)) for each in run.account.verdicts]
-        topic = interfaces.SMOOTHED_IMPACTS.topic
-        messages += [(each.stamp, topic, make.smoothed_impact(each)) for each in run.impacts()]
+        verdicts = run.account.verdicts
+        estimates = [*run.impact_estimates(), *rejected_impacts(final_rulings(verdicts), events)]
+        messages += [(each.stamp, _VERDICTS, make.verdict(each)) for each in verdicts]
+        messages += [(each.stamp, _IMPACTS, make.smoothed_impact(each)) for each in run.impacts()]
+        messages += [(e.stamp, _IMPACT_ESTIMATES, make.impact_estimate(e)) for e in estimates]
     for stamp, topic, message in sorted(messages, key=itemgetter(0)):
         yield stamp, topic, writer.serialized(topic, message)
 

@@ -2,7 +2,8 @@
 """The smoothed events of a recording: their account, and the motion that explains them all."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -10,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from impact_observer.errors import BagError, DynamicsError
-from impact_observer.events import ImpactEvent
+from impact_observer.events import ImpactEstimate, ImpactEvent, Verdict
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import Model, System
@@ -25,6 +26,7 @@ from impact_observer.observer import (
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.make_observer import encoder_start
+from impact_observer.observer.replay import Impacts, noting_impacts
 from impact_observer.observer.samples import SensorSample
 from impact_observer.observer.sender_runs import placed
 from impact_observer.robots.robot import Robot, robot_of
@@ -257,16 +259,28 @@ class _Run:
             epoch=best.epoch or start,
             doubt=doubt,
             filtered=self._filtered,
+            filtered_impacts=self._filtered_impacts,
         )
 
     def _filtered(self, stamps: Stamps) -> Iterator[Estimates]:
         """The estimates of the filter at ``stamps``, ns."""
+        _, made = self._replayed(stamps)
+        yield from (each for each in made if isinstance(each, Estimates))
+
+    def _filtered_impacts(self) -> Iterable[ImpactEstimate]:
+        """The estimates of impacts by the filter."""
+        observer, made = self._replayed(np.empty(0, dtype=np.int64))
+        impacts: Impacts = {}
+        deque(noting_impacts(made, observer, impacts), maxlen=0)
+        return impacts.values()
+
+    def _replayed(self, stamps: Stamps) -> tuple[Observer, Iterator[Estimates | Verdict]]:
+        """An observer, and what it says of the events and at ``stamps``, ns."""
         observer, law = self._observer()
         law.forget()
-        made = replay_batches(
+        return observer, replay_batches(
             observer, self._events, stamps, rejects=True, by_stamps=True, samples=self._samples
         )
-        yield from (each for each in made if isinstance(each, Estimates))
 
     def _searched(self, best: "_Trial", events: Sequence[ImpactEvent]) -> "_Trial":
         """The likeliest account of ``events``, in a search that begins with ``best``."""

@@ -3,7 +3,7 @@
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, cached_property, partial
 from itertools import chain, takewhile
@@ -12,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, special
 
-from impact_observer.events import Ruling, SmoothedImpact
+from impact_observer.events import ImpactEstimate, Ruling, SmoothedImpact
 from impact_observer.filter.contradiction import Contradiction, contradictions
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
+from impact_observer.filter.impact_deviations import balance_at
+from impact_observer.filter.joint import Joint
 from impact_observer.filter.linear import LinearPrediction
 from impact_observer.filter.uncertainty import LARGEST_DEVIATION
 from impact_observer.kernel._kernel import TINY
@@ -114,13 +116,14 @@ class SmoothedMotion:
         epoch: int,
         doubt: Doubt = NO_DOUBT,
         filtered: Callable[[Stamps], Iterator[Estimates]] = lambda _: iter(()),
+        filtered_impacts: Callable[[], Iterable[ImpactEstimate]] = tuple,
     ) -> None:
         """A motion by ``law``; stamps (ns) of the first state, and of ``t = 0``.
 
-        ``filtered`` gives the filter's estimates at stamps.
+        ``filtered`` gives the filter's estimates at stamps, ``filtered_impacts`` of all impacts.
         """
         self.smoothed, self.account, self.start = smoothed, account, start
-        self.doubt, self._filtered = doubt, filtered
+        self.doubt, self._filtered, self._filtered_impacts = doubt, filtered, filtered_impacts
         self._law, self._epoch = law, epoch
         self._names = law.system.contact_names
         applied = {
@@ -153,6 +156,35 @@ class SmoothedMotion:
                     ruling,
                     deviation,
                 )
+
+    def impact_estimates(self) -> Iterator[ImpactEstimate]:
+        """The estimates of all impacts, in the order of the moments, by the smoothed motion.
+
+        Where the motion cannot be used, they are those of the filter.
+        """
+        if self.fallback:
+            yield from self._filtered_impacts()
+            return
+        arc, n = self.smoothed.arc, self._law.system.n
+        for k, moment in enumerate(self.account.moments):
+            if not (change := moment.change).hit:
+                continue
+            joint = arc.filter.conditioning.at_jump(change, self._joint(k))
+            least = self._law.uncertainty.least_deviations(self._law.filter.scales.sizes(joint.x))
+            # Where contacts rest, the jump has no other error.
+            errors = joint.root[:, :0] if change.closed else arc.left(self.smoothed.path, k).N
+            balance = balance_at(arc.filter.members, change, joint, least, errors[n : 2 * n])
+            stamp, sequence = int(self._instants[k]), change.sequence
+            ruling = Ruling.INSERTED if moment.is_inserted else Ruling.APPLIED
+            for i, own in zip(change.hit, balance.rows.tolist(), strict=True):
+                yield ImpactEstimate(stamp, self._names[i], ruling, sequence, *own)
+
+    def _joint(self, k: int) -> Joint:
+        """The smoothed instant of the ``k``-th moment, and the state then, before the jump."""
+        arc, z = self.smoothed.arc, self.smoothed.known.state(Node(k))
+        t, root, others = arc.instant(self.smoothed.path, k), self._widened * z.root, z.root[:, :0]
+        size, parameters = 2 * self._law.system.n, arc.filter.members.family.size
+        return Joint(t, z.mean, root, others, size, parameters)
 
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
         """The states at ``stamps`` (ns, ascending, shape (samples,)); none before the start.

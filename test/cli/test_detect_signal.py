@@ -57,7 +57,7 @@ def impact_times(path: Path, *arguments: str) -> Vector:
                 '"Time (s)";"a x (m/s^2)";"a z (m/s^2)"\n',
                 lambda t, a: f"{t:.6f};0.1;{a:.5f}".replace(".", ","),
             ),
-            ("--topic", "a z (m/s^2)"),
+            ("--topic", "a z"),
         ),
         ("ms.tsv", table("t_ms\taz\n", lambda t, a: f"{1e3 * t:.3f}\t{a:.5f}"), ()),
         ("odd.csv", table("time,az\n0,\n"), ()),
@@ -143,28 +143,18 @@ def test_a_file_of_sensors_names_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "arguments", "code", "expected"),
     [
-        (table(), [], 2, "no contact named; give --contact NAME, or --model with one contact"),
-        (table(), ["--model", "three_mass"], 2, "give --contact NAME, one of right, left"),
-        (table("czas,az\n"), ["--contact", "stop"], 2, "'czas' found; expected a header with a"),
-        (
-            table("czas,az\n"),
-            ["--contact", "stop"],
-            2,
-            "a time; remove lines before it (--skip-rows), or name it: --time-column, one of czas",
-        ),
-        ("time,x\n1700000000000,1", ["--contact", "stop"], 2, "is that its unit? --time-unit ms"),
+        (table(), [], 2, "--contact NAME, or --model"),
+        (table(), ["--model", "three_mass"], 2, "--contact NAME, one of right, left"),
+        (table("czas,az\n"), ["--contact", "stop"], 2, "no column of time in czas, az"),
+        (table(), ["--contact", "stop", "--frame-rate", "9"], 2, "leave out --frame-rate"),
         ("time,x,y\n0,1,2", ["--contact", "stop"], 2, "columns x, y; name one with --topic"),
-        ("time,x\n0,on", ["--contact", "stop"], 2, "line 2: no number beside the time"),
-        ("time\n0", ["--contact", "stop"], 2, "line 2: no number beside the time"),
-        ("time,x\n", ["--contact", "stop"], 2, "holds no row; expected time, value"),
-        ("time,x\n-2,1", ["--contact", "stop"], 2, "first stamp would be -1.000000000 s"),
-        ("time,a(1),a[1]\n0,1,2", ["--contact", "stop"], 2, "two columns of one name in a(1)"),
-        (table(), ["--contact", "stop", "--topic", "ay"], 2, "no topic /ay; topics in it: /az"),
+        ("time,x,x\n0,1,2", ["--contact", "stop", "--topic", "x"], 2, "columns x.1, x.2"),
+        (table(), ["--contact", "stop", "--topic", "ay"], 2, "no column ay; columns az"),
         (
             table(),
             ["--contact", "stop", "--hysteresis", "28", "--baseline", "0"],
             1,
-            "at most 89.8 of the threshold 30; it stays above: declare a baseline, or a higher",
+            "at most 89.8 of the threshold 30",
         ),
     ],
 )
@@ -197,7 +187,7 @@ def test_what_is_no_signal_is_said_to_be_none(
     sound.write_bytes(b"no sound")
     given = ["--contact", "stop", "--topic", "az", "-o", output]
     assert main(["detect", str(sound), *given]) == 2
-    assert "is no WAV file that can be read" in capsys.readouterr().err
+    assert "is no sound" in capsys.readouterr().err
     wavfile.write(sound, RATE, np.zeros(9, np.int16))
     assert main(["detect", str(sound), "--time-unit", "ms", *given]) == 2
     assert "leave out options of a table" in capsys.readouterr().err
@@ -254,7 +244,7 @@ def test_pulses_are_not_those_of_the_signal_itself(
     assert "--pulses az: the column of the signal found" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("first", "zero"), [(-3.25, 10), (-10.0, 100), (-250.0, 1000)])
+@pytest.mark.parametrize(("first", "zero"), [(-3.25, 5), (-10.0, 11), (-250.0, 251)])
 def test_a_table_that_begins_long_before_its_time_zero_is_told_what_to_give(
     first: float, zero: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 """export: the states, errors and events of a bag as tables of exact numbers."""
 
 import csv
+import math
 import struct
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.compare.table_files import TableBlock, write_table
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import ImpactEstimate, ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import model_of
+from impact_observer.resources import shared
 
 TRUTH, ESTIMATE = "/plant/joint_states", "/observer/state"
 EPOCH = 1_000_000_000
@@ -152,6 +154,64 @@ def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
         assert found == [(e.stamp, e.switches, e.epoch) for e in events]
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_impacts_have_a_column_for_each_number_and_its_deviation(
+    tmp_path: Path, suffix: str
+) -> None:
+    """Cells are empty where a law has no deviation, and of a rejected impact."""
+    impacts = {
+        "/observer/impacts": [
+            ImpactEstimate(EPOCH + 5, "a", Ruling.APPLIED, 7, 2.0, 1.0, 3.0, 1.5),
+            ImpactEstimate(EPOCH + 6, "b", Ruling.REJECTED, 8),
+        ],
+        "/smoother/impact_estimates": [
+            ImpactEstimate(EPOCH + 5, "a", Ruling.INSERTED, 0, 2, 1, 3, 1.5, 0.1, 0.2, 0.3, 0.4)
+        ],
+    }
+    with BagWriter(tmp_path / "bag") as writer:
+        event = ImpactEvent(EPOCH + 5, (Switch("a"),), 7, epoch=EPOCH)
+        writer.write("/impacts", event.stamp, bag_messages().event(event))
+        for topic, rows in impacts.items():
+            for row in rows:
+                writer.write(topic, row.stamp, bag_messages().impact_estimate(row))
+    table = exported(tmp_path / "bag", tmp_path / f"impacts{suffix}", "--impacts")
+    names = ("speed_before", "speed_after", "impulse", "energy_loss")
+    head = ["topic", "contact", "verdict", "stamp_ns", "time_s", "sequence"]
+    assert list(table) == [*head, *(n + end for n in names for end in ("", "_deviation"))]
+    assert table["topic"] == [topic for topic, rows in impacts.items() for _ in rows]
+    assert table["verdict"] == ["applied", "rejected", "inserted"]
+    assert [float(str(each)) for each in table["time_s"]] == [5e-9, 6e-9, 5e-9]
+    for k, name in enumerate(names, start=4):
+        wanted = [impacts["/observer/impacts"][0][k], math.nan, (2, 1, 3, 1.5)[k - 4]]
+        found = [float(str(each or "nan")) for each in table[name]]
+        assert found == pytest.approx(wanted, nan_ok=True)
+        deviations = [float(str(each or "nan")) for each in table[f"{name}_deviation"]]
+        assert deviations == pytest.approx([math.nan, math.nan, (k - 3) / 10], nan_ok=True)
+    only = exported(tmp_path / "bag", tmp_path / "one.csv", "--impacts", "--topics", "smoother")
+    assert only["topic"] == ["/smoother/impact_estimates"]
+
+
+def test_impacts_of_observe_account_for_every_event(tmp_path: Path) -> None:
+    """Applied, rejected and inserted ones, in the order of their instants."""
+    bag = tmp_path / "bag"
+    given = ["--law", "minimum-variance", "--rate", "1", "--clock-error", "0.001"]
+    assert main(["observe", str(shared("bags/missed_and_spurious")), *given, "-o", str(bag)]) == 0
+    table = exported(bag, tmp_path / "impacts.csv", "--impacts")
+    stamps = [int(str(each)) for each in table["stamp_ns"]]
+    assert stamps == sorted(stamps)
+    with BagReader(bag) as reader:
+        sent = sorted(each.sequence for each in reader.events())
+    reported = zip(table["sequence"], table["verdict"], strict=True)
+    assert (
+        sorted(int(str(number)) for number, verdict in reported if verdict != "inserted") == sent
+    )
+    assert {"applied", "inserted", "rejected"} == {*table["verdict"]}
+    for verdict, speed, deviation in zip(
+        table["verdict"], table["speed_before"], table["speed_before_deviation"], strict=True
+    ):
+        assert (verdict == "rejected") == (speed == "") == (deviation == "")
+
+
 def test_only_the_topics_asked_for_are_exported(
     observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -203,6 +263,11 @@ def test_without_pyarrow_the_extra_is_named(
         (("-o", "x.csv", "--topics", "/impacts"), 2, "/impacts is impact_observer_msgs/msg/Impac"),
         (("-o", "x.csv", "--what", "events", "--topics", "/a"), 2, "events have their own topic"),
         (("-o", "x.csv", "--what", "errors", "--topics", TRUTH), 2, "has no estimates; make them"),
+        (
+            ("-o", "x.csv", "--impacts", "--topics", TRUTH),
+            2,
+            "is sensor_msgs/msg/JointState; expe",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_no_file(
@@ -233,8 +298,12 @@ def test_a_bag_without_states_or_events_is_an_error_with_its_topics(
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/impacts")
         writer.declare("/plant/joint_states")
-    for what, said in (("states", "has no states; topics: /impacts"), ("events", "no events")):
-        given = ["-o", str(tmp_path / "x.csv"), "--what", what]
+    for what, said in (
+        ("--what=states", "has no states; topics: /impacts"),
+        ("--what=events", "no events"),
+        ("--impacts", "run observe or smooth"),
+    ):
+        given = ["-o", str(tmp_path / "x.csv"), what]
         assert main(["export", str(tmp_path / "bag"), *given]) == 2
         assert said in capsys.readouterr().err
 

@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """import: a CSV file of impact times becomes a bag that observe runs on."""
 
-from decimal import Decimal
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from systems import examples
 
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader
-from impact_observer.io.csv_tables import ImpactRow, ImpactTable
 from impact_observer.io.recordings import model_of
-from impact_observer.io.table_layout import TableForm
 
 STOP = (Switch("stop"),)
 EPOCH = 1_000_000_000
@@ -88,24 +82,6 @@ def test_common_dialects_of_csv_are_read(tmp_path: Path, text: str) -> None:
     assert kinds == [("stop", Kind.IMPACT), ("stop", Kind.CLOSE), ("stop", Kind.OPEN)]
 
 
-@examples(100)
-@given(
-    whole=st.integers(0, 2_000_000_000),
-    part=st.integers(0, 999_999_999),
-    unit=st.sampled_from(["s", "ms", "us", "ns"]),
-)
-def test_times_are_exact_to_the_nanosecond(
-    tmp_path_factory: pytest.TempPathFactory, whole: int, part: int, unit: str
-) -> None:
-    """Large times have more digits than a float."""
-    stamp = whole * 10**9 + part
-    decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
-    text = format(Decimal(stamp).scaleb(-decimals), "f")
-    path = written(tmp_path_factory.mktemp("csv"), f"time,contact\n{text},stop\n")
-    rows = ImpactTable(path, TableForm(unit)).rows()
-    assert list(rows) == [ImpactRow(2, stamp, Switch("stop"))]
-
-
 def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
     """Times count as equal to the nanosecond, in any notation."""
     text = "0.5,left\n0.500000000,right\n0.500000001,left\n0.5000000014,right,close\n"
@@ -137,64 +113,43 @@ def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
 def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without the option unsorted rows are an error; ignored columns are named."""
     text = "time,contact,peak,note\n2.5,stop,1,a\n0.5,stop,2,b\n"
-    said = refused(tmp_path, text, capsys)
-    assert said == (
-        ", line 3: time 0.500000000 s comes after 2.500000000 s; sort the rows, or say --sort"
-    )
+    assert "--sort" in refused(tmp_path, text, capsys)
     events = imported(tmp_path, text, "--sort")
     assert [event.stamp for event in events] == [1_500_000_000, 3_500_000_000]
     printed = capsys.readouterr().out
     assert "2 events of 2 rows, times in s, stamps 1.500000000 to 3.500000000 s" in printed
     assert "time 0 is stamp 1.000000000 s, epoch 1.000000000 s" in printed
-    assert "note: columns left out: peak, note" in printed
+    assert "columns left out: peak, note" in printed
 
 
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
-        ("", (), ": holds no impact; expected rows time[, contact[, kind]]"),
-        ("\n# nothing\n\n", (), ": holds no impact"),
-        ("time,contact\n", (), ": holds no impact; expected rows time[, contact[, kind]] below"),
-        ("when,contact\n", (), ", line 1: 'when' found; expected a header with a column time"),
-        ("0.5,stop\n\n0.6x,stop\n", (), ", line 3: '0.6x' found; expected a time as a decimal"),
-        ("0.5,stop\nnan,stop\n", (), ", line 2: 'nan' found; expected a time"),
-        (
-            "0.5,stop\n1e99999999999999999999,stop\n",
-            (),
-            ", line 2: '1e99999999999999999999' found",
-        ),
-        ("time,contact\n,stop\n", (), ", line 2: '' found; expected a time"),
-        (
-            "0.5,stop\n1e12,stop\n",
-            (),
-            ", line 2: time 1e12 is too large for times in s; stamps end at",
-        ),
-        ("# x\n0.5\n", (), ", line 2: names no contact; expected a column contact, or a --model"),
-        ("time,contact\n0.5,\n", ("--model", "three_mass"), "no contact; expected one of right,"),
-        ("0.5,anvil\n", ("--model", "two_mass"), ", line 1: contact 'anvil' is none of the model"),
-        ("0.5,stop,hit\n", (), ", line 1: kind 'hit' found; expected one of impact, close, open"),
-        ("0.5,stop,0,9\n", (), ", line 1: 4 columns found; expected time[, contact[, kind]], at"),
-        ("time,contact\n0.5,stop,0\n", (), ", line 2: 3 columns found; the header has 2"),
-        ("time,time_s\n", (), ", line 1: two columns of time, time, time_s; expected one"),
-        ("time,contact,contact\n", (), ", line 1: two columns contact found; expected one"),
-        ("time_ms\n5\n", ("--time-unit", "s"), ", line 1: the header says ms, --time-unit s"),
-        ("0.5,stop\n0.5,stop\n", (), ", line 2: impact of 'stop' stands in line 1 already"),
-        (
-            "-1,stop\n",
-            ("--time-zero", "1"),
-            ", line 1: the stamp would be 0.000000000 s; expected",
-        ),
-        (
-            "0,stop\n",
-            ("--time-zero", "0"),
-            ", line 1: the stamp would be 0.000000000 s; expected more",
-        ),
-        (
-            "0.5,stop\n",
-            ("--epoch", "9"),
-            ", line 1: the stamp would be 1.500000000 s; expected 9.",
-        ),
-        ('0.5,stop\n"0.6,stop\n', (), ", line 2: cannot be read as CSV: unexpected end of data"),
+        ("", (), "time[, contact[, kind]]"),
+        ("\n# nothing\n\n", (), "time[, contact[, kind]]"),
+        ("time,contact\n", (), "time[, contact[, kind]]"),
+        ("0.5,stop\n\n0.6x,stop\n", (), "line 3: '0.6x'"),
+        ("0.5,stop\nnan,stop\n", (), "line 2: 'nan'"),
+        ("0.5,stop\n1e99999999999999999999,stop\n", (), "line 2: '1e99999999999999999999'"),
+        ("time,contact\n1,stop\n,stop\n", (), "line 3: ''"),
+        ("0.5,stop\n1e12,stop\n", (), "line 2: '1e12'"),
+        ("# x\n0.5\n", (), "line 2: names no contact"),
+        ("1.0\t1.0\t\n1.9\t1.9\t\n", (), "line 1: names no contact"),
+        ("0.5,\n0.7,3\n", (), "line 1: names no contact"),
+        ("time,contact\n0.5,1\n", (), "contact '1': a number"),
+        ("time,contact\n0.5,\n", ("--model", "three_mass"), "one of right, left"),
+        ("0.5,anvil\n", ("--model", "two_mass"), "line 1: contact 'anvil'"),
+        ("0.5,stop,hit\n", (), "line 1: kind 'hit'"),
+        ("time,contact\n0.5,stop,0\n", (), "line 2: 3 columns"),
+        ("time,contact,contact\n1,a,b\n", (), "two columns contact"),
+        ("0.5,stop\n0.5,stop\n", (), "line 2: impact of 'stop' stands in line 1"),
+        ("-1,stop\n", ("--time-zero", "1"), "0.000000000 s; expected"),
+        ("-1,stop\n", ("--time-zero", "1"), "--time-zero 2"),
+        ("0,stop\n", ("--time-zero", "0"), "0.000000000 s; expected more than 0"),
+        ("0.5,stop\n", ("--epoch", "9"), "1.500000000 s; expected 9."),
+        ('0.5,stop\n"0.6,stop\n', (), "line 2: a quotation mark"),
+        ("1,stop\n", ("--time-column", "t"), "no column t in time, contact"),
+        ("1,stop\n", ("--frame-rate", "25"), "--frame-rate"),
     ],
 )
 def test_a_mistake_is_one_line_with_its_number(
@@ -204,21 +159,39 @@ def test_a_mistake_is_one_line_with_its_number(
     options: tuple[str, ...],
     said: str,
 ) -> None:
-    """The error has the value and the expectation; the exit code is 2, and no bag is left."""
+    """The error has what was found; the exit code is 2, and no bag is left."""
     assert said in refused(tmp_path, text, capsys, *options)
 
 
-def test_a_file_that_cannot_be_read_is_named(
+@pytest.mark.parametrize(
+    ("text", "stamps"),
+    [
+        ("0.500000000\n1.300000000\n", [500, 1300]),
+        ("0.500000000 stop\n1.300000000 stop\n", [500, 1300]),
+        ("0.5\t0.53\tstop\n\\\t100.0\t2200.0\n1.3\t1.33\tstop\n", [500, 1300]),
+        ("0.5\t0.5\t\n1.3\t1.3\t\n", [500, 1300]),
+        ("0,5\n1,3\n12\n", [500, 1300, 12000]),
+        ("frame,contact\n50,stop\n130,stop\n", [500, 1300]),
+        ("0.5000\n1.3000\n1.4000\n1.5000\n1.7", [500, 1300, 1400, 1500]),
+    ],
+    ids=["bare", "blank", "labels", "empty_labels", "decimal_commas", "frames", "cut"],
+)
+def test_impact_times_come_in_the_same_tables_as_signals(
+    tmp_path: Path, text: str, stamps: list[int]
+) -> None:
+    """Also as labels of Audacity: start, end, label; a last line that is cut is left out."""
+    options = ["--frame-rate", "100"] if "frame" in text else []
+    events = imported(tmp_path, text, "--model", "two_mass", *options)
+    assert [event.stamp - EPOCH for event in events] == [10**6 * each for each in stamps]
+
+
+def test_a_file_that_is_missing_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One file is missing, and another is no text in UTF-8."""
+    """The error of one line names the path."""
     path = tmp_path / "rig.csv"
     assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
     assert "rig.csv: cannot be read: No such file" in capsys.readouterr().err
-    path.write_bytes("0.5,stöp\n".encode("latin-1"))
-    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
-    assert "rig.csv: is no text in UTF-8; save it as CSV UTF-8" in capsys.readouterr().err
-    assert not (tmp_path / "bag").exists()
 
 
 def test_an_existing_bag_is_not_overwritten(
@@ -267,11 +240,11 @@ def test_positions_may_be_called_as_their_coordinates(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("time,x1,x2\n0,1,2\n", "line 1: no column u_x1, u_x2; expected a position q_NAME and"),
-        ("time,x1,q_x1,u_x1,x2,u_x2\n0,1,1,1,1,1\n", "line 1: columns q_x1 and x1 found"),
-        (STATES.replace("7", "nan"), "line 3: x2 is 'nan'; expected a finite number"),
-        (STATES.replace("0.25", "0.75"), "line 3: time 0.500000000 s comes after 0.750000000 s"),
-        ("0.5,1,2,3,4\n", "line 1: '0.5' found; expected a header with a column time"),
+        ("time,x1,x2\n0,1,2\n", "line 1: columns x1, x2 found; u_x1, u_x2 missing"),
+        ("time,x1,q_x1,u_x1,x2,u_x2\n0,1,1,1,1,1\n", "line 1: columns q_x1 and x1"),
+        (STATES.replace("7", "nan"), "line 3: x2 is 'nan'"),
+        (STATES.replace("0.25", "0.75"), "line 3: the clock steps back by 0.25 s"),
+        ("0.5,1,2,3,4\n", "line 1: columns column2"),
     ],
 )
 def test_a_mistake_in_true_states_is_one_line(
@@ -323,25 +296,7 @@ def test_a_signal_is_not_taken_for_impacts(
     rows = [f"{k / rate:.6f},{k % 7 - 9.81}" for k in range(200)]
     model = ("--model", "bouncing_ball")
     said = refused(tmp_path, "\n".join(["time,az", *rows]), capsys, *model)
-    assert "looks like a signal, not like impact times" in said
-    assert "docs/detector.md" in said
+    assert "detect" in said
     rows[50] = f"{50 / rate + 1e-5:.6f},1"
     text = "\n".join(["time,az", *rows])
     assert len(imported(tmp_path, text, *model)) == 200
-
-
-def test_a_column_that_may_be_the_time_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error names the option that reads the column."""
-    said = refused(tmp_path, "az,when [s]\n1,2\n", capsys)
-    assert "'az' found; expected a header with a column time" in said
-    assert "--time-column 'when [s]'" in said
-
-
-def test_a_column_of_time_that_is_not_there_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The error names the columns of the file."""
-    said = refused(tmp_path, "time,contact\n1,stop\n", capsys, "--time-column", "t")
-    assert said == ", line 1: time, contact found; expected a header with a column t"

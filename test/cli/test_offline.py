@@ -178,6 +178,7 @@ def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -
             "/impacts",
             "/plant/joint_states",
             "/plant/model",
+            "/observer/impacts",
             "/observer/joint_states",
             "/observer/state",
             "/observer/verdicts",

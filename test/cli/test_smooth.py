@@ -15,6 +15,7 @@ from impact_observer.cli.main import main
 from impact_observer.events import Ruling
 from impact_observer.io.messages import read_smoothed_impact
 from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import impact_estimates
 from impact_observer.io.state_arrays import deviations_in
 from impact_observer.resources import shared
 
@@ -38,7 +39,10 @@ def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
     with BagReader(output) as reader:
         impacts = [read_smoothed_impact(m) for _, m in reader.messages("/smoother/impacts")]
         verdicts = [*reader.verdicts("/smoother/verdicts")]
+        ((topic, estimates),) = impact_estimates(reader).items()
         assert {"/impacts", "/plant/joint_states", "/plant/model"} <= reader.topics.keys()
+    assert topic == "/smoother/impact_estimates"
+    assert [each.stamp for each in estimates] == [each.stamp for each in impacts]
     assert len(impacts) == len(verdicts) == 22
     assert {*(each.ruling for each in impacts), *(v.ruling for v in verdicts)} == {Ruling.APPLIED}
     assert all(abs(each.stamp - each.reported) < 6_000_000 for each in impacts)

@@ -127,6 +127,32 @@ def test_an_array_that_is_sometimes_too_short_is_ignored() -> None:
     assert (detector.counts[0].messages, detector.counts[0].invalid) == (3, 1)
 
 
+def test_a_message_that_differs_from_those_before_is_invalid() -> None:
+    """A stamp that is zero or negative, no stamp, a vector instead of a number, no number."""
+    source = Source("stop", "/s", field="data", threshold=1.0, direction="up", stamp="header")
+    detector = Detector([source.complete("x/msg/Y")])
+    good = [Stamped(header(START + k), data=[5.0 * (k == 1)]) for k in range(3)]
+    bad = [Stamped(header(0), data=[0.0]), Stamped(header(-START), data=[0.0]), Scalar(1.0)]
+    bad += [Stamped(header(START + 9), data=data) for data in ([0.0, 0.0], [])]
+    with pytest.raises(UsageError, match="stamp: header found"):
+        detector.feed(0, bad[0], START)
+    for each in (*good, *bad):
+        detector.feed(0, each, START + 9)
+    assert (detector.counts[0].messages, detector.counts[0].invalid) == (9, 6)
+    assert detector.counts[0].impacts == 1
+
+
+def test_a_source_of_another_type_goes_on_with_the_counts_of_its_contact() -> None:
+    """A switch becomes a sensor whose messages are impacts."""
+    declared = Source("stop", "/s")
+    detector = Detector([declared.complete("std_msgs/msg/Bool")])
+    detector.feed(0, Scalar(1.0), START)
+    detector.change_source(0, declared.complete("std_msgs/msg/Empty"))
+    (detected,) = detector.feed(0, object(), START + 500 * MS)
+    assert (detected.event.stamp, detected.event.sequence) == (START + 500 * MS, 2)
+    assert detector.counts[0].impacts == 2
+
+
 def test_the_memory_of_a_detector_does_not_grow() -> None:
     """A pickled detector has the same size after a hundred impacts as after ten."""
     sizes = []

@@ -342,7 +342,8 @@ def bag_content(path: Path, command: str) -> dict[str, Any]:
         for connection, _, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             messages.setdefault(connection.topic, []).append(message)
-    made["messages"] = {topic: len(each) for topic, each in sorted(messages.items())}
+    counted = sorted(messages.keys() - LATER_TOPICS)
+    made["messages"] = {topic: len(messages[topic]) for topic in counted}
     for topic in NEW_TOPICS.get(command, ()):
         if topic in messages:
             fields = READERS[topic](messages[topic])
@@ -450,6 +451,8 @@ READERS = {
     "/smoother/impacts": smoothed_impacts,
 }
 """What is read of each topic."""
+LATER_TOPICS = {"/observer/impacts", "/smoother/impact_estimates"}
+"""Topics that version 0.2.0 did not write; test/observer and test/smooth check them."""
 _OBSERVED = ("/observer/state", "/observer/verdicts", "/observer/measurements", "/observer/bound")
 NEW_TOPICS = {
     "simulate": ("/impacts", "/plant/joint_states"),

@@ -224,3 +224,18 @@ def test_an_encoding_that_metadata_alone_has_wrong_is_salvaged(
     main(["check", str(bag), "--salvage", "-o", str(saved)])
     with BagReader(saved) as reader, BagReader(sample_bag) as first:
         assert reader.message_count == first.message_count
+
+
+def test_the_largest_time_of_sqlite_is_a_time(
+    sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beyond this integer sqlite3 counts in floats."""
+    largest = 2**63 - 1
+    path = bare(humble_sqlite(sample_bag, tmp_path / "humble"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE messages SET timestamp = ?", (largest,))
+        database.commit()
+    with BagReader(path) as reader:
+        assert (reader.start, reader.end) == (largest, largest)
+    main(["check", str(path)])
+    assert "9223372036.854775807 s" in said_by(capsys)

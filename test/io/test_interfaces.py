@@ -24,6 +24,9 @@ QUALITIES = st.builds(Quality, st.booleans(), st.booleans(), st.integers(0, 10_0
         ("/observer_geometric/measurements", interfaces.OBSERVER_MEASUREMENTS),
         ("/smoother/state", interfaces.OBSERVER_STATES),
         ("/rig/smoother/impacts", interfaces.SMOOTHED_IMPACTS),
+        ("/smoother/impact_estimates", interfaces.SMOOTHED_ESTIMATES),
+        ("/observer/impacts", interfaces.OBSERVER_IMPACTS),
+        ("/rig/observer_geometric/impacts", interfaces.OBSERVER_IMPACTS),
         ("/monitor_geometric/error", interfaces.MONITOR_ERROR),
         ("/clock", interfaces.SIMULATED_CLOCK),
         ("/joint_states", None),
@@ -38,6 +41,13 @@ def test_topic_is_recognised_in_any_namespace_and_of_any_law(
 ) -> None:
     """Topics of other packages are not in the table."""
     assert interfaces.interface(topic) is expected
+
+
+def test_impacts_of_observers_are_none_of_a_plant() -> None:
+    """A rig in a namespace has one topic of events, whatever its observers estimate."""
+    topics = ["/rig/impacts", "/rig/observer/impacts", "/rig/smoother/impacts"]
+    assert interfaces.IMPACTS.candidates(topics) == ["/rig/impacts"]
+    assert interfaces.OBSERVER_IMPACTS.candidates(topics) == ["/rig/observer/impacts"]
 
 
 def test_table_offers_the_quality_of_the_contract() -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between values and messages."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from hypothesis.strategies import SearchStrategy
 from systems import examples
 
 from impact_observer.events import (
+    ImpactEstimate,
     ImpactEvent,
     Kind,
     MeasurementVerdict,
@@ -50,6 +52,9 @@ VERDICTS = st.builds(
     Verdict, STAMPS, st.sampled_from(Ruling), COUNTS, TEXTS, TEXTS, FLOATS, revises=st.just(False)
 )
 IMPACTS = st.builds(SmoothedImpact, STAMPS, EARLY, COUNTS, TEXTS, st.sampled_from(Ruling), FLOATS)
+ESTIMATED_IMPACTS = st.builds(
+    ImpactEstimate, STAMPS, TEXTS, st.sampled_from(Ruling), COUNTS, *[FLOATS] * 8
+)
 SAMPLES = st.builds(
     MeasurementVerdict, STAMPS, TEXTS, FLOATS, FLOATS, FLOATS, st.booleans(), TEXTS
 )
@@ -152,6 +157,22 @@ def test_smoothed_impact_survives_its_message(impact: SmoothedImpact) -> None:
     assert m.read_smoothed_impact(back) == impact
 
 
+@given(impact=ESTIMATED_IMPACTS)
+def test_estimate_of_an_impact_survives_its_message(impact: ImpactEstimate) -> None:
+    """A message keeps the numbers bit for bit, each in the field of its name."""
+    message = bag_messages().impact_estimate(impact)
+    assert message.impulse == impact.impulse
+    assert message.energy_loss_deviation == impact.energy_loss_deviation
+    assert m.read_impact_estimate(through_bytes(message, interfaces.IMPACT_ESTIMATE)) == impact
+
+
+def test_no_message_carries_an_impact_with_a_number_that_is_not_finite() -> None:
+    """The error names the field."""
+    impact = ImpactEstimate(1, "stop", Ruling.APPLIED, impulse=math.nan)
+    with pytest.raises(m.MessageError, match=r"ImpactEstimate\.impulse"):
+        bag_messages().impact_estimate(impact)
+
+
 @given(verdict=SAMPLES)
 def test_verdict_on_a_sample_survives_its_message(verdict: MeasurementVerdict) -> None:
     """A message keeps the numbers bit for bit."""
@@ -169,6 +190,9 @@ def test_estimate_error_survives_its_message(error: EstimateError) -> None:
 
 MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
     EVENTS.map(lambda v: (interfaces.IMPACT_EVENT, lambda make: make.event(v))),
+    ESTIMATED_IMPACTS.map(
+        lambda v: (interfaces.IMPACT_ESTIMATE, lambda make: make.impact_estimate(v))
+    ),
     IMPACTS.map(lambda v: (interfaces.SMOOTHED_IMPACT, lambda make: make.smoothed_impact(v))),
     VERDICTS.map(lambda v: (interfaces.EVENT_VERDICT, lambda make: make.verdict(v, 0.25))),
     joint_states().map(lambda v: (interfaces.JOINT_STATE, lambda make: make.joint_state(v))),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables as instruments, phones, trackers and loggers write them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
@@ -13,38 +14,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
-from impact_observer.io import BagReader
-from impact_observer.io.recordings import events_in
-from impact_observer.io.table_file import TableFile
-from impact_observer.io.table_layout import TableForm
-from impact_observer.states import Vector
+from impact_observer.io.signals import Signal, read_signal
+from impact_observer.io.tables import TableForm, read_table
 
-HITS = np.array([0.103, 0.2035, 0.3532, 0.4501])  # s
-RATE = 2000
 SECOND = 1_000_000_000
-STEP = 0.5e-3  # s
+RATE = 2000
+STEP = 500_000  # ns
+VALUES = np.round(np.random.default_rng(1).normal(scale=20.0, size=60), 4)
 Row = Callable[[int, float, float], str]
 
 
-def samples() -> Iterator[tuple[int, float, float]]:
-    """Number, time in s and value of the samples of four half-sines of 5 ms, 40 high."""
-    for k in range(1000):
-        since = k / RATE - HITS
-        hits = np.where(np.abs(since) < 0.0025, 40 * np.cos(since * np.pi / 0.005), 0.0)
-        yield k, k / RATE, float(hits.sum())
-
-
 def table(header: str, row: Row, end: str = "\n") -> str:
-    """A table with a row for each sample."""
-    return header + "\n".join(row(*sample) for sample in samples()) + end
+    """A table with a row for each sample: its number, its time in s and its value."""
+    rows = (row(k, k / RATE, value) for k, value in enumerate(VALUES.tolist()))
+    return header + "\n".join(rows) + end
 
 
 def plain(k: int, t: float, a: float) -> str:
     """A row with time and value."""
     del k
-    return f"{t:.6f},{a:.5f}"
+    return f"{t:.6f},{a:.4f}"
 
 
 def commas(k: int, t: float, a: float) -> str:
@@ -63,116 +53,165 @@ def dated(separator: str) -> Row:
 
     def row(k: int, t: float, a: float) -> str:
         del k
-        return f"{(zero + timedelta(seconds=t)).isoformat(separator)},{a:.5f}"
+        return f"{(zero + timedelta(seconds=t)).isoformat(separator)},{a:.4f}"
 
     return row
 
 
-ABOVE = (
-    "".join(
-        f"{name};{value}\n"
-        for name, value in (
-            ("Measurement report", ""),
-            ("Operator", "n.n."),
-            ("Date", "01.02.2024"),
-            ("Time", "10:11:12"),
-            ("Sample rate", "2000 Hz"),
-            ("Channels", "2"),
-            ("Pre-trigger", "0,1 s"),
-        )
-    )
-    + "\n"
+def read(folder: Path, text: str | bytes, form: TableForm | None = None) -> Signal:
+    """The signal in a table."""
+    path = folder / "table.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_signal(path, form)
+
+
+def times(folder: Path, text: str, form: TableForm | None = None) -> list[int]:
+    """The times in a table, ns."""
+    path = folder / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    return [*map(int, read_table(path, form or TableForm(), "time, value").times)]
+
+
+PREAMBLE = (
+    "Report;\nDate;01.02.2024\nTime;10:11:12\nRate;2000 Hz\nChannels;2\nPre-trigger;0,1 s\n\n"
 )
-TEKTRONIX = {
-    0: "Record Length,1000",
-    1: "Sample Interval,0.0005",
-    6: "Source,CH1",
-    7: "Vertical Units,V",
-}
-LAYOUTS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "lines_above.csv": (table(ABOVE + "Time;Hammer;ACC\n", commas), ("--topic", "Hammer")),
-    "skipped.csv": (table("1,2\n3,4\n", plain), ("--skip-rows", "2")),
-    "units_row.csv": (table("Time,Hammer\n[ms],[N]\n\n", millis), ()),
-    "keysight.csv": (table("x-axis,1\nsecond,Volt\n", lambda _, t, a: f"{t:+.8E},{a:+.5E}"), ()),
-    "rigol_time.csv": (
-        table("X,CH1,CH2,\nSecond,Volt,Volt,\n", lambda _, t, a: f"{t:.5e},{a:.2e},4.88e+00,"),
-        ("--topic", "CH1"),
+LVM = (
+    "LabVIEW Measurement\t\nDate\t2024/05/01\nTime\t14:37:48.2\n***End_of_Header***\t\n\t\n"
+    "Channels\t2\t\nDate\t2024/05/01\t2024/05/01\t\nX0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.5\t0.5\t\n"
+    "***End_of_Header***\t\t\t\nX_Value\tDev0/Ai0\tSlow\tComment\n"
+)
+BESIDE = {0: "Record Length,60", 1: "Sample Interval,0.0005", 6: "Source,CH1"}
+BY_RATE = TableForm(frame_rate=Fraction(4000, 2))
+LAYOUTS: dict[str, tuple[str, str, TableForm]] = {
+    "preamble": (table(PREAMBLE + "Time;Hammer;ACC\n", commas), "Hammer", TableForm()),
+    "skipped": (table("1,2\n3,4\n", plain), "value", TableForm(skip_rows=2)),
+    "units": (table("Time,Hammer\n[ms],[N]\n\n", millis), "Hammer [N]", TableForm()),
+    "keysight": (
+        table("x-axis,1\nsecond,Volt\n", lambda _, t, a: f"{t:+.8E},{a:+.8E}"),
+        "1 (Volt)",
+        TableForm(),
     ),
-    "rigol.csv": (
+    "rigol_times": (
+        table("X,CH1,CH2,\nSecond,Volt,Volt,\n", lambda _, t, a: f"{t:.5e},{a:.8e},4.88e+00,"),
+        "CH1 (Volt)",
+        TableForm(),
+    ),
+    "rigol": (
         table(
-            "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,0.000000e+00,5.000000e-04\n",
-            lambda k, _, a: f"{k},{a:.5f},1.0,",
+            "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,0.0e+00,5.000000e-04\n",
+            lambda k, _, a: f"{k},{a:.4f},1.0,",
         ),
-        ("--topic", "CH1"),
+        "CH1",
+        TableForm(),
     ),
-    "tektronix_beside.csv": (
-        table("", lambda k, t, a: f"{TEKTRONIX.get(k, ',')},,{t:.6f},{a:.5f},"),
-        (),
+    "tektronix_beside": (
+        table("", lambda k, t, a: f"{BESIDE.get(k, ',')},,{t:.6f},{a:.4f},"),
+        "value",
+        TableForm(),
     ),
-    "tektronix_above.csv": (
+    "tektronix_above": (
         table(
-            "Model,MSO54\nHorizontal Units,s,,Horizontal Units,s\nRecord Length,1000\n,,,,\n"
-            "Label,hammer,,Label,D0\nTIME,CH1,,TIME,D0\n",
-            lambda _, t, a: f"{t:.6e},{a:.5f},,{t:.6e},0",
+            "Model,MSO54\nHorizontal Units,s,,Horizontal Units,s\n,,,,\nLabel,hammer,,Label,D0\n"
+            "TIME,CH1,,TIME,D0\n",
+            lambda _, t, a: f"{t:.6e},{a:.4f},,{t:.6e},0",
         ),
-        ("--topic", "CH1"),
+        "CH1",
+        TableForm(),
     ),
-    "picoscope.csv": (
+    "picoscope": (
         table("Time;Kanal A;Kanal B\n(ms);(V);(mV)\n\n", lambda k, t, a: commas(k, 1000 * t, a)),
-        ("--topic", "Kanal A"),
+        "Kanal A (V)",
+        TableForm(),
     ),
-    "siglent.csv": (
+    "siglent": (
         table(
-            "Record Length,Analog:1000\nSample Interval,Analog:5.0E-04\nVertical Units,CH1:V\n"
-            "Model Number,SDS1104X-E\nSource,CH1\nSecond,Value\n",
-            lambda _, t, a: f"{t:+.6E},{a:+.6E}",
+            "Record Length,Analog:1000\nModel Number,SDS1104X-E\nSource,CH1\nSecond,Value\n",
+            lambda _, t, a: f"{t:+.6E},{a:+.8E}",
         ),
-        ("--topic", "CH1"),
+        "CH1 (Value)",
+        TableForm(),
     ),
-    "lecroy.csv": (
+    "lecroy": (
         table(
-            "LECROYWR104Xi,58940,Waveform\nSegments,1,SegmentSize,1000\n"
-            "Segment,TrigTime,TimeSinceSegment1\n#1,17-Dec-2018 10:52:33,0\nTime,Ampl\n",
+            "LECROYWR104Xi,58940,Waveform\nSegment,TrigTime,TimeSinceSegment1\n"
+            "#1,17-Dec-2018 10:52:33,0\nTime,Ampl\n",
             plain,
         ),
-        (),
+        "Ampl",
+        TableForm(),
     ),
-    "savetxt.dat": (table("", lambda _, t, a: f"{t:.18e} {a:.18e}"), ()),
-    "aligned.txt": (table("   time (s)      az\n", lambda _, t, a: f"{t:10.4f}{a:12.4f}"), ()),
-    "blanks_and_commas.txt": (
+    "labview": (
+        table(LVM, lambda k, t, a: f"{t:.6f}\t{a:.4f}\t{'' if k % 10 else '7.25'}"),
+        "Dev0/Ai0",
+        TableForm(),
+    ),
+    "commented": (table("# by a logger\n#time [ms],az\n", millis), "az", TableForm()),
+    "comments": (table("# by a logger\n", plain), "value", TableForm()),
+    "savetxt": (table("", lambda _, t, a: f"{t:.18e} {a:.18e}"), "value", TableForm()),
+    "aligned": (
+        table("   time (s)      az\n", lambda _, t, a: f"{t:10.4f}{a:12.4f}"),
+        "az",
+        TableForm(),
+    ),
+    "blanks_and_commas": (
         table("time az\n", lambda _, t, a: f"{t:.4f} {a:.4f}".replace(".", ",")),
-        (),
+        "az",
+        TableForm(),
     ),
-    "hundreds.csv": (
-        table("t [100ms], |a| [m/s^2], az [m/s^2]\n", lambda _, t, a: f"{10 * t:.4f}, 9, {a:.2f}"),
-        ("--topic", "az [m/s^2]"),
+    "quoted_commas": (
+        table("time,az\n", lambda _, t, a: f'"{t:.4f}","{a:.4f}"'.replace(".", ",")),
+        "az",
+        TableForm(separator="comma", decimal="comma"),
     ),
-    "latin.csv": (table("Time (\xb5s),a (m/s\xb2)\n", lambda k, t, a: plain(k, 1e6 * t, a)), ()),
-    "counted.csv": (table("az\n", lambda *sample: f"{sample[2]:.4f}"), ("--frame-rate", "2000")),
-    "frames.txt": (
-        table("Frame\tX1\tFlag1\nTracks 1 to 1\n", lambda k, _, a: f"{k}\t{a:.5f}\t ")
+    "hundreds": (
+        table("t [100ms], |a| [m/s^2], az\n", lambda _, t, a: f"{10 * t:.4f}, 9, {a:.4f}"),
+        "az",
+        TableForm(),
+    ),
+    "named": (
+        table("a,when\n", lambda _, t, a: f"{a},{t:.4f}"),
+        "a",
+        TableForm(time_column="when"),
+    ),
+    "rows": (table("az\n", lambda *sample: f"{sample[2]:.4f}"), "az", BY_RATE),
+    "frames": (
+        table("Frame\tX1\tFlag1\nTracks 1 to 1\n", lambda k, _, a: f"{k}\t{a:.4f}\t ")
         + "\nTrack\tLength\tNr\n1\t219.7\t191\n",
-        ("--frame-rate", "4000/2"),
+        "X1",
+        BY_RATE,
     ),
+    "first_cells_missing": (table("time,az\n-0.0005,\n", plain), "az", TableForm()),
 }
-
-
-def detected(folder: Path, name: str, text: str, *options: str) -> Vector:
-    """Stamps of the impacts that ``detect`` finds in a table, ns."""
-    path, bag = folder / name, folder / "bag"
-    path.write_bytes(text.encode("latin-1" if "\xb5" in text else "utf-8"))
-    given = ["--contact", "anvil", "--threshold", "20", "-o", str(bag), *options]
-    assert main(["detect", str(path), *given]) == 0
-    with BagReader(bag) as reader:
-        return np.array([event.stamp for event in events_in(reader)])
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_tables_of_instruments_give_their_hits(tmp_path: Path, name: str) -> None:
-    """Stamps are exact to a twentieth of a sample, whatever stands around the rows."""
-    text, options = LAYOUTS[name]
-    stamps = detected(tmp_path, name, text, *options)
-    np.testing.assert_allclose((stamps - SECOND) / SECOND, HITS, atol=0.05 * STEP)
+def test_tables_of_instruments_are_read(tmp_path: Path, name: str) -> None:
+    """Times and values are those written, whatever stands around the rows."""
+    text, column, form = LAYOUTS[name]
+    signal = read(tmp_path, text, form)
+    there = ~np.isnan(signal.columns[column])
+    np.testing.assert_array_equal(signal.columns[column][there], VALUES)
+    np.testing.assert_array_equal(
+        signal.stamps[there], SECOND + STEP * np.arange(VALUES.size, dtype=np.int64)
+    )
+
+
+def test_the_line_of_the_header_is_said_where_others_are_above(tmp_path: Path) -> None:
+    """What stands above is not read."""
+    assert read(tmp_path, table("time,az\n", plain)).times == "times in s"
+    assert read(tmp_path, LAYOUTS["preamble"][0]).times == "times in s, header in line 8"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_old_encodings_are_read(tmp_path: Path, encoding: str) -> None:
+    """A table that is no UTF-8 is read with a remark."""
+    text = table("Time (\xb5s),a (m/s\xb2)\r\n", lambda k, t, a: plain(k, 1e6 * t, a)).encode(
+        encoding
+    )
+    signal = read(tmp_path, text)
+    assert [*signal.columns] == ["a (m/s\xb2)"]
+    assert signal.stamps[1] == SECOND + STEP
+    assert bool(signal.remarks) == (encoding == "cp1252")
 
 
 @pytest.mark.parametrize(
@@ -182,24 +221,20 @@ def test_tables_of_instruments_give_their_hits(tmp_path: Path, name: str) -> Non
         ("Timestamp,az\n", dated("T")),
         ("Date,Time,az\n", dated(",")),
         ("Datum,Uhrzeit,az\n,,[g]\n", dated(",")),
+        ("time;az\n", lambda *s: dated(" ")(*s).replace(",", ";").replace(".", ",")),
+        (
+            "time;az\n",
+            lambda *s: dated(" ")(*s).replace("2016-05-23", "23.5.2016").replace(",", ";"),
+        ),
     ],
-    ids=["blank", "iso", "two_columns", "german"],
+    ids=["blank", "iso", "two_columns", "units", "comma", "german"],
 )
 def test_dates_are_stamps(tmp_path: Path, header: str, row: Row) -> None:
-    """Dates without a zone are in UTC, stamps count from 1970, and a row of units is no row."""
-    stamps = detected(tmp_path, "dates.csv", table(header, row))
+    """Dates without a zone are in UTC, and stamps count from 1970."""
+    signal = read(tmp_path, table(header, row))
     zero = 1_464_039_980 * SECOND  # date -u -d '2016-05-23 21:46:20' +%s
-    np.testing.assert_allclose((stamps - zero) / SECOND, HITS, atol=0.05 * STEP)
-
-
-def read_times(folder: Path, text: str, form: TableForm | None = None) -> list[int]:
-    """The times in a table of one column of numbers, ns."""
-    path = folder / "times.csv"
-    path.write_text(text, encoding="utf-8")
-    file = TableFile(
-        path, form or TableForm(), ("value",), what="row", expected="time, value", strict=False
-    )
-    return [row.time for row in file.in_order()]
+    assert signal.zero == 0
+    np.testing.assert_array_equal(signal.stamps, zero + STEP * np.arange(VALUES.size))
 
 
 @examples(100)
@@ -215,9 +250,8 @@ def test_dates_are_exact_to_the_nanosecond(
     text = f"{moment.isoformat(timespec='microseconds')}{part:03d}"
     sign, (hours, rest) = "-" if minutes < 0 else "+", divmod(abs(minutes), 60)
     written = f"timestamp,a\n{text}{sign}{hours:02d}:{rest:02d},1\n"
-    (time,) = read_times(tmp_path_factory.mktemp("dates"), written)
     expected = np.datetime64(text, "ns").astype(np.int64) - minutes * 60 * SECOND
-    assert time == int(expected)
+    assert times(tmp_path_factory.mktemp("dates"), written) == [int(expected)]
 
 
 UNITS = {
@@ -239,25 +273,34 @@ UNITS = {
     "t [100ms]": 0.1,
     "Elapsed (100 ms)": 0.1,
     "time/ms": 1e-3,
+    "Czas [s]": 1,
 }
 
 
 @pytest.mark.parametrize("name", UNITS)
 def test_a_unit_in_the_name_of_the_time_counts(tmp_path: Path, name: str) -> None:
-    """Units stand in brackets, behind a line, in words, or with a number."""
-    for options in (None, TableForm(time_column=name)):
-        (time,) = read_times(tmp_path, f"a,{name}\n1,7\n", options)
-        assert time == round(7e9 * UNITS[name])
+    """Units stand in brackets, behind a line, in words, or with a number; an option overrides."""
+    for form in (TableForm(), TableForm(time_column=name)):
+        assert times(tmp_path, f"a,{name}\n1,7\n", form) == [round(7e9 * UNITS[name])]
+        given = replace(form, unit="us")
+        assert times(tmp_path, f"a,{name}\n1,7\n", given) == [7000]
 
 
-@pytest.mark.parametrize("name", ["Time (jiffies)", "time_ticks", "time_min", "Time [UTC]"])
-def test_a_unit_that_is_not_understood_is_an_error(tmp_path: Path, name: str) -> None:
-    """The error lists what is understood; the option decides."""
-    with pytest.raises(
-        UsageError, match=r"is no unit of time .* expected s, ms, us, ns, min or h"
-    ):
-        read_times(tmp_path, f"{name},a\n7,1\n")
-    assert read_times(tmp_path, f"{name},a\n7,1\n", TableForm(unit="ms")) == [7_000_000]
+@examples(100)
+@given(
+    whole=st.integers(0, 2_000_000_000),
+    part=st.integers(0, 999_999_999),
+    unit=st.sampled_from(["s", "ms", "us", "ns"]),
+)
+def test_times_are_exact_to_the_nanosecond(
+    tmp_path_factory: pytest.TempPathFactory, whole: int, part: int, unit: str
+) -> None:
+    """Large times have more digits than a float."""
+    stamp = whole * 10**9 + part
+    decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
+    text = format(Decimal(stamp).scaleb(-decimals), "f")
+    folder = tmp_path_factory.mktemp("times")
+    assert times(folder, f"time,a\n{text},1\n", TableForm(unit)) == [stamp]
 
 
 @examples(100)
@@ -267,169 +310,178 @@ def test_frames_over_their_rate_are_exact(
 ) -> None:
     """Times of frames have no error of a float."""
     folder = tmp_path_factory.mktemp("frames")
-    (time,) = read_times(folder, f"frame,x\n{frame},1\n", TableForm(frame_rate=rate))
+    (time,) = times(folder, f"frame,x\n{frame},1\n", TableForm(frame_rate=rate))
     assert abs(Fraction(time) - frame * SECOND / rate) <= Fraction(1, 2)
 
 
-def test_a_column_of_frames_asks_for_its_rate(tmp_path: Path) -> None:
-    """The error names the option; a column of time leaves the option without a use."""
-    with pytest.raises(UsageError, match=r"Frame counts frames. --frame-rate HZ"):
-        read_times(tmp_path, "Frame,X1\n1,2\n2,3\n")
-
-
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "found", "option", "form"),
     [
-        ("time,timestamp_us,a\n1,2,3\n", ""),
-        ("time,time_ms,a\n1,2,3\n", "two columns of time, time, time_ms; expected one"),
-        ("stamp,elapsed,a\n1,2,3\n", "two columns of time, stamp, elapsed; expected one"),
-        ("Czas [s],a\n1,2\n", "--time-column 'Czas \\[s\\]' names it, if that is the time"),
-        ("Czas;a\n(ms);(V)\n1;2\n2;3\n", "--time-column 'Czas' names it, if that"),
-        ("when,a\n1,2\n", "'when' found; expected a header with a column time"),
-        ("Date,Time,a\n5/6/2024,10:00:00.5,1\n", "has '5/6/2024', in which day and month may"),
+        ("0,3537\n0,8241\n", "'0,3537'", "--decimal comma", TableForm(decimal="comma")),
+        ("0,3537\n0,8241\n", "'0,3537'", "--separator comma", TableForm(separator="comma")),
+        (
+            "time,time_ms,a\n1,2,3\n",
+            "time, time_ms",
+            "--time-column",
+            TableForm(time_column="time"),
+        ),
+        ("T,CH1,T\n1,2,3\n", "T.1, CH1, T.2", "--time-column", TableForm(time_column="T.2")),
+        (
+            "TIME,CH1,TIME\n1,2,3\n",
+            "TIME.1, TIME.2",
+            "--time-column",
+            TableForm(time_column="TIME.2"),
+        ),
+        ("when,a\n1,2\n", "when, a", "--time-column", TableForm(time_column="when")),
+        ("Frame,X1\n1,2\n2,3\n", "Frame, X1", "--frame-rate", BY_RATE),
+        ("Ball,3 cm\n1,2.5\n2,3.5\n", "Ball, 3 cm", "--skip-rows", TableForm(skip_rows=1)),
+        ("Time (jiffies),a\n7,1\n", "'jiffies'", "--time-unit", TableForm(unit="ms")),
+        ("time_ticks,a\n7,1\n", "'ticks'", "--time-unit", TableForm(unit="ms")),
+        ("time_min,a\n7,1\n", "'min'", "--time-unit", TableForm(unit="min")),
+        ("Time [UTC],a\n7,1\n", "'UTC'", "--time-unit", TableForm(unit="s")),
+        ("time,a\n1700000000000,1\n", "1700000000000", "--time-unit", TableForm(unit="ms")),
+        ("time,a\n2.5,1\n0.5,2\n2.6,1\n", "2 s", "--sort", TableForm(sort=True)),
     ],
 )
-def test_nothing_is_guessed_where_two_readings_are_possible(
-    tmp_path: Path, text: str, said: str
+def test_where_two_readings_are_possible_the_option_is_named(
+    tmp_path: Path, text: str, found: str, option: str, form: TableForm
 ) -> None:
-    """The error names the columns and the option; a column called time goes before others."""
-    if not said:
-        assert read_times(tmp_path, text) == [SECOND]
-        return
-    with pytest.raises(UsageError, match=said):
-        read_times(tmp_path, text)
+    """The error names what was found and the option, with which the table is read."""
+    with pytest.raises(UsageError) as caught:
+        times(tmp_path, text)
+    assert found in str(caught.value)
+    assert option in str(caught.value)
+    assert times(tmp_path, text, form)
 
 
 def test_columns_of_one_name_are_told_apart_by_a_number(tmp_path: Path) -> None:
-    """Two channels called Volt, of which none is taken unasked."""
-    (tmp_path / "scope.csv").write_text("time,Volt,Volt\n0,1,2\n1,3,4\n")
-    form = TableForm()
-    file = TableFile(tmp_path / "scope.csv", form, (), what="rows", expected="time", strict=False)
-    assert file.columns == ("Volt", "Volt.2")
-    rows = [row.cells for row in file.records()]
-    assert rows == [{"Volt": "1", "Volt.2": "2"}, {"Volt": "3", "Volt.2": "4"}]
+    """Two channels called Volt, of which neither is called so any more."""
+    signal = read(tmp_path, "time,Volt,Volt\n0,1,2\n1,3,4\n")
+    assert {name: x.tolist() for name, x in signal.columns.items()} == {
+        "Volt.1": [1, 3],
+        "Volt.2": [2, 4],
+    }
+
+
+def at(k: int) -> int:
+    """The stamp of a row."""
+    return SECOND + k * STEP
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "lost", "said"),
     [
+        (table("time,az\n", plain, "\n0.030000,0.1e"), set(), "1 of 61 rows"),
+        (table("time,az\n", plain, "\n0.029"), set(), "1 of 61 rows"),
+        (table("time,az\n", plain, "\n0.030000,0.0"), set(), "1 of 61 rows"),
+        (table("time,az\n", plain, "\n" + 300 * "\0"), set(), "NUL bytes"),
         (
-            table("time,az\n", plain, "\n0.50000,0.1e"),
-            "1 of 1001 rows left out (0.1 %), line 1002",
-        ),
-        (table("time,az\n", plain, "\n0.4999"), "'0.4999' is cut: the file ends in it"),
-        (table("time,az\n", plain, "\n0.500,0.0"), "'0.500,0.0' is cut: the file ends in it"),
-        (table("time,az\n", plain, "\n" + 300 * "\0"), "line 1002: NUL bytes, as a loss of"),
-        (
-            table("time,az\n", lambda k, t, a: plain(k, t, a) if k % 100 else f"{t},nan"),
-            "10 of 1000 values of az left out (1 %), the first in line 2: 'nan' is no finite",
+            table("time,az\n", lambda k, t, a: plain(k, t, a) if k % 20 else f"{t},nan"),
+            {0, 20, 40},
+            "3 of 60 values of az",
         ),
         (
-            table("time,az\n", lambda k, t, a: plain(k, t, a) if k % 100 - 1 else "reset"),
-            "10 of 1000 rows left out (1 %), the first in line 3: 'reset' found; expected a time",
+            table("time,az\n", lambda k, t, a: plain(k, t, a) if k % 20 - 1 else "reset"),
+            {1, 21, 41},
+            "3 of 60 rows left out (5 %), the first in line 3: 'reset'",
         ),
-        (
-            table("time,az\n", plain) + "\nTrack,Length\n1,219\n2,220\n",
-            "3 of 1003 rows left out (0.3 %), the first in line 1003: another table begins there",
-        ),
+        (table("time,az\n", plain) + "\nTrack,Length\n1,219\n2,220\n", set(), "3 of 63 rows"),
+        (table("time,az\n", plain, "\n0.03,1,2\n"), set(), "1 of 61 rows"),
     ],
-    ids=["cut", "cut_row", "cut_number", "nul", "nan", "words", "second_table"],
+    ids=["cut", "cut_row", "cut_number", "nul", "nan", "words", "second_table", "third_cell"],
 )
-def test_what_is_left_out_is_a_warning_with_its_part(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+def test_what_is_left_out_is_said_with_its_part(
+    tmp_path: Path, text: str, lost: set[int], said: str
 ) -> None:
-    """The other rows give their hits."""
-    stamps = detected(tmp_path, "acc.csv", text)
-    np.testing.assert_allclose((stamps - SECOND) / SECOND, HITS, atol=0.05 * STEP)
-    (warning,) = [line for line in capsys.readouterr().out.splitlines() if "warning" in line]
-    assert said in warning
+    """The other rows are read."""
+    signal = read(tmp_path, text)
+    there = np.flatnonzero(~np.isnan(signal.columns["az"]))
+    kept = [k for k in range(VALUES.size) if k not in lost]
+    assert signal.stamps[there].tolist() == [at(k) for k in kept]
+    assert signal.columns["az"][there].tolist() == VALUES[kept].tolist()
+    (remark,) = (*signal.remarks, *signal.omissions.values())
+    assert said in remark
 
 
-def refused(folder: Path, capsys: pytest.CaptureFixture[str], text: str, *options: str) -> str:
-    """The line of the error of ``detect``; no bag is left."""
-    path, bag = folder / "acc.csv", folder / "bag"
-    path.write_text(text, encoding="utf-8")
-    given = ["--contact", "anvil", "--threshold", "20", "-o", str(bag), *options]
-    assert main(["detect", str(path), *given]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert not bag.exists()
-    return line
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "no row of numbers"),
+        ("time,a\n", "line 1 is 'time,a'"),
+        ("time,a\n5/6/2024 10:00,1\n", "line 2 is '5/6/2024 10:00,1'"),
+        ("time,a\n0,1\nx,2\n2,3\ny,4\nz,5\n", "line 3: 'x'"),
+        ('time,a\n0,1\n"1,2\n2,3\n', "line 3: a quotation mark"),
+        ("time,x\n0,on\n", "x beside the time"),
+        ("time\n0\n", "no column beside the time"),
+        ("time,x\n-2,1\n", "--time-zero 3"),
+        ("time,a(1),a[1]\n0,1,2\n", "a(1), a[1]"),
+        ("Date,Time,az\n5/6/2024,10:00:00.5,1\n", "'5/6/2024 10:00:00.5' found"),
+        ("X,CH1,Start,Increment,\nSequence,Volt,0,x\n0,1,\n1,2,\n", "start and increment"),
+        (b"RIFF\x01\x00\x00\x00WAVEfmt ", "is no text"),
+        (b"\0time,a\n0,1\n", "is no text"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path: Path, text: str | bytes, found: str) -> None:
+    """The error names the file and what was found."""
+    with pytest.raises(UsageError) as caught:
+        read(tmp_path, text)
+    assert str(caught.value).startswith(str(tmp_path / "table.csv"))
+    assert found in str(caught.value)
 
 
-def test_a_table_of_which_most_rows_cannot_be_read_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_unit_of_dates_is_an_option_without_a_use(tmp_path: Path) -> None:
+    """A date has no unit."""
+    with pytest.raises(UsageError, match="--time-unit ms"):
+        read(tmp_path, table("time,az\n", dated(" ")), TableForm(unit="ms"))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "step", "remedy"),
+    [
+        ("2024-10-27 02:59:59.{}", "2024-10-27 02:00:00.{}", "3599.1 s", "zone"),
+        ("23:59:59.{}", "00:00:00.{}", "86399.1 s", "date"),
+        ("7205.{}", "3600.{}", "3605.1 s", "mend the times"),
+    ],
+    ids=["summer_time", "midnight", "numbers"],
+)
+def test_a_step_of_the_clock_is_named_with_its_size(
+    tmp_path: Path, before: str, after: str, step: str, remedy: str
 ) -> None:
-    """The error has the first of them."""
-    said = refused(tmp_path, capsys, "time,a\n0,1\nx,2\n2,3\ny,4\nz,5\n")
-    assert "line 3: 'x' found; expected a time as a decimal number; 3 of 5 rows" in said
+    """Sorting would swap the rows before and after the step."""
+    rows = [each.format(k) for each in (before, after) for k in (7, 8, 9)]
+    rows[3] = rows[3].replace(".7", ".8")
+    text = "time,a\n" + "".join(f"{row},1\n" for row in rows)
+    for sort in (False, True):
+        with pytest.raises(UsageError) as caught:
+            times(tmp_path, text, TableForm(sort=sort))
+        assert "line 5" in str(caught.value)
+        assert step in str(caught.value)
+        assert remedy in str(caught.value)
 
 
-def test_times_that_lost_all_digits_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_out_of_order_by_less_than_they_last_are_sorted(tmp_path: Path) -> None:
+    """Two sensors of one clock, written one after the other; equal times stay as they stand."""
+    text = "time,a\n0.5,1\n1.5,2\n2.5,3\n0.6,4\n1.5,5\n2.4,6\n"
+    signal = read(tmp_path, text, TableForm(sort=True))
+    assert signal.columns["a"].tolist() == [1, 4, 2, 5, 6, 3]
+    assert (signal.stamps - SECOND).tolist() == [
+        round(t * SECOND) for t in (0.5, 0.6, 1.5, 1.5, 2.4, 2.5)
+    ]
+
+
+def test_times_that_lost_all_digits_are_refused(tmp_path: Path) -> None:
     """Times since 1970 with six digits are all equal."""
     text = table("time,az\n", lambda _, t, a: f"{1732340000 + t:g},{a:.5f}")
-    said = refused(tmp_path, capsys, text)
-    assert "all 1000 rows have the time 1732340000.000000000 s; are their digits lost" in said
-    assert "--frame-rate HZ" in said
+    with pytest.raises(UsageError, match=r"59 of 60 rows .* --frame-rate"):
+        read(tmp_path, text)
 
 
-def test_times_that_lost_some_digits_are_a_warning(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_times_that_lost_some_digits_are_a_warning(tmp_path: Path) -> None:
     """The warning says by how much the stamps are off at most, and they are off by less."""
     text = table("time,az\n", lambda _, t, a: f"{1732340000 + t:.2f},{a:.5f}")
-    stamps = detected(tmp_path, "acc.csv", text)
-    said = capsys.readouterr().out
-    assert "949 of 1000 rows have the time of the row before" in said
-    assert "times change every 0.01 s, rows come every 0.000501 s" in said
-    assert "stamps are up to 0.01 s off" in said
-    assert np.max(np.abs((stamps - 1732340000 * SECOND) / SECOND - HITS)) < 0.01
-
-
-def test_impacts_that_lost_their_digits_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A contact cannot close twice at once."""
-    path = tmp_path / "impacts.csv"
-    path.write_text("time,contact\n1.73234e+09,a\n1.73234e+09,a\n", encoding="utf-8")
-    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
-    assert (
-        "at the same time; remove one, or write times with more digits" in capsys.readouterr().err
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "stamps"),
-    [
-        ("0.500000000\n1.300000000\n", [1.5, 2.3]),
-        ("0.500000000 stop\n1.300000000 stop\n", [1.5, 2.3]),
-        ("Timestamp (ms),contact\n500,stop\n1300,stop\n", [1.5, 2.3]),
-        ("time,contact\n2016-05-23 21:46:20.5,stop\n", [1464039980.5]),
-        ("frame,contact\n50,stop\n130,stop\n", [1.5, 2.3]),
-        ("0.5000\n1.3000\n1.4000\n1.5000\n1.7", [1.5, 2.3, 2.4, 2.5]),
-    ],
-    ids=["bare", "blank", "unit", "date", "frames", "cut"],
-)
-def test_impact_times_come_in_the_same_tables(
-    tmp_path: Path, text: str, stamps: list[float]
-) -> None:
-    """``import`` reads what ``detect`` reads; a last line that is cut is left out."""
-    path, bag = tmp_path / "impacts.txt", tmp_path / "bag"
-    path.write_text(text, encoding="utf-8")
-    options = ["--frame-rate", "100"] if "frame" in text else []
-    assert main(["import", str(path), "--model", "two_mass", "-o", str(bag), *options]) == 0
-    with BagReader(bag) as reader:
-        assert [event.stamp for event in events_in(reader)] == [
-            round(Decimal(str(each)) * SECOND) for each in stamps
-        ]
-
-
-def test_an_option_without_a_use_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A frame rate beside times, and a unit of dates."""
-    said = refused(tmp_path, capsys, table("time,az\n", plain), "--frame-rate", "2000")
-    assert "line 1: has a column of time; leave out --frame-rate" in said
-    said = refused(tmp_path, capsys, table("time,az\n", dated(" ")), "--time-unit", "ms")
-    assert "--time-unit ms given for dates; leave it out" in said
+    signal = read(tmp_path, text)
+    (remark,) = signal.remarks
+    assert "56 of 60 rows" in remark
+    assert "up to 0.01 s off" in remark
+    true = 1732340000 * SECOND + STEP * np.arange(VALUES.size)
+    assert np.abs(signal.stamps - true).max() < 0.01 * SECOND

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The detector node: sensors over real DDS, a bag that is played, diagnostics."""
 
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from signals import MS
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Empty, Float64
 
 from impact_observer.cli.main import main
 from impact_observer.detector.sensors import MAX_DELAY
@@ -371,20 +372,72 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     assert expected in refusal("detector", arguments, capfd)
 
 
-def test_a_topic_that_is_not_what_was_declared_ends_the_node(
+def test_a_topic_that_is_not_what_was_declared_is_an_error_until_its_type_changes(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Once the type is discovered, the error is one line with the file and the key."""
+    """The diagnostics name the key; a publisher that comes later is received."""
+    assert ros_environment
     sources = tmp_path / "rig.yaml"
     sources.write_text("sources: [{contact: stop, topic: force}]", encoding="utf-8")
+    with (
+        spinning(ros_arguments({"sources": sources})) as spinner,
+        ros_node("sensor") as (node, _),  # a participant has one type of a topic
+    ):
+        rig = make_rig(spinner)
+        first = node.create_publisher(Float64, "force", qos_profile(STATES))
+        wanted = f"{sources}: sources[0].kind: is missing"
+        spinner.until(lambda: rig.diagnosis("stop").message.startswith(wanted))
+        assert rig.diagnosis("stop").level == DiagnosticStatus.ERROR
+        node.destroy_publisher(first)
+        for kind, message in ((Bool, Bool(data=True)), (Empty, Empty())):
+            count = len(rig.events)
+            sensor = node.create_publisher(kind, "force", qos_profile(STATES))
+            spinner.until(sensor.get_subscription_count)
+            sensor.publish(message)
+            rig.until_events(count + 1)
+            assert rig.diagnosis("stop").level == DiagnosticStatus.OK
+            node.destroy_publisher(sensor)
+
+
+def test_a_long_message_is_refused_and_told(
+    ros_environment: dict[str, str], sources: Path
+) -> None:
+    """The next message is used."""
+    assert ros_environment
+    given = {"sources": sources, "epoch": EPOCH, "max_message": 1000}
+    with spinning(ros_arguments(given)) as spinner:
+        rig = make_rig(spinner)
+        imu = rig.sensor(Imu, "imu", BEST_EFFORT)
+        message = Imu()
+        message.header.frame_id = "x" * 1000
+        imu.publish(message)
+        spinner.until(lambda: rig.diagnosis("/detector").level == DiagnosticStatus.WARN)
+        status = rig.diagnosis("/detector")
+        assert "max_message allows 1000" in status.message
+        assert [(each.key, each.value) for each in status.values] == [("/imu: refused", "1")]
+        imu.publish(Imu())
+        spinner.until(
+            lambda: ("messages", "1") in {(v.key, v.value) for v in rig.diagnosis("wall").values}
+        )
+
+
+def test_an_error_does_not_end_a_node(ros_environment: dict[str, str], sources: Path) -> None:
+    """A field that no message has is an error each time; the node goes on, and ends in order."""
+    text = SOURCES.replace("topic: switch", "topic: switch, field: dat")
+    sources.write_text(text, encoding="utf-8")
+    statuses: list[DiagnosticStatus] = []
     arguments = ros_arguments({"sources": sources})
     with (
-        spinning() as spinner,
         running_node("detector", arguments, ros_environment) as process,
+        spinning() as spinner,
     ):
-        spinner.probe.create_publisher(Float64, "force", qos_profile(STATES))
-        spinner.until(lambda: process.poll() is not None)
-        _, errors = process.communicate()
-    assert process.returncode == 2
-    (line,) = (each for each in errors.strip().splitlines() if "[INFO]" not in each)
-    assert f"{sources}: sources[0].kind: is missing, as force is std_msgs/msg/Float64" in line
+        spinner.probe.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda array: statuses.extend(array.status), 100
+        )
+        switch = spinner.probe.create_publisher(Bool, "switch", qos_profile(STATES))
+        spinner.until(lambda: switch.get_subscription_count() == 1)
+        switch.publish(Bool(data=True))
+        spinner.until(lambda: any(each.level == DiagnosticStatus.ERROR for each in statuses))
+        code, errors = interrupt(process, signal.SIGTERM)
+    assert code == 0
+    assert "sources[0].field: switch: the message has no dat" in errors

@@ -201,7 +201,11 @@ def test_an_inactive_observer_keeps_its_state_and_a_cleanup_forgets_it(
         go_on(4, 6)
         spinner.until(lambda: is_same(6))
         assert states[-1].last_sequence == len(impacts)
-        assert node.change(DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE)
+        assert node.change(DEACTIVATE, CLEANUP)
+        probe.destroy_publisher(events)  # a publisher would repeat its past events
+        events = probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
+        assert node.change(CONFIGURE, ACTIVATE)
+        connected(spinner, events)
         same = make_observer(model, options)
         go_on(6, 7)
         spinner.until(lambda: is_same(7))

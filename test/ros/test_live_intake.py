@@ -2,6 +2,7 @@
 """Live samples and pulses in a node, without an executor."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +21,19 @@ from impact_observer.ros.message_classes import ros_messages
 from impact_observer.stamps import NS_PER_S
 
 
+def stub() -> Any:  # noqa: ANN401 (stands for a node)
+    """A node that receives nothing."""
+    return SimpleNamespace(
+        create_subscription=lambda *_, **__: None,
+        resolve_topic_name=lambda name: name,
+        values=SimpleNamespace(integer=lambda _: 100),
+    )
+
+
 def test_a_pulse_ahead_of_a_late_clock_is_given_when_the_clock_has_come() -> None:
     """Every early pulse is reported; no pulse counts as invalid."""
     now, pulses, lines = [10 * NS_PER_S], list[int](), list[str]()
-    node = SimpleNamespace(create_subscription=lambda *_, **__: None)
+    node = stub()
     intake = LiveIntake(
         node,
         None,
@@ -56,7 +66,7 @@ def test_efforts_of_a_robot_are_read_from_a_topic_with_others() -> None:
     live = make_observer("hammer_arm", options, measurements=sensors).live
     assert live is not None
     lines, told, efforts = list[str](), list[int](), efforts_on("/arm/joint_states")
-    node = SimpleNamespace(create_subscription=lambda *_, **__: None)
+    node = stub()
     intake = LiveIntake(
         node,
         live,

@@ -111,7 +111,10 @@ def make_rig(spinner: Spinner, quality: Quality = EVENTS) -> Rig:
     probe.create_subscription(ObserverState, "observer/state", rig.states.append, many)
     probe.create_subscription(EventVerdict, "observer/verdicts", rig.verdicts.append, many)
     probe.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: rig.diagnostics.extend(array.status), many
+        DiagnosticArray,
+        "/diagnostics",
+        lambda array: rig.diagnostics.append(array.status[0]),
+        many,
     )
     spinner.until(lambda: rig.clock.get_subscription_count() == 1)
     return rig
@@ -612,16 +615,28 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     )
 
 
-def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
+def test_past_events_are_received_where_all_publishers_keep_them(
     ros_environment: dict[str, str],
 ) -> None:
-    """A subscription that requests transient_local does not match a volatile publisher."""
+    """A volatile publisher that comes later is received too; one that is best effort is told."""
     assert ros_environment
-    wanted = {**PARAMETERS, "events_durability": "transient_local"}
-    with spinning(ros_arguments(wanted)) as spinner:
-        rig = make_rig(spinner, Quality(transient_local=False, depth=10))
-        spinner.until(lambda: any(s.level == DiagnosticStatus.ERROR for s in rig.diagnostics))
-        assert "events_durability" in rig.diagnostics[-1].message
+    with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH})) as spinner:
+        first = spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
+        first.publish(ros_messages().event(event(EPOCH + 10_000_000, 1)))
+        rig = make_rig(spinner)
+        rig.tick(EPOCH + 50_000_000)
+        spinner.until(lambda: len(rig.verdicts) == 1)
+        volatile, lossy = (
+            spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(each))
+            for each in (Quality(depth=10), Quality(reliable=False, depth=10))
+        )
+        spinner.until(volatile.get_subscription_count)
+        volatile.publish(ros_messages().event(event(EPOCH + 20_000_000, 2)))
+        spinner.until(lambda: len(rig.verdicts) == 2)
+        spinner.until(lambda: any("best effort" in each.message for each in rig.diagnostics))
+        assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
+        spinner.probe.destroy_publisher(lossy)
+        spinner.until(lambda: rig.diagnostics[-1].level == DiagnosticStatus.OK)
 
 
 def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -> None:

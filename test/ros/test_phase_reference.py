@@ -100,7 +100,7 @@ def test_diagnostics_warn_of_inputs_that_are_silent_and_of_odd_periods(
     ):
         probe = spinner.probe
         probe.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda array: found.extend(array.status), MANY
+            DiagnosticArray, "/diagnostics", lambda array: found.append(array.status[0]), MANY
         )
         pulses = pulse_publisher(probe)
         forces = probe.create_publisher(

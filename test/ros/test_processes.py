@@ -99,7 +99,7 @@ def test_a_body_at_rest_on_its_stop_is_published_as_closed(
     events: list[ImpactEvent] = []
     states: list[ObserverState] = []
     truth: list[JointState] = []
-    observer = ros_arguments({**arguments, **options, "events_durability": "transient_local"})
+    observer = ros_arguments({**arguments, **options})
     with (
         running_node("observer", observer, ros_environment),
         spinning() as spinner,
@@ -223,10 +223,11 @@ def test_misspelt_parameters_give_a_warning_in_log_and_diagnostics(
             lambda array: statuses.update({each.name: each for each in array.status}),
             qos_profile(STATES),
         )
-        spinner.until(lambda: "/observer: parameters" in statuses)
+        name = "/observer: node"
+        spinner.until(lambda: name in statuses)
         code, errors = interrupt(process)
     assert code == 0
-    status = statuses["/observer: parameters"]
+    status = statuses[name]
     assert status.level == DiagnosticStatus.WARN
     assert "parameter lwa does not exist and is ignored; did you mean law?" in status.message
     unknown = re.findall(r"parameter (\S+) does not exist", errors)

@@ -239,16 +239,26 @@ def test_sensors_may_be_best_effort_and_fast_ones_have_no_verdicts(
         assert {each.name for each in rig.verdicts} == {"laser"}
 
 
-def test_a_topic_of_another_type_is_one_diagnostic_and_the_other_sensor_goes_on(
+def test_a_topic_of_another_type_is_a_diagnostic_until_its_type_changes(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """A sensor that names a joint needs a topic with joints."""
+    """The other sensor goes on; no message without a stamp makes a sensor deaf."""
     assert ros_environment
     wrong = SENSORS.replace("topic: laser, field: range, position", "topic: floats, joint: x2,"
-                            " quantity: position, position")  # fmt: skip
+                            " quantity: position, stamp: header, position")  # fmt: skip
     with rig_with(tmp_path, wrong) as rig:
-        rig.spinner.probe.create_publisher(Float64, "floats", 10)
+        probe = rig.spinner.probe
+        floats = probe.create_publisher(Float64, "floats", 10)
         rig.tick(EPOCH + NS_PER_S)
         rig.spinner.until(lambda: "no joints" in rig.status("laser").message, 10.0)
         rig.send_encoder(EPOCH + NS_PER_S, 0.1)
         rig.spinner.until(lambda: rig.counts(0)["accepted"] == 1)
+        probe.destroy_publisher(floats)
+        joints = probe.create_publisher(JointState, "floats", 10)
+        rig.spinner.until(joints.get_subscription_count)
+        message = JointState(name=["x2"], position=[0.1])
+        joints.publish(message)
+        message.header.stamp = ros_messages().time(EPOCH + NS_PER_S)
+        joints.publish(message)
+        rig.spinner.until(lambda: rig.counts(1)["accepted"] == 1)
+        assert rig.counts(1)["invalid"] == 2, "of the type, and of the stamp"

@@ -15,7 +15,6 @@ from impact_observer.errors import UsageError
 from impact_observer.options import Option
 from impact_observer.ros import parameters
 from impact_observer.ros.base_node import BaseNode
-from impact_observer.ros.node_process import warn_of_surroundings
 from impact_observer.ros.session import require_ros, spin_once
 
 
@@ -105,10 +104,10 @@ def test_a_node_that_has_the_name_of_another_one_says_so(
     with spinning() as spinner:
         node = BaseNode("observer", ())
         spinner.add(node)
-        warn_of_surroundings(node)
+        node.warn_of_surroundings()
         assert "are called" not in "".join(capfd.readouterr())
         spinner.add(BaseNode("observer", ()))
         names = spinner.probe.get_node_names
         spinner.until(lambda: names().count("observer") == 2)
-        warn_of_surroundings(node)
+        node.warn_of_surroundings()
         assert "2 nodes are called /observer: their messages" in "".join(capfd.readouterr())

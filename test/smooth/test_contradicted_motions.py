@@ -67,6 +67,10 @@ def test_states_hold_the_truth_where_a_restitution_scatters(clock: float) -> Non
     assert all(each.misfit for each in found)
     assert names.isdisjoint(name for each in found for name, *_ in each.parameters)
     assert {each.law for each in found} == {"smoother"}
+    speeds = [drill.speed_after(x) for t, x in hits if t > 0]
+    impacts = [*motion.impact_estimates()]
+    errors = [each.speed_after - speed for each, speed in zip(impacts, speeds, strict=True)]
+    assert np.mean(np.abs(errors) < [2 * each.speed_after_deviation for each in impacts]) > 0.9
 
 
 def test_a_restitution_that_is_the_same_at_every_hit_is_learned() -> None:

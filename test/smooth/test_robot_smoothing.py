@@ -11,9 +11,12 @@ pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
 from impact_observer.cli.main import main
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import model_of
+from impact_observer.io.recordings import impact_estimates, model_of
 from impact_observer.io.state_arrays import ObserverStates, joined
+from impact_observer.plant import simulate
+from impact_observer.plant.master import make_plant
 from impact_observer.resources import shared
+from impact_observer.robots.robot import robot_of
 
 BAG = str(shared("bags/hammer_arm"))
 GIVEN = ["--measurements", "hammer_arm", "--clock-error", "0.0002", "--duration", "1.6"]
@@ -60,6 +63,28 @@ def test_smoothing_learns_the_restitution_from_the_encoders_after_a_hit(
     assert isinstance(true, dict)
     assert deviation < 0.005
     assert abs(value - true["restitution.wall"]) < 3 * deviation
+
+
+@pytest.mark.slow
+def test_the_hit_of_a_robot_is_that_of_the_plant(made: tuple[Path, Path]) -> None:
+    """Speeds and impulse within three deviations, with the restitution of the plant."""
+    with BagReader(made[0]) as reader:
+        model, event = model_of(reader), next(iter(reader.events()))
+        true = model.provenance["true_parameters"]
+    assert isinstance(true, dict)
+    robot = robot_of(model).with_parameters(true)
+    plant = make_plant(robot, *model.initial_state(), epoch=event.epoch)
+    switchings = simulate(plant, np.array([event.stamp + 10_000_000])).switchings
+    hit = next(each for each in switchings if np.any(each.before != each.after))
+    q, before, after = hit.before[:2], hit.before[2:], hit.after[2:]
+    w, change = robot.directions(q, (0,))[:, 0], robot.mass(q) @ (after - before)
+    truth = [-w @ before, w @ after, change @ w / (w @ w)]
+    for bag in made:
+        with BagReader(bag) as reader:
+            ((found,),) = impact_estimates(reader).values()
+        errors = np.abs(np.array(found[4:7]) - truth)
+        assert np.all(errors < 3 * np.array(found[8:11]))
+        assert np.all(np.array(found[8:11]) < 0.2 * np.abs(truth))
 
 
 def test_smoothing_a_robot_without_encoders_is_refused_in_one_line(

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
@@ -105,6 +106,28 @@ class Law(ABC):
             ImpactLawError: the impact law has no solution on these contacts.
             DynamicsError: the loads of closed contacts cannot be computed.
         """
+
+    def impact_balance(
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+    ) -> ImpactBalance:
+        """The balance of the contacts that hit; by default that of the estimate's own speeds.
+
+        Args:
+            change: the impact, ``change.flown`` seconds after ``before``.
+            before: the belief after the event before.
+            prediction: the prediction from there on.
+            after: the belief after the impact; None for a missed impact.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+        """
+        del before, after
+        u, active = prediction.state(change.flown)[self.system.n :], change.active
+        impulses = self.moving.newton.impulses(u, active)
+        pressed = tuple(i for i, each in zip(active, impulses, strict=True) if each > 0)
+        gamma = self.system.contact_speed(u)[list(active)]
+        values = impact_balance(self.system, active, pressed, gamma)
+        return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
     def measure(
         self, reading: Reading, prior: Belief

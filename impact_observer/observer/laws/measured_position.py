@@ -17,10 +17,12 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impact_balance
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
+from impact_observer.filter.robot_members import tangent
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Onset, Prediction
 from impact_observer.observer.laws.law import Law
@@ -89,6 +91,17 @@ class MeasuredPosition(Law):
         unmeasured[j] = 0.0
         belief = Belief(Ensemble.of(np.array(after)), unmeasured=unmeasured)
         return belief, SampleOutcome(innovations[0]), reading.known
+
+    def impact_balance(
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+    ) -> ImpactBalance:
+        """The balance of the contacts that hit, by the replica's own speeds at its positions."""
+        del before, after
+        x, active, n = prediction.state(change.flown), change.active, self._robot.n
+        near, pressed = tangent(self._robot, x), self._robot.pushed(x[:n], x[n:], active)
+        gamma = near.contact_speed(x[n:])[list(active)]
+        values = impact_balance(near, active, pressed, gamma)
+        return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
         """Each replica by its own motion."""

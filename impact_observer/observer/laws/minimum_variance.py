@@ -8,24 +8,28 @@ from operator import attrgetter
 from typing import ClassVar
 
 import numpy as np
+from scipy import linalg
 
+from impact_observer.dynamics.contact.impact_balance import ImpactBalance
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Ruling
 from impact_observer.filter.branching import LogPriors
 from impact_observer.filter.clock_steps import ClockStep, ClockSteps, SensorClock
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.filter_bank import FilterBank
+from impact_observer.filter.filter_bank import RESTART, FilterBank
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import (
     Hypothesis,
     agreeing,
     log_sum,
+    mean_level,
     mixture,
     normalised,
     probabilities,
     published,
 )
+from impact_observer.filter.impact_deviations import balance_at
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit, Residual, misfit_of
 from impact_observer.filter.model_error import ErrorKind
@@ -231,6 +235,48 @@ class MinimumVariance(Law):
             state = mixture(published(corrected, misfit=True))
             account = self._accounts.begin(state, fallback.largest, clocks)
         return self._posterior(corrected, fallback, fit, account, change, clock=prior.clock)
+
+    def impact_balance(
+        self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None
+    ) -> ImpactBalance:
+        """The balance of the contacts that hit, with deviations, at the estimated instant.
+
+        The state just before is that of the likeliest hypothesis, corrected by the impact. Where
+        the model is doubted, the covariance is the published one. After a restart the state is so,
+        too, and its deviations are at least as large as the gap at the stamp is wrong.
+        """
+        conditioning, hypotheses = self.filter.conditioning, (after or before).hypotheses
+        state = self._published(before, prediction, change)
+        if after is None:
+            joint = conditioning.joint_of_missed(change, state)
+        else:
+            clock, prior = _clock(hypotheses), prediction.belief(change.flown)
+            if (met := _met(change, prior, after)) is not None:
+                is_doubted = prior.fit.is_compared or prior.account is not None
+                state = met._replace(root=state.root if is_doubted else met.root)
+            else:
+                z = conditioning.likelihood(change, state, clock).innovations.values()
+                state = state._replace(root=max(1.0, *z) * state.root)
+            change = change.from_closed(state.closed)
+            early = conditioning.joint_prior(change, state, clock)
+            joint = conditioning.joint_posterior(change, early)
+        joint = conditioning.at_jump(change, joint)
+        least = self.uncertainty.least_deviations(self.filter.scales.sizes(joint.x))
+        kicks = np.zeros_like(joint.x)[:, None]
+        level = mean_level(hypotheses, ErrorKind.RESTITUTION)
+        if level and self._bank.errors is not None:
+            kicks = level * self._bank.errors.kicks(joint.x, change.hit)
+        return balance_at(self.filter.members, change, joint, least, kicks[self.system.n :])
+
+    def _published(
+        self, before: Belief, prediction: Prediction, change: ContactChange
+    ) -> GaussianState:
+        """The published estimate at the stamp of an impact."""
+        best, root = before.hypotheses[0].state, prediction.root(change.flown)
+        assert root is not None, "the law has a covariance"
+        constants = lengths(best.root[best.x.size :])
+        x, root = prediction.state(change.flown), linalg.block_diag(root, np.diag(constants))
+        return best._replace(x=x, root=root, differences=np.zeros((len(root), 0)))
 
     def measure(
         self, reading: Reading, prior: Belief
@@ -508,6 +554,28 @@ def _best_first(
         if hypotheses[0] is not best:
             hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
     return hypotheses, hypotheses[0].state
+
+
+def _met(change: ContactChange, before: Belief, after: Belief) -> GaussianState | None:
+    """The mixture of the hypotheses before an impact from which the likeliest after it may come.
+
+    None where the likeliest one comes from no other.
+    """
+    event = change.stamp, change.sequence
+    notes = [note for note in after.hypotheses[0].ledger.notes if note.event == event]
+    missed = sum(note.is_inserted for note in notes)
+    is_new = any(note.reason.startswith(RESTART) for note in notes)
+    own = [h for h in before.hypotheses if len(h.ledger.missed) == missed]
+    if not own or is_new or after.clock.late != before.clock.late:
+        return None
+    shown = _shown(own, before.fit)
+    return mixture([h for h in shown if h.state.closed == shown[0].state.closed])
+
+
+def _clock(hypotheses: Sequence[Hypothesis]) -> float:
+    """The root mean square of the deviations of a stamp, s."""
+    squares = np.array([h.clock**2 for h in hypotheses])
+    return math.sqrt(float(np.average(squares, weights=probabilities(hypotheses))))
 
 
 def _shown(hypotheses: Sequence[Hypothesis], fit: Fit) -> Sequence[Hypothesis]:

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The balance of an impact: contact speeds before and after, impulses, the energy that is lost.
+
+An impulse ``Lambda_i`` on a contact whose relative speed goes from ``gamma_i-`` to ``gamma_i+``
+does the work ``1/2 (gamma_i- + gamma_i+) Lambda_i``. The sum over all contacts is the change of
+the kinetic energy, in a frame in which the stops rest.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+
+class ImpactBalance(NamedTuple):
+    """Speeds, impulses and energies of the contacts that hit at one instant.
+
+    Attributes:
+        values: one row a contact: speed of approach before and of separation after, m/s, impulse,
+            N s, energy that is lost, J; shape (k, 4).
+        deviations: standard deviations of these numbers, shape (k, 4); -1 where there are none.
+        early: how much before the stamp of the event the instant is, s.
+    """
+
+    values: Matrix
+    deviations: Matrix
+    early: float = 0.0
+
+    @property
+    def rows(self) -> Matrix:
+        """The values and then the deviations of each contact, shape (k, 8)."""
+        return np.hstack([self.values, self.deviations])
+
+    @classmethod
+    def without_deviations(cls, values: Matrix) -> "ImpactBalance":
+        """The balance of a law that has no covariance."""
+        return cls(values, np.full(values.shape, -1.0))
+
+
+def impact_balance(
+    system: System,
+    active: Contacts,
+    pressed: Contacts,
+    gamma: Vector,
+    beside: Vector | None = None,
+) -> Matrix:
+    """The balance of an impact in which the contacts ``pressed`` take an impulse.
+
+    Args:
+        system: the masses, contacts and rebound laws; of a robot those at its state.
+        active: contacts that are closed at the instant, ascending.
+        pressed: those of ``active`` that take an impulse, whatever the signs of their speeds.
+        gamma: relative speeds of ``active`` before, shape (k,), m/s, positive where a gap opens.
+        beside: what those of ``pressed`` rebound with beside the law's speeds, shape (k,), m/s.
+
+    Returns:
+        One row of ``active`` each, as ``ImpactBalance.values`` has them, shape (k, 4).
+    """
+    W, taking = system.W[:, list(active)], [active.index(i) for i in pressed]
+    G, change = W.T @ np.linalg.solve(system.M, W), np.zeros(len(active))
+    for k in taking:
+        change[k] = -gamma[k] - float(system.rebounds[active[k]].rebound(gamma[k]))
+    if beside is not None:
+        change += beside
+    impulses = np.zeros(len(active))
+    # Of contacts that depend on each other the least impulses are taken.
+    impulses[taking] = np.linalg.pinv(G[np.ix_(taking, taking)], hermitian=True) @ change[taking]
+    after = gamma + G @ impulses
+    return np.column_stack([-gamma, after, impulses, -(gamma + after) / 2 * impulses])
