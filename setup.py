@@ -125,8 +125,6 @@ setup(
     ],
     install_requires=requirements("run"),
     extras_require={
-        "mp4": ["imageio-ffmpeg>=0.4.5"],
-        "page": ["plotly>=5.18"],
         "parquet": ["pyarrow>=14"],
         "robots": requirements("robots"),
         "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
@@ -142,7 +140,6 @@ setup(
             "detector = impact_observer.ros.entry:detector",
             "observer = impact_observer.ros.entry:observer",
             "monitor = impact_observer.ros.entry:monitor",
-            "viewer = impact_observer.ros.entry:viewer",
         ],
     },
 )

@@ -24,13 +24,7 @@ from impact_observer.resources import shared
 
 Attack: TypeAlias = Callable[[random.Random], object]
 _COMMANDS = """
-urdf {model} -o {out}
-urdf {model}
-layout {model} -o {out.json}
-layout {bag} -o {out.xml}
 check-model {model}
-info {bag}
-info {mcap}
 check {bag}
 check {mcap}
 check {bag} --model {model}
@@ -46,15 +40,15 @@ detect {bag} --sources {sensors} -o {new}
 simulate {model} --duration 0.2 -o {new}
 observe {bag} --law geometric --ensemble 1 -o {new}
 observe {bag} --law geometric --measurements {measured} --ensemble 1 -o {new}
-figure {model} --duration 0.1 -o {out.png}
+compare --figure {model} --duration 0.1 --plot {out.png}
 compare {bag} --csv {out.csv}
-observability {bag} --plot {out.svg}
+check-model {model} {bag} --plot {out.svg}
 identify {bag} --free restitution -o {out}
 plot {bag} -o {out.png}
 smooth {bag} -o {new}
 sweep {model} --duration 0.1 --runs 1 --jobs 1 -o {out.parquet}
 """.strip().splitlines()
-_SLOW = ("figure", "identify", "plot", "smooth", "sweep", "observability", "compare")
+_SLOW = ("identify", "plot", "smooth", "sweep", "compare")
 """Commands of seconds, which are tried a tenth as often."""
 _OPTIONS = ("--start", "--duration", "--namespace", "--epoch", "--rate", "--seed", "--model")
 _VALUES = ("0", "-1", "nan", "1e308", "1e-308", "inf", "", "x", "9" * 400, "--", "two_mass", "1")

@@ -43,11 +43,11 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     ),
     (
         Room("detector", "impacts from switches, accelerations, forces", "ruamel.yaml"),
-        Room("draw", "pictures, scenes, films, URDF, layouts", "matplotlib"),
+        Room("draw", "pictures and tables of text", "matplotlib"),
         Room("smooth", "a recording's states from the events before and after", "rich"),
     ),
     (
-        Room("compare", "estimates against truth: metrics, tables, report, export", "rich"),
+        Room("compare", "estimates against truth: metrics, tables, picture, export", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
         Room("check", "models and bags: what is wrong with them, salvage", "rich"),

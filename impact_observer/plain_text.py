@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text without control characters: names may come from a file or a node of a stranger."""
 
-import html
 import sys
 import unicodedata
 from typing import TextIO
@@ -28,11 +27,6 @@ def printable(text: str) -> str:
 def printable_lines(text: str) -> str:
     """``text`` with all control characters escaped but the ends of its lines."""
     return "\n".join(map(printable, text.split("\n")))
-
-
-def markup(text: str) -> str:
-    """``text`` for XML or HTML."""
-    return html.escape(printable(text))
 
 
 def part_left_out(count: int, total: int, what: str, why: str) -> str:

@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated robot that hits something, its observer, and RViz with the robot as estimated.
+"""A simulated robot that hits something, its observer, and the robot as estimated for RViz.
 
-    ros2 launch impact_observer robot.launch.py rviz:=false
+    ros2 launch impact_observer robot.launch.py
+    rviz2 -f base    # Add a RobotModel with the description topic /observer/robot_description
 
 The observer receives impacts, encoders and efforts only. Compare `/observer/joint_states` with
 `/plant/joint_states`. A robot of one's own: model:=arm.yaml measurements:=encoders.yaml
 """
 
-from pathlib import Path
-
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
-from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from impact_observer.model import read_model
 from impact_observer.ros.wiring import following, local_discovery
 
-VIEW = Path(__file__).resolve().parent / "view.launch.py"
 ARGUMENTS = {
     "model": ("hammer_arm", "a model file of a robot, or a sample's name"),
     "measurements": ("hammer_arm", "a file with its encoders, or a sample's name"),
@@ -25,12 +23,11 @@ ARGUMENTS = {
     "clock_error": ("0.0002", "standard deviation of the stamps of impacts [s]"),
     "rate": ("100.0", "true states and estimates [Hz]"),
     "duration": ("0.0", "of the simulation [s]; 0 for no end"),
-    "rviz": ("true", "whether to start RViz too"),
 }
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The arguments, plant and observer, and the view."""
+    """The arguments, the plant, the observer, and the publisher of frames of the estimate."""
     return LaunchDescription(
         [
             *(
@@ -43,7 +40,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _nodes(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
+def _nodes(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
     rate, error = float(given["rate"]), float(given["clock_error"])
     both = {"model": given["model"], "measurements": given["measurements"], "rate": rate}
@@ -53,13 +50,31 @@ def _nodes(context: LaunchContext) -> list[Node | IncludeLaunchDescription]:
         "sensor.jitter": error,
     }
     observer = {"law": "minimum-variance", "clock_error": error}
-    shown = {"model": given["model"], "observers": "observer", "rviz": given["rviz"]}
     return [
         _node("plant", {**both, **plant}),
         _node("observer", {**both, **observer}),
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(VIEW)), launch_arguments=shown.items()
-        ),
+        *_frames(given["model"]),
+    ]
+
+
+def _frames(model: str) -> list[Node]:
+    """What moves the robot's URDF by the estimates; none where the URDF comes on a topic."""
+    robot = read_model(model).robot
+    if robot is None or robot.urdf is None:
+        return []
+    return [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            name="observer_robot",
+            parameters=[{"robot_description": ParameterValue(robot.urdf.text, value_type=str)}],
+            remappings=[
+                ("joint_states", "observer/joint_states"),
+                ("robot_description", "observer/robot_description"),
+            ],
+            output="screen",
+            additional_env=following(),
+        )
     ]
 
 

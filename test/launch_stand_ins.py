@@ -150,7 +150,6 @@ class Node(Action):
     namespace: str = ""
     parameters: Sequence[str | Mapping[str, ParameterValue]] = ()
     remappings: Sequence[tuple[str, str]] = ()
-    arguments: Sequence[str] = ()
     output: str = "log"
     additional_env: Mapping[str, str] = field(default_factory=dict)
     on_exit: Action | None = None

@@ -14,13 +14,13 @@ from impact_observer.errors import ModelError
 from impact_observer.model.document import load_matrix
 
 COMMANDS = {
-    "a model": ["urdf", "{}"],
+    "a model": ["check-model", "{}"],
     "a model of a bag": ["check", "bag", "--model", "{}"],
     "a table": ["import", "{}.csv", "-o", "out"],
     "a signal": ["detect", "{}.csv", "--contact", "stop", "--threshold", "1", "-o", "out"],
     "a sound": ["detect", "{}.wav", "--contact", "stop", "--threshold", "1", "-o", "out"],
     "sensors": ["detect", "bag", "--sources", "{}", "-o", "out"],
-    "an MCAP file": ["info", "{}.mcap"],
+    "an MCAP file": ["export", "{}.mcap", "-o", "out.csv"],
     "a database": ["observe", "{}.db3", "-o", "out"],
 }
 
@@ -54,7 +54,7 @@ def test_no_input_without_an_end_is_begun(
 def test_a_file_that_the_kernel_makes_is_no_input(capsys: pytest.CaptureFixture[str]) -> None:
     """Some files in /proc are regular by name and never end."""
     Path("input").symlink_to("/proc/kmsg")
-    assert main(["urdf", "input"]) == 2
+    assert main(["check-model", "input"]) == 2
     assert "is made by the kernel" in capsys.readouterr().err
 
 
@@ -64,7 +64,7 @@ def test_metadata_that_are_nested_without_an_end_are_one_line(
     """The library that reads ``metadata.yaml`` would end the process without a word."""
     Path("bag").mkdir()
     Path("bag/metadata.yaml").write_text("[" * 100_000, encoding="utf-8")
-    assert main(["info", "bag"]) == 1
+    assert main(["export", "bag", "-o", "out.csv"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -73,7 +73,7 @@ def test_a_view_in_place_of_a_table_is_no_bag(capsys: pytest.CaptureFixture[str]
     endless = "WITH RECURSIVE t(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM t) SELECT id FROM t"
     with contextlib.closing(sqlite3.connect("bag.db3")) as database:
         database.execute(f"CREATE VIEW topics AS {endless}")
-    assert main(["info", "bag.db3"]) == 1
+    assert main(["export", "bag.db3", "-o", "out.csv"]) == 1
     assert "has a view topics; expected tables alone" in capsys.readouterr().err
 
 
@@ -90,7 +90,11 @@ def test_files_of_a_bag_are_regular_ones(capsys: pytest.CaptureFixture[str]) -> 
     Path("bag").mkdir()
     os.mkfifo("bag/bag_0.mcap")
     Path("bag/metadata.yaml").write_text("{}", encoding="utf-8")
-    for words in (["info", "bag"], ["observe", "bag", "-o", "out"], ["check", "bag"]):
+    for words in (
+        ["export", "bag", "-o", "a.csv"],
+        ["observe", "bag", "-o", "out"],
+        ["check", "bag"],
+    ):
         assert main(words) in (1, 2)
         assert "bag" in "".join(capsys.readouterr())
 

@@ -15,16 +15,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import launch_stand_ins
-import numpy as np
 import pytest
 from launch_stand_ins import load_yaml
 
 from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
-from impact_observer.io.interfaces import INTERFACES, VIEWER_MARKERS
+from impact_observer.io.interfaces import INTERFACES
 from impact_observer.options import Option
 from impact_observer.ros.parameters import TABLES
 from impact_observer.ros.wiring import DemoSetup, local_discovery, monitors, observers, plant
@@ -43,15 +41,12 @@ ARGUMENTS = {
         "clock_error",
         "rate",
         "duration",
-        "rviz",
     },
     "plant": {p.name for p in TABLES["plant"]} | {"use_sim_time", "params_file", "namespace"},
     "detector": {p.name for p in TABLES["detector"]}
     | {"use_sim_time", "params_file", "namespace", "impacts"},
     "observer": {p.name for p in TABLES["observer"]}
     | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
-    "view": {p.name for p in TABLES["viewer"]}
-    | {"use_sim_time", "params_file", "namespace", "impacts", "robots", "rviz", "rviz_config"},
 }
 
 
@@ -64,7 +59,6 @@ class Started:
     namespace: str = "/"
     parameters: dict[str, Any] = field(default_factory=dict)
     remappings: dict[str, str] = field(default_factory=dict)
-    options: dict[str, str] = field(default_factory=dict)
 
 
 def started(executable: str, arguments: Sequence[str]) -> Started:
@@ -75,9 +69,6 @@ def started(executable: str, arguments: Sequence[str]) -> Started:
         if flag == "--params-file":
             (parameters,) = load_yaml(Path(value).read_text(encoding="utf-8")).values()
             node.parameters |= parameters["ros__parameters"]
-            continue
-        if flag in {"-d", "-f"}:  # of RViz
-            node.options[flag] = value
             continue
         left, right = value.split(":=")
         if flag == "-p":
@@ -101,7 +92,6 @@ def described(node: launch_stand_ins.Node, context: launch_stand_ins.LaunchConte
         else:
             made.parameters |= {name: value.evaluate(context) for name, value in each.items()}
     made.remappings = dict(node.remappings)
-    made.options = dict(zip(node.arguments[::2], node.arguments[1::2], strict=True))
     assert node.package == ("impact_observer" if node.executable in TABLES else node.executable)
     return made
 
@@ -175,7 +165,8 @@ def test_launch_file_compiles_and_names_only_executables_of_the_package(path: Pa
     text = path.read_text(encoding="utf-8")
     assert "generate_launch_description" in compile(text, str(path), "exec").co_names
     installed = re.findall(r'"(\w+) = impact_observer\.ros', (ROOT / "setup.py").read_text())
-    assert set(re.findall(r'executable="(\w+)"', text)) <= set(installed)
+    ours = re.findall(r'package="impact_observer",\s+executable="(\w+)"', text)
+    assert set(ours) <= set(installed)
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
@@ -390,86 +381,12 @@ def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None
     )
 
 
-def test_view_launch_starts_the_viewer_and_rviz_on_its_markers(launcher: Launcher) -> None:
-    """The layout is the one that is installed; without RViz the viewer is alone."""
-    names = "observer_kinematic,observer_geometric"
-    given = {"model": "two_mass", "observers": names, "rate": "10", "namespace": "rig"}
-    viewer, *robots, rviz = launcher.run("view", **given)
-    assert viewer == Started(
-        "viewer",
-        "viewer",
-        "/rig",
-        {"model": "two_mass", "observers": names, "rate": 10.0},
-        {"impacts": "impacts"},
-    )
-    assert (rviz.executable, rviz.namespace) == ("rviz2", "/rig")
-    assert rviz.remappings["/viewer/markers"] == "viewer/markers"
-    first = rviz.remappings["/observer/robot_description"]
-    assert first == robots[0].remappings["robot_description"]
-    (alone,) = launcher.run("view", **given, rviz="false", robots="false")
-    assert alone == viewer
-
-
-@pytest.mark.parametrize(("model", "kind"), [("two_mass", "prismatic"), ("rocker", "revolute")])
-def test_view_launch_moves_a_robot_by_the_joint_states_of_each_observer(
-    launcher: Launcher, model: str, kind: str, tmp_path: Path
-) -> None:
-    """The URDF has the joints that the messages name; a length slides and an angle turns."""
-    from impact_observer.io import JointState
-    from impact_observer.io.messages import bag_messages
+def test_robot_launch_starts_plant_observer_and_frames(launcher: Launcher) -> None:
+    """Plant and observer know the same error and encoders; estimates move the robot's own URDF."""
     from impact_observer.model import read_model
 
-    given = {"observers": "observer,/rig/observer_kinematic", "use_sim_time": "true"}
-    if model == "rocker":
-        path = tmp_path / "rocker.yaml"
-        text = (ROOT / "config" / "two_mass.yaml").read_text("utf-8")
-        path.write_text(f"{text}unit: rad\n", encoding="utf-8")
-        model = str(path)
-    robots = [
-        node for node in launcher.run("view", model=model, **given) if "robot_s" in node.executable
-    ]
-    assert [node.name for node in robots] == ["observer_robot", "observer_kinematic_robot"]
-    names = read_model(model).system.coordinates
-    message = bag_messages().joint_state(JointState(1, names, np.zeros(2), np.zeros(2)))
-    for node, owner in zip(robots, ("observer", "/rig/observer_kinematic"), strict=True):
-        assert node.remappings == {
-            "joint_states": f"{owner}/joint_states",
-            "robot_description": f"{owner}/robot_description",
-        }
-        assert node.parameters["use_sim_time"] is True
-        robot = ET.fromstring(str(node.parameters["robot_description"]))
-        moving = [joint for joint in robot.iter("joint") if joint.get("type") != "fixed"]
-        assert [joint.get("name") for joint in moving] == list(message.name)
-        assert {joint.get("type") for joint in moving} == {kind}
-        links = [link.get("name") for link in robot.iter("link")]
-        assert links[0] == "world"
-        assert all(str(link).startswith(node.name.removesuffix("robot")) for link in links[1:])
-    (viewer, _) = launcher.run("view", params_file=str(PARAMETER_FILES[0]))
-    assert viewer.executable == "viewer"
-
-
-def test_view_launch_shows_a_robot_without_markers(launcher: Launcher) -> None:
-    """By its own URDF in its own frames, those of further observers with a prefix."""
-    from impact_observer.model import read_model
-
-    given = {"model": "hammer_arm", "observers": "observer,other"}
-    first, second, rviz = launcher.run("view", **given)
-    robot = read_model("hammer_arm").robot
-    assert robot is not None
-    assert [each.name for each in (first, second)] == ["observer_robot", "other_robot"]
-    assert first.parameters == {"robot_description": robot.known_urdf.text}
-    assert second.parameters == {**first.parameters, "frame_prefix": "other/"}
-    assert rviz.remappings["/observer/robot_description"] == "observer/robot_description"
-    (root,) = {*robot.known_urdf.links} - {e.child for e in robot.known_urdf.joints.values()}
-    assert rviz.options["-f"] == root
-
-
-def test_robot_launch_starts_plant_observer_and_robot(launcher: Launcher) -> None:
-    """Plant and observer know the same error of the stamps, and the same encoders."""
-    plant, observer, robot, rviz = launcher.run("robot", rate="50", clock_error="0.001")
-    assert (plant.name, observer.name, rviz.executable) == ("plant", "observer", "rviz2")
-    assert robot.remappings["joint_states"] == "observer/joint_states"
-    assert "use_sim_time" not in robot.parameters
+    plant, observer, frames = launcher.run("robot", rate="50", clock_error="0.001")
+    assert (plant.name, observer.name) == ("plant", "observer")
     both = {"model": "hammer_arm", "measurements": "hammer_arm", "rate": 50.0}
     assert observer.parameters == {**both, "law": "minimum-variance", "clock_error": 0.001}
     assert plant.parameters == {
@@ -478,7 +395,14 @@ def test_robot_launch_starts_plant_observer_and_robot(launcher: Launcher) -> Non
         "duration": 0.0,
         "sensor.jitter": 0.001,
     }
-    assert "rviz2" not in [each.executable for each in launcher.run("robot", rviz="false")]
+    robot = read_model("hammer_arm").robot
+    assert robot is not None
+    assert frames.executable == "robot_state_publisher"
+    assert frames.parameters == {"robot_description": robot.known_urdf.text}
+    assert frames.remappings == {
+        "joint_states": "observer/joint_states",
+        "robot_description": "observer/robot_description",
+    }
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
@@ -503,22 +427,6 @@ def test_what_is_launched_is_what_the_package_has(launcher: Launcher, name: str)
             table[parameter].check(value)
         assert node.remappings.keys() <= topics
         assert re.fullmatch(r"[a-z_]+", node.name)
-
-
-def test_layout_of_rviz_shows_what_the_viewer_publishes() -> None:
-    """Topic and quality of service are those of the one table, the frame is the default."""
-    layout = load_yaml((ROOT / "layouts" / "view.rviz").read_text(encoding="utf-8"))
-    manager = layout["Visualization Manager"]
-    display, robot = manager["Displays"]
-    assert robot["Class"] == "rviz_default_plugins/RobotModel"
-    assert robot["Description Topic"]["Value"] == "/observer/robot_description"
-    assert display["Topic"]["Value"] == VIEWER_MARKERS.topic
-    assert display["Topic"]["Reliability Policy"] == "Reliable"
-    assert not VIEWER_MARKERS.quality.transient_local
-    (frame,) = (each.default for each in TABLES["viewer"] if each.name == "frame")
-    assert manager["Global Options"]["Fixed Frame"] == frame
-    views = manager["Views"]["Current"]
-    assert views["Class"] == "rviz_default_plugins/Orbit"
 
 
 @pytest.fixture

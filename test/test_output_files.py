@@ -22,7 +22,7 @@ from impact_observer.resources import shared
 MINE = "mine\n"
 BESIDE = {
     "identify": ["{bag}", "--free", "restitution", "--plot", "out.png"],
-    "observability": ["{bag}", "--plot", "out.png"],
+    "check-model": ["two_mass", "{bag}", "--plot", "out.png"],
     "detect": [
         "{switch}",
         "--contact",
@@ -36,9 +36,6 @@ BESIDE = {
     ],
     "compare": ["{bag}", "--csv", "out.csv"],
     "export": ["{bag}", "-o", "out.parquet"],
-    "plot": ["{bag}", "-o", "out.png"],
-    "animate": ["{bag}", "--duration", "0.1", "-o", "out.gif"],
-    "layout": ["two_mass", "-o", "out.json"],
 }
 """Other files that commands write."""
 WRITING = [
@@ -47,8 +44,10 @@ WRITING = [
     for command, arguments in commands.items()
     if command == "new" or any(each.startswith(OUT) for each in arguments)
 ]
-QUICK = {"new", "simulate", "import", "sweep", "figure", "export", "urdf", "layout"}
+QUICK = {"new", "simulate", "import", "sweep", "export"}
 """Commands that write in less than a second; ./dev soak has all of them."""
+FIGURE = ["compare", "--duration", "0.1", "--figure"]
+"""The beginning of a command that reads a model and writes a picture."""
 LIMIT = 60
 """Bytes that a file may have on a disk that is full."""
 
@@ -171,22 +170,22 @@ def test_outputs_of_a_command_appear_together_or_not_at_all(
 def test_no_room_for_a_temporary_file_is_a_full_disk(tmp_path: Path) -> None:
     """Exit code 1, and not that of a wrong name."""
     error = FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
-    assert isinstance(unwritable(tmp_path / "film.html", error), OutputError)
+    assert isinstance(unwritable(tmp_path / "page.html", error), OutputError)
     missing = FileNotFoundError(errno.ENOENT, "No such file or directory")
-    assert isinstance(unwritable(tmp_path / "film.html", missing), UsageError)
+    assert isinstance(unwritable(tmp_path / "page.html", missing), UsageError)
 
 
-@pytest.mark.parametrize("name", ["my.yaml", "./sub/../my.yaml", "symbolic", "hard"])
+@pytest.mark.parametrize("name", ["my.svg", "./sub/../my.svg", "symbolic.svg", "hard.svg"])
 def test_an_input_is_never_replaced(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """By whatever name, and with --force."""
     Path("sub").mkdir()
-    shutil.copy(shared("config/two_mass.yaml"), "my.yaml")
-    Path("symbolic").symlink_to("my.yaml")
-    Path("hard").hardlink_to("my.yaml")
-    before = Path("my.yaml").read_bytes()
-    assert main(["urdf", "my.yaml", "-o", name, "--force"]) == 2
+    shutil.copy(shared("config/two_mass.yaml"), "my.svg")
+    Path("symbolic.svg").symlink_to("my.svg")
+    Path("hard.svg").hardlink_to("my.svg")
+    before = Path("my.svg").read_bytes()
+    assert main([*FIGURE, "my.svg", "--plot", name, "--force"]) == 2
     assert "is an input of this command; choose another name" in capsys.readouterr().err
-    assert Path("my.yaml").read_bytes() == before
+    assert Path("my.svg").read_bytes() == before
 
 
 def test_a_table_that_the_model_names_is_an_input() -> None:
@@ -194,21 +193,21 @@ def test_a_table_that_the_model_names_is_an_input() -> None:
     text = shared("config/two_mass.yaml").read_text("utf-8")
     head, _, rest = text.partition("forcing:")
     tail = rest[rest.index("contacts:") :]
-    Path("table.csv").write_text("time,x1,x2\n0,0,1\n1,0,4\n", encoding="utf-8")
-    Path("my.yaml").write_text(f"{head}forcing: {{sampled: table.csv}}\n{tail}", encoding="utf-8")
-    before = Path("table.csv").read_bytes()
-    assert main(["urdf", "my.yaml", "-o", "table.csv", "--force"]) == 2
-    assert Path("table.csv").read_bytes() == before
+    Path("table.svg").write_text("time,x1,x2\n0,0,1\n1,0,4\n", encoding="utf-8")
+    Path("my.yaml").write_text(f"{head}forcing: {{sampled: table.svg}}\n{tail}", encoding="utf-8")
+    before = Path("table.svg").read_bytes()
+    assert main([*FIGURE, "my.yaml", "--plot", "table.svg", "--force"]) == 2
+    assert Path("table.svg").read_bytes() == before
 
 
 def test_force_replaces_a_file_and_keeps_its_mode() -> None:
     """Nothing else stays in the folder; an input of a command before is none of this one."""
-    Path("out").write_text(MINE, encoding="utf-8")
-    Path("out").chmod(0o600)
-    assert main(["urdf", "two_mass", "-o", "out", "--force"]) == 0
-    assert Path("out").read_text("utf-8").startswith("<?xml")
-    assert Path("out").stat().st_mode & 0o777 == 0o600
-    assert list(Path().iterdir()) == [Path("out")]
+    Path("out.svg").write_text(MINE, encoding="utf-8")
+    Path("out.svg").chmod(0o600)
+    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
+    assert Path("out.svg").read_text("utf-8").startswith("<?xml")
+    assert Path("out.svg").stat().st_mode & 0o777 == 0o600
+    assert list(Path().iterdir()) == [Path("out.svg")]
 
 
 def test_two_outputs_are_two_files(capsys: pytest.CaptureFixture[str]) -> None:
@@ -222,26 +221,27 @@ def test_a_link_to_a_file_of_another_kind_has_the_format_of_its_own_name() -> No
     """The file behind the link is replaced."""
     Path("old.txt").write_text(MINE, encoding="utf-8")
     Path("out.svg").symlink_to("old.txt")
-    assert main(["figure", "two_mass", "--duration", "0.1", "-o", "out.svg", "--force"]) == 0
+    assert main([*FIGURE, "two_mass", "--plot", "out.svg", "--force"]) == 0
     assert Path("out.svg").is_symlink()
     assert "<svg" in Path("old.txt").read_text("utf-8")
 
 
 def test_a_link_in_a_circle_is_no_output(capsys: pytest.CaptureFixture[str]) -> None:
     """One line, and the link stays."""
-    Path("out").symlink_to("out")
+    Path("out.svg").symlink_to("out.svg")
     for more in ([], ["--force"]):
-        assert main(["urdf", "two_mass", "-o", "out", *more]) == 2
-        assert capsys.readouterr().err.startswith("impact-observer: out: ")
-    assert Path("out").is_symlink()
+        assert main([*FIGURE, "two_mass", "--plot", "out.svg", *more]) == 2
+        assert capsys.readouterr().err.startswith("impact-observer: out.svg: ")
+    assert Path("out.svg").is_symlink()
 
 
 @pytest.mark.parametrize("kind", ["a device", "a pipe"])
 def test_devices_and_pipes_are_not_replaced(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With --force neither."""
-    os.mkfifo("pipe")
-    name = "/dev/null" if kind == "a device" else "pipe"
-    assert main(["urdf", "two_mass", "-o", name, "--force"]) == 2
+    os.mkfifo("pipe.svg")
+    Path("null.svg").symlink_to("/dev/null")
+    name = "null.svg" if kind == "a device" else "pipe.svg"
+    assert main([*FIGURE, "two_mass", "--plot", name, "--force"]) == 2
     assert f"{name}: is a device or a pipe" in capsys.readouterr().err
 
 
@@ -250,8 +250,9 @@ def test_a_name_that_is_not_utf8_is_one_line_before_the_job(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A bag, whose metadata have its name, and a picture."""
-    command = ["simulate", "two_mass"] if name == "\udcff" else ["figure", "two_mass"]
-    assert main([*command, "--duration", "1", "-o", name]) == 2
+    simulate = ["simulate", "two_mass", "--duration", "1", "-o", name]
+    picture = [*FIGURE, "two_mass", "--plot", name]
+    assert main(simulate if name == "\udcff" else picture) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"impact-observer: {printable(name)}: is not UTF-8")
     assert not [*Path().iterdir()]

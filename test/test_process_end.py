@@ -165,7 +165,7 @@ def test_an_error_in_a_thread_is_one_line(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_reader_that_is_gone_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As of ``impact-observer info BAG | head``."""
+    """As of ``impact-observer check BAG | head``."""
     replaced: list[int] = []
     monkeypatch.setattr(os, "dup2", lambda _, target: replaced.append(target))
     monkeypatch.setattr(sys, "stdout", sys.__stdout__)

@@ -62,6 +62,6 @@ def test_every_optional_package_of_an_error_is_in_an_extra() -> None:
         for words in re.findall(r'pip install ([a-z][a-z \-]*)(?:"|,)', path.read_text())
         for package in words.split()
     }
-    assert named == {"imageio-ffmpeg", "plotly", "pyarrow", "joblib", "distributed"}
+    assert named == {"pyarrow", "joblib", "distributed"}
     for package in named:
         assert f'"{package}>=' in extras

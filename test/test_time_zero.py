@@ -9,10 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.cli.main import main
-from impact_observer.draw.film_from_bag import read_film
-from impact_observer.draw.plot.picture import recording_picture
-from impact_observer.draw.plot.series import read_recording
-from impact_observer.draw.scene.film_figure import FilmFigure
+from impact_observer.draw.motion_picture import motion_picture
+from impact_observer.draw.recorded_motion import read_motion
 from impact_observer.io import BagReader
 from impact_observer.io.bag_part import assumed_epoch
 from impact_observer.io.recordings import events_in, model_of
@@ -108,20 +106,15 @@ def test_a_fit_begins_with_the_first_sample(
     assert float(line.split()[4]) == pytest.approx(DROP, abs=1e-6)
 
 
-def test_pictures_and_films_count_from_the_first_impact(ball: Path) -> None:
-    """Their axes say so, and begin with the samples before it."""
+def test_pictures_count_from_the_first_impact(ball: Path) -> None:
+    """Axes of time say so, and begin with the samples before it."""
     words = "observe bag --law geometric --measurements camera.yaml --rate 100 -o out"
     assert main(words.split()) == 0
     with BagReader(ball.parent / "out") as reader:
-        system = model_of(reader).system
-        content = read_recording(reader, system)
-        film = read_film(reader, system, start=None, duration=60.0)
-    assert content.start == pytest.approx(START - impact_times()[0], abs=1e-9)
-    axes = recording_picture(content).axes
+        motion = read_motion(reader)
+    assert motion.ends[0] == pytest.approx(START - impact_times()[0], abs=1e-9)
+    axes = motion_picture(motion, [0]).axes
     assert "time since the first impact [s]" in [each.get_xlabel() for each in axes]
-    assert (film.start, film.zero.instant) == (round(START * 1e9), "the first impact")
-    drawn = FilmFigure(film, title="", speed=1.0).figure.axes
-    assert "since the epoch" not in " ".join(each.get_xlabel() for each in drawn)
 
 
 def test_an_epoch_is_assumed_only_where_none_is_known(ball: Path) -> None:

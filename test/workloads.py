@@ -12,24 +12,18 @@ OUT = "out"
 """In arguments: the file or folder that the command makes."""
 OFFLINE = {
     "new": ["rig", "--from", "ball"],
-    "check-model": ["two_mass"],
-    "observability": ["{bag}"],
+    "check-model": ["two_mass", "{bag}"],
     "identify": ["{bag}", "--free", "restitution", "--held-back", "0", "-o", "out.yaml"],
     "simulate": ["two_mass", "--duration", "3", "--rate", "100", "-o", OUT],
     "detect": ["{switch}", "--contact", "stop", "--topic", "/switch", "-o", OUT],
     "import": ["{csv}", "--model", "two_mass", "-o", OUT],
     "observe": ["{bag}", "-o", OUT],
     "smooth": ["{bag}", "-o", OUT],
-    "compare": ["{bag}", "--report", "out.html"],
+    "compare": ["{bag}", "--plot", "out.svg"],
     "sweep": ["two_mass", "--duration", "0.5", "--runs", "1", "--jobs", "1", "-o", "out.parquet"],
-    "figure": ["two_mass", "--duration", "0.5", "-o", "out.png"],
-    "plot": ["{bag}", "-o", "out.html"],
-    "animate": ["{bag}", "--duration", "0.1", "-o", "out.html"],
+    "plot": ["{bag}", "-o", "out.svg"],
     "export": ["{bag}", "--what", "events", "-o", "out.csv"],
-    "urdf": ["two_mass", "-o", "out.urdf"],
-    "info": ["{bag}"],
     "check": ["{bag}"],
-    "layout": ["two_mass", "-o", "out.xml"],
 }
 """What is run of each command without ROS."""
 WITH_ROS = {

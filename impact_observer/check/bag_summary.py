@@ -5,16 +5,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
-from typing import Any
 
 from rich.filesize import decimal
 
-from impact_observer.check.mcap_records import summary_of
 from impact_observer.draw.reports import TextTable, counted, print_facts, print_table
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
-from impact_observer.input_files import open_input
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
@@ -57,8 +53,6 @@ class BagSummary:
         path: the folder or file.
         storage: ``mcap`` or ``sqlite3``.
         size: bytes on disk.
-        chunks: number, kind of compression, and bytes before and after compression, of the chunks
-            of MCAP files with an index; None without such files.
         start: log time of the first message, ns; 0 when there is none.
         end: log time of the last message, ns; 0 when there is none.
         duration: from the first message to the last, s.
@@ -76,7 +70,6 @@ class BagSummary:
     path: str
     storage: str
     size: int
-    chunks: dict[str, Any] | None
     start: int
     end: int
     duration: float
@@ -96,47 +89,37 @@ def summarize(bag: Path) -> BagSummary:
         UsageError: ``bag`` does not exist.
         BagError: the bag is damaged, or one of our topics has an invalid message.
     """
-    try:
-        with BagReader(bag) as reader:
-            return _summary(reader)
-    except BagError as error:
-        if "`" in str(error):  # the error names a command that helps
-            raise
-        command = f"impact-observer check {quote(str(bag))}"
-        raise type(error)(f"{error}; `{command}` says what can be read") from error
-
-
-def _summary(reader: BagReader) -> BagSummary:
     impacts: Counter[str] = Counter()
     closings: Counter[str] = Counter()
     episodes: set[tuple[str, int]] = set()
 
-    def events(topic: str) -> Iterator[ImpactEvent]:
-        for event in reader.events(topic):
+    def noted(events: Iterable[ImpactEvent], topic: str) -> Iterator[ImpactEvent]:
+        for event in events:
             episodes.add((topic, event.episode))
             yield event
 
-    for topic in reader.topics.values():
-        if topic.type == IMPACT_EVENT:
-            for contact, kind in impacts_in_order(events(topic.name)):
-                impacts[contact] += 1
-                closings[contact] += kind is Kind.CLOSE
-    return BagSummary(
-        path=str(reader.path),
-        storage=reader.storage,
-        size=reader.size,
-        chunks=_chunks(reader.path),
-        start=reader.start,
-        end=reader.end,
-        duration=seconds_between(reader.start, reader.end),
-        messages=reader.message_count,
-        topics=_topics(reader),
-        impacts=dict(sorted(impacts.items())),
-        closings=dict(sorted((+closings).items())),
-        episodes=len(episodes),
-        model=_model(reader),
-        observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
-    )
+    with BagReader(bag) as reader:
+        for topic in reader.topics.values():
+            if topic.type == IMPACT_EVENT:
+                events = noted(reader.events(topic.name), topic.name)
+                for contact, kind in impacts_in_order(events):
+                    impacts[contact] += 1
+                    closings[contact] += kind is Kind.CLOSE
+        return BagSummary(
+            path=str(reader.path),
+            storage=reader.storage,
+            size=reader.size,
+            start=reader.start,
+            end=reader.end,
+            duration=seconds_between(reader.start, reader.end),
+            messages=reader.message_count,
+            topics=_topics(reader),
+            impacts=dict(sorted(impacts.items())),
+            closings=dict(sorted((+closings).items())),
+            episodes=len(episodes),
+            model=_model(reader),
+            observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
+        )
 
 
 def impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
@@ -176,24 +159,6 @@ def _topics(reader: BagReader) -> list[TopicSummary]:
         )
         for topic in reader.topics.values()
     ]
-
-
-def _chunks(bag: Path) -> dict[str, Any] | None:
-    """The chunks of all MCAP files, by their indexes; None without an indexed chunk."""
-    chunks = []
-    for file in sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]:
-        if file.suffix == ".mcap":
-            with open_input(file) as stream:
-                index = summary_of(stream)
-            chunks += index.chunk_indexes if index is not None else []
-    if not chunks:
-        return None
-    return {
-        "count": len(chunks),
-        "compression": " and ".join(sorted({each.compression or "none" for each in chunks})),
-        "compressed": sum(each.compressed_size for each in chunks),
-        "uncompressed": sum(each.uncompressed_size for each in chunks),
-    }
 
 
 def _model(reader: BagReader) -> dict[str, object] | None:
@@ -238,13 +203,6 @@ def print_summary(summary: BagSummary) -> None:
 def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
     """Name and value of each fact on the bag as a whole."""
     yield "bag", f"{summary.path} ({summary.storage}, {decimal(summary.size)})"
-    if chunks := summary.chunks:
-        size, plain = (decimal(chunks[k]) for k in ("compressed", "uncompressed"))
-        packed = chunks["compression"] != "none"
-        stored = (
-            f"{chunks['compression']}, {plain} in {size}" if packed else f"not compressed, {plain}"
-        )
-        yield "chunks", f"{chunks['count']}, {stored}"
     if summary.messages:
         yield "time", f"{text(summary.start)} to {text(summary.end)} s"
     yield "duration", f"{summary.duration:.6g} s, {counted(summary.messages, 'message')}"

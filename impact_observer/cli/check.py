@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say whether an observer can use a bag, and what is wrong with it.
+"""Say what a bag holds, whether an observer can use the bag, and what is wrong with it.
 
-Each finding is one line: the thing, what was found, what was expected, what to do. With an error
-no observer can use the bag, and the exit code is 1; with a warning one can, but something is lost
-or an option is needed. --salvage writes a new bag of all that can be read of a damaged one.
+First come the model, impacts, observers and topics of a bag that can be read. Each finding is one
+line: the thing, what was found, what was expected, what to do. With an error no observer can use
+the bag, and the exit code is 1; with a warning one can, but something is lost or an option is
+needed. --salvage writes a new bag of all that can be read of a damaged one.
 """
 
 import argparse
 import json as json_module
+from dataclasses import asdict
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_model
@@ -39,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
-    """Print what is wrong with a bag.
+    """Print what a bag holds and what is wrong with it.
 
     Args:
         bag: the bag, damaged or not.
@@ -54,17 +56,28 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
         ModelError: the model is not valid.
     """
     from impact_observer.check.bag_check import check_bag
+    from impact_observer.check.bag_summary import print_summary, summarize
     from impact_observer.cli.progress import Progress
+    from impact_observer.errors import BagError
     from impact_observer.model import read_model
 
     system = None if model is None else read_model(model).system
     with Progress() as progress:
+        progress.show(f"reading {bag}")
+        try:
+            summary = summarize(bag)
+        except BagError:
+            summary = None  # the findings say why
         report = check_bag(
             bag, system, progress=lambda done, total: progress.step("check", done, total)
         )
     if json:
-        say(json_module.dumps(report.for_json(), indent=2))
+        content = None if summary is None else asdict(summary)
+        say(json_module.dumps({**report.for_json(), "content": content}, indent=2, default=str))
     else:
+        if summary is not None:
+            print_summary(summary)
+            say("")
         report.print()
     return 0 if report.usable else 1
 

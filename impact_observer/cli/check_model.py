@@ -1,53 +1,142 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say what a model means for an observer: modes, contacts, and whether an impact can raise V."""
+"""Say what a model means for an observer: modes, contacts, and whether an impact can raise V.
+
+With a bag also which part of the initial state its impacts determine, before anyone trusts an
+estimate.
+"""
 
 import argparse
-import json as json_module
+import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from impact_observer.cli.arguments import (
+    add_force,
+    add_measurements,
+    add_namespace,
+    add_option,
+    positive,
+)
+from impact_observer.errors import BagError, UsageError
+from impact_observer.options import OBSERVER_OPTIONS, Options
 from impact_observer.plain_text import say
+
+if TYPE_CHECKING:
+    from impact_observer.model import Model
+    from impact_observer.observability.parameter_limit import ParameterLimit
+    from impact_observer.observability.rank import Observability
+
+_OF_BAGS = ("namespace", "measurements", "initial_deviation", "tolerance", "plot")
+"""Options that need a bag."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("model", metavar="FILE", help="a model file, or a sample: two_mass, ...")
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    add = parser.add_argument
+    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    add("bag", metavar="BAG", nargs="?", type=Path, help="a bag with impacts of this model")
+    add_namespace(parser)
+    add_measurements(parser)
+    for each in OBSERVER_OPTIONS:
+        if each.name == "initial_deviation":
+            add_option(parser, each)
+    zero = "singular value that counts as zero, over the largest (default 1e-9: stamps of 1 ns)"
+    add("--tolerance", metavar="R", type=positive, help=zero)
+    picture = "write singular values over time: PNG, SVG, PDF"
+    add("--plot", metavar="FILE", type=Path, help=picture)
+    add_force(parser, "plot")
+    add("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return check(args.model, json=args.json)
+    """Check a model, and ask what the impacts in a bag determine."""
+    from impact_observer.draw.pictures import save
+    from impact_observer.draw.reports import print_table
+    from impact_observer.model import read_model
+    from impact_observer.observability.rank_picture import rank_picture
+    from impact_observer.observability.rank_report import for_json, print_observability
+    from impact_observer.output_files import check_output
+
+    if args.bag is None and (given := [name for name in _OF_BAGS if getattr(args, name)]):
+        raise UsageError(f"{given[0]}: given without a BAG, whose impacts it is about")
+    if args.plot is not None:
+        check_output(args.plot)
+    read = read_model(args.model)
+    results = _checked(read, as_json=args.json)
+    if args.bag is not None:
+        found, limit = _observability(read, args)
+        deviations = {} if limit is None else {"deviations": limit.for_json}
+        results["impacts"] = {**for_json(found), **deviations}
+        if not args.json:
+            say("")
+            print_observability(found)
+        if not args.json and limit is not None:
+            say("")
+            print_table(limit.table(read))
+        if args.plot is not None:
+            title = f"{read.system.name}: what the impacts determine of the initial state"
+            save(rank_picture(found, title=title), args.plot)
+    if args.json:
+        say(json.dumps(results, indent=2))
+    elif args.plot is not None:
+        say(f"picture: {args.plot}")
+    return 0
 
 
-def check(model: str | Path, *, json: bool = False) -> int:
-    """Check a model and print the result.
-
-    Args:
-        model: a model file or a sample's name.
-        json: print JSON instead of tables and words.
-
-    Returns:
-        0, also where there are warnings: the model is valid.
-
-    Raises:
-        UsageError, ModelError: the model cannot be read, or is not valid.
-    """
+def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
+    """The check of a model for ``--json``; otherwise it is printed."""
     from impact_observer.check.model_check import check_model
     from impact_observer.check.model_report import for_json, print_check
     from impact_observer.check.robot_report import check_robot, print_robot, robot_json
-    from impact_observer.model import read_model
 
-    read = read_model(model)
     if read.robot is not None:
         robot = check_robot(read)
-        if json:
-            say(json_module.dumps(robot_json(robot), indent=2))
-        else:
+        if not as_json:
             print_robot(robot)
-        return 0
+        return robot_json(robot)
     checked = check_model(read)
-    if json:
-        say(json_module.dumps(for_json(checked), indent=2))
-    else:
+    if not as_json:
         print_check(checked)
-    return 0
+    return for_json(checked)
+
+
+def _observability(
+    read: "Model", args: argparse.Namespace
+) -> "tuple[Observability, ParameterLimit | None]":
+    """What the impacts in a bag determine, and how well with the declared deviations."""
+    from impact_observer.filter.readings import sensors_of
+    from impact_observer.filter.uncertainty import deviation_of
+    from impact_observer.io.live_inputs import give_recorded
+    from impact_observer.io.measured_samples import samples_in
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import events_in
+    from impact_observer.model.measurements_file import read_measurements
+    from impact_observer.observability.parameter_limit import parameter_limit
+    from impact_observer.observability.rank import TOLERANCE, observability
+
+    system, declared = read.system, read_measurements(args.measurements)
+    options = Options(initial_deviation=args.initial_deviation or Options.initial_deviation)
+    with BagReader(args.bag, args.namespace) as reader:
+        events, recorded = events_in(reader), samples_in(reader, declared)
+        for problem in () if args.json else recorded.problems:
+            say(f"warning: {problem}")
+        try:
+            found = observability(
+                system,
+                events,
+                deviation=deviation_of(options.initial_deviation, system),
+                tolerance=TOLERANCE if args.tolerance is None else args.tolerance,
+                sensors=sensors_of(declared, system),
+                samples=recorded.samples,
+            )
+        except BagError as error:
+            raise type(error)(f"{args.bag}: {error}") from None
+        limit = parameter_limit(
+            read,
+            events,
+            options,
+            measurements=declared,
+            samples=recorded.samples,
+            give=lambda observer: give_recorded(reader, observer.live),
+        )
+    return found, limit

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture, a report.
+"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture.
 
-With --laws, other observers are run on the bags' own impacts and compared as well. The two sides
-of an impact are never mixed: samples at which the truth has jumped and the estimate has not, or
-the other way round, are counted separately.
+With --laws, other observers are run on the bags' own impacts and compared as well. With --figure
+a model is simulated instead, and observed with kinematic and geometric, or with the laws of
+--laws, as in Figure 2 of Baumann and Leine (ENOC 2014). The two sides of an impact are never
+mixed: samples at which the truth has jumped and the estimate has not, or the other way round, are
+counted separately.
 """
 
 import argparse
@@ -41,7 +43,12 @@ _MOST_LINES = 5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bags", metavar="BAG", nargs="+", type=Path, help="bags with truth")
+    parser.add_argument("bags", metavar="BAG", nargs="*", type=Path, help="bags with truth")
+    parser.add_argument(
+        "--figure",
+        metavar="MODEL",
+        help="simulate this model, a file or a sample, for --duration (default 30 s) instead",
+    )
     parser.add_argument(
         "--laws",
         metavar="LAW,...",
@@ -62,12 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
     )
     parser.add_argument(
-        "--report",
-        metavar="FILE.html",
-        type=Path,
-        help="write metrics and pictures to one page that needs no network",
-    )
-    parser.add_argument(
         "--csv", metavar="FILE", type=Path, help="write the metrics, a line an estimate"
     )
     parser.add_argument(
@@ -86,28 +87,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave out estimates earlier than S seconds after the epoch, such as a wrong start;"
         " observers of --laws have the impacts before, too (default: all estimates count)",
     )
-    add_force(parser, "plot", "report", "csv")
+    add_force(parser, "plot", "csv")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Compare bags, print the metrics, and write the files that are asked for."""
     from impact_observer.compare.bag_comparison import labelled_by_law
-    from impact_observer.compare.error_pictures import distance_picture
+    from impact_observer.compare.distance_picture import distance_picture
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.metrics import metrics_of
-    from impact_observer.compare.report import write_report
     from impact_observer.draw.pictures import save
     from impact_observer.output_files import all_together, check_output
 
+    _check_source(args)
     options = _options(args)
     if args.plot is not None:
         check_output(args.plot)
-    if args.report is not None:
-        check_output(args.report, (".html", ".htm"))
     if args.csv is not None:
         check_output(args.csv, (".csv",))
-    results = [(bag, _compare_one(bag, options, args)) for bag in args.bags]
+    if args.figure is not None:
+        results = [(Path(args.figure), _simulate(options, args))]
+    else:
+        results = [(bag, _compare_one(bag, options, args)) for bag in args.bags]
     labelled = labelled_by_law(results)
     _warn_of_unknown_contacts(results, sys.stderr if args.json else sys.stdout)
     if args.json:
@@ -119,20 +121,58 @@ def run(args: argparse.Namespace) -> int:
             write_csv(labelled, args.csv)
         if args.plot is not None:
             save(distance_picture(labelled, results), args.plot)
-        if args.report is not None:
-            write_report(args.report, labelled, results)
-    for what, path in (("metrics", args.csv), ("picture", args.plot), ("report", args.report)):
+    for what, path in (("metrics", args.csv), ("picture", args.plot)):
         if path is not None and not args.json:
             say(f"{what}: {path}")
     return 0
 
 
+def _check_source(args: argparse.Namespace) -> None:
+    """Raise unless bags or a model are named, and nothing of bags beside a model.
+
+    Raises:
+        UsageError: neither or both are named, or an option does not fit.
+    """
+    if args.figure is None:
+        if not args.bags:
+            raise UsageError("no bag named; expected BAG... or --figure MODEL")
+        return
+    of_bags = ("bags", "model", "namespace", "observers", "truth", "start")
+    if given := [name for name in of_bags if getattr(args, name)]:
+        raise UsageError(f"--figure {args.figure}: simulates, and {given[0]} is of bags; omit one")
+
+
+def _simulate(options: "Sequence[Options]", args: argparse.Namespace) -> "BagComparison":
+    """Simulate a model, and observe the run with each of the ``options``."""
+    from impact_observer.cli.progress import Progress
+    from impact_observer.compare.simulated_comparison import compare_simulated
+    from impact_observer.model import read_model
+
+    model = read_model(args.figure)
+    duration = 30.0 if args.duration is None else args.duration
+    with Progress() as progress:
+        return compare_simulated(
+            model,
+            options,
+            duration,
+            settled=args.settled,
+            since=args.since or 0.0,
+            progress=progress.step,
+        )
+
+
 def _options(args: argparse.Namespace) -> "Sequence[Options]":
     """The options of each law that is run; none without ``--laws``."""
+    from impact_observer.compare.simulated_comparison import INITIAL, LAWS
     from impact_observer.observer import options_of_laws
 
-    laws = () if args.laws is None else installed_laws(args.laws)
     given = observer_options(args, "")
+    if args.figure is not None:
+        laws = installed_laws(LAWS if args.laws is None else args.laws)
+        start = INITIAL if args.initial_state is None else args.initial_state
+        error = 0.0 if args.clock_error is None else args.clock_error
+        return options_of_laws(replace(given, initial_state=start, clock_error=error), laws)
+    laws = () if args.laws is None else installed_laws(args.laws)
     if not laws and given != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return options_of_laws(given, laws)

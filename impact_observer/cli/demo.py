@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 def check_result(bag: Path, picture: Path) -> int:
     """Compare, draw, and check the geometric law: the exit code of the demonstration."""
     from impact_observer.compare.bag_comparison import compare_bag, labelled_by_law
-    from impact_observer.compare.error_pictures import distance_picture
+    from impact_observer.compare.distance_picture import distance_picture
     from impact_observer.compare.error_tables import print_tables
     from impact_observer.draw.pictures import save
     from impact_observer.io.reader import BagReader

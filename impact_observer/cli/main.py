@@ -23,8 +23,7 @@ PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
     "new": "copy a commented rig to edit: a model, its sensors, a launch file",
-    "check-model": "what a model means for an observer: modes, contacts, impact law",
-    "observability": "what the impacts in a bag reveal of the state: rank, condition, unknowns",
+    "check-model": "what a model means for an observer, and what the impacts in a bag determine",
     "identify": "estimate a model's parameters from impact times, or check it against them",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of sensors, or in a signal (CSV, WAV)",
@@ -33,18 +32,22 @@ COMMANDS = {
     "smooth": "the best estimate of a recording at every instant, from all its impacts",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
-    "figure": "from a model to the picture: V(t) of several laws",
-    "animate": "plant and estimates of a bag in motion: a film or a page",
-    "plot": "states of a bag over time with deviations and impacts: a picture or a page",
+    "plot": "states of a bag over time with deviations, impacts and verdicts: a picture",
     "export": "states, errors or events of a bag as CSV or Parquet",
-    "urdf": "a URDF of a model, moved by the joint states of plant or observer",
-    "info": "what is in a bag",
-    "check": "whether an observer can use a bag, and what is wrong with it",
-    "layout": "a layout for Foxglove or PlotJuggler that shows a model's observers",
+    "check": "what a bag holds, whether an observer can use it, and what is wrong with it",
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",
     "watch": "a live view of plant and observers in the terminal",
 }
+GONE = {
+    "animate": "plot",
+    "info": "check",
+    "observability": "check-model MODEL BAG",
+    "figure": "compare --figure MODEL --plot FILE",
+    "layout": "the files in layouts/",
+    "urdf": "a robot has a URDF of its own",
+}
+"""What to use instead of the commands that went in 0.4.0."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _OPERAND = re.compile(r"^  ([A-Z]+)\b", re.MULTILINE)
 """A positional argument in the text of help."""
@@ -130,7 +133,9 @@ def _run(argv: Sequence[str]) -> int:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     command = next((word for word in argv if not word.startswith("-")), "")
-    if command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
+    if command in GONE:
+        sys.stderr.write(f"{PROGRAM}: {command} went in 0.4.0: {GONE[command]}\n")
+    elif command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
         parser.error(f"no command {command}; did you mean {near[0]}?")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)

@@ -174,7 +174,7 @@ def _remarks(
 
 
 def _counts(events: "Sequence[ImpactEvent]") -> str:
-    """Number of impacts and openings of the contacts, in words; ``info`` counts impacts alike."""
+    """Number of impacts and openings of the contacts, in words; ``check`` counts impacts alike."""
     from impact_observer.events import Kind
     from impact_observer.observer.event_order import impacts_of
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures, films, robot models, and layouts for plotting tools."""
+"""Pictures and tables of text."""

@@ -3,15 +3,15 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from impact_observer.output_files import check_output, replacing
 from impact_observer.states import Vector
@@ -39,6 +39,51 @@ MOST_ROWS = len(_ROW_MARKERS)
 """Most rows of marks: each row has another marker."""
 _ROW = 0.05
 """Height of a row of marks, over the height of the axes."""
+BAND = 2.0
+"""Half the width of a band, in standard deviations."""
+MOST_SAMPLES = 20_000
+"""Samples of a curve that are drawn one by one; of more, least and largest of each part."""
+
+
+class BandCurve(NamedTuple):
+    """A curve over time with a band of its deviations.
+
+    Attributes:
+        t: time, s, ascending, shape (N,).
+        y: values, shape (N,).
+        deviations: standard deviations of the values, shape (N,); NaN without.
+        style: of the line.
+    """
+
+    t: Vector
+    y: Vector
+    deviations: Vector
+    style: Style
+
+
+def draw_bands(axes: Axes, curves: Sequence[BandCurve]) -> None:
+    """Draw curves, each in a band; the axis has the range of the curves, not of the bands."""
+    drawn = []
+    for curve in curves:
+        kept = extremes(curve.y)
+        t, y, width = (each[kept] for each in (curve.t, curve.y, BAND * curve.deviations))
+        (line,) = axes.plot(t, y, **curve.style)
+        drawn.append((t, y - width, y + width, line.get_color()))
+    ends = axes.get_ylim()
+    for t, low, high, colour in drawn:
+        if np.isfinite(low).any():
+            axes.fill_between(t, low, high, color=colour, alpha=0.22, linewidth=0, zorder=1)
+    axes.set_ylim(ends)
+    axes.grid(visible=True, which="major", color="0.92")
+
+
+def extremes(y: Vector) -> NDArray[np.intp]:
+    """The places of all values, or where they are very many of the extremes of equal parts."""
+    if y.size <= MOST_SAMPLES:
+        return np.arange(y.size)
+    parts = np.array_split(np.arange(y.size), MOST_SAMPLES // 2)
+    pairs = [sorted((part[np.argmin(y[part])], part[np.argmax(y[part])])) for part in parts]
+    return np.array(pairs).ravel()
 
 
 def styles(laws: Sequence[str]) -> list[Style]:
@@ -102,13 +147,3 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
     check_output(path)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=150, metadata={"Title": about} if about else None)
-
-
-def svg(figure: Figure) -> str:
-    """``figure`` as SVG, for use within HTML."""
-    file = StringIO()
-    # Fixed salt instead of random ids: equal figures make equal text.
-    with mpl.rc_context({"svg.hashsalt": "impact_observer"}):
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    return text[text.index("<svg") :]

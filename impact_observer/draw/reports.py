@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports of commands: counts, lists, figures, facts and tables as text.
 
-On a terminal ``rich`` folds long cells, and a table that is still too wide stands upright. Where
-standard output is no terminal, each fact and each row is one line, as long as its text. Nothing
-is cut off. Control characters of names are escaped.
+On a terminal ``rich`` folds long facts. Each row of a table, and where standard output is no
+terminal each fact, is one line as long as its text. Nothing is cut off. Control characters of
+names are escaped.
 """
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import floor, inf, isfinite, log10
 from typing import NamedTuple
 
-from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -22,9 +21,7 @@ from impact_observer.plain_text import printable
 _ROUNDING = 1e-12
 """A deviation, relative to its value, that is rounding."""
 _UNLIMITED = 10**6
-"""Columns where standard output is no terminal."""
-_FOLDED = 10
-"""Least width of a column of words in a table."""
+"""Columns of a line that is not folded."""
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "dim", "ok": "green"}
 """Styles of the kinds of remarks on a terminal."""
 
@@ -50,7 +47,7 @@ class TextTable:
         rows: a cell for each column.
         title: above the table; empty for none.
         words: headings of the other columns that hold words; the rest hold numbers, which are
-            aligned at the right and never folded.
+            aligned at the right.
     """
 
     headings: Sequence[str]
@@ -117,56 +114,26 @@ def print_facts(facts: Iterable[tuple[str, str]]) -> None:
     Args:
         facts: names with texts; an empty name continues the fact before.
     """
-    if facts := [*facts]:
-        _print(_facts_grid(facts))
-
-
-def _facts_grid(facts: Iterable[tuple[str, str]]) -> RenderableType:
-    """The lines of ``print_facts``."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
     for name, text in facts:
         grid.add_row(literal_text(name, _STYLES.get(name, "")), literal_text(text))
-    return grid
+    if grid.row_count:
+        _print(grid)
 
 
 def print_table(table: TextTable) -> None:
     """Print a table; of a table with a title the title first."""
     if table.title:
         _print(literal_text(table.title))
-    _print(table_text(table, _width()))
-
-
-def table_text(table: TextTable, width: int) -> RenderableType:
-    """The lines of a table for an output of ``width`` columns.
-
-    Where numbers and short words do not fit, the cells of each row stand below each other.
-    """
-    needed = 0
     drawn = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
     for place, heading in enumerate(table.headings):
         is_words = place == 0 or heading in table.words
-        widest = max(cell_len(row[place]) for row in (table.headings, *table.rows))
-        needed += 2 + (min(widest, _FOLDED) if is_words else widest)
-        drawn.add_column(
-            literal_text(heading),
-            justify="left" if is_words else "right",
-            overflow="fold",
-            no_wrap=not is_words,
-        )
-    if needed > width:
-        return _facts_grid(_upright(table))
+        drawn.add_column(literal_text(heading), justify="left" if is_words else "right")
     for row in table.rows:
         drawn.add_row(*map(literal_text, row))
-    return drawn
-
-
-def _upright(table: TextTable) -> Iterator[tuple[str, str]]:
-    """Headings with cells, row by row; an empty line after each row."""
-    for row in table.rows:
-        yield from (pair for pair in zip(table.headings, row, strict=True) if pair[1])
-        yield "", ""
+    _print(drawn, _UNLIMITED)
 
 
 def literal_text(text: str, style: str = "") -> Text:
@@ -174,15 +141,12 @@ def literal_text(text: str, style: str = "") -> Text:
     return Text("\n".join(map(printable, text.split("\n"))), style)
 
 
-def _width() -> int:
-    """Columns of standard output."""
-    return Console().width if sys.stdout.isatty() else _UNLIMITED
-
-
-def _print(lines: RenderableType) -> None:
-    """Print lines without spaces at their ends."""
+def _print(lines: RenderableType, width: int | None = None) -> None:
+    """Print lines without spaces at their ends, folded to the terminal or a ``width``."""
+    if width is None and not sys.stdout.isatty():
+        width = _UNLIMITED
     # A given height keeps rich from assuming 80 columns on a dumb terminal.
-    console = Console(highlight=False, width=_width(), height=25)
+    console = Console(highlight=False, width=width, height=25)
     with console.capture() as capture:
         console.print(lines)
     for line in capture.get().splitlines():

@@ -73,10 +73,6 @@ NODES = {
         (interfaces.MONITOR_ERROR,),
         (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES),
     ),
-    "viewer": Access(
-        (interfaces.VIEWER_MARKERS,),
-        (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES, interfaces.IMPACTS),
-    ),
 }
 """Topics and services of each node, by its executable."""
 

@@ -105,7 +105,6 @@ TIME = "builtin_interfaces/msg/Time"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 DIAGNOSTIC = "diagnostic_msgs/msg/DiagnosticStatus"
-MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +173,6 @@ OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
 SMOOTHED_ESTIMATES = Interface("smoother/impact_estimates", IMPACT_ESTIMATE, EVENTS)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
-VIEWER_MARKERS = Interface("viewer/markers", MARKERS)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
@@ -197,7 +195,6 @@ INTERFACES = (
     SMOOTHED_IMPACTS,
     SMOOTHED_ESTIMATES,
     MONITOR_ERROR,
-    VIEWER_MARKERS,
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,
 )

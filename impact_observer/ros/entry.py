@@ -16,7 +16,6 @@ NODES = {
     "detector": "DetectorNode",
     "observer": "ObserverNode",
     "monitor": "MonitorNode",
-    "viewer": "ViewerNode",
 }
 """Class of each node in the module ``NAME_node``; docs/parameters.md lists the parameters."""
 _JOBS = {
@@ -24,7 +23,6 @@ _JOBS = {
     "detector": "Finds impacts in what switches and other sensors publish.",
     "observer": "Estimates the state of a system from its impacts.",
     "monitor": "Compares an estimate with the true state.",
-    "viewer": "Publishes plant and estimates as markers, for RViz.",
 }
 _HELP = """\
 usage: {name} --ros-args -p PARAMETER:=VALUE ... [--params-file FILE] [-r NAME:=OTHER ...]
@@ -53,11 +51,6 @@ def observer(args: Sequence[str] | None = None) -> int:
 def monitor(args: Sequence[str] | None = None) -> int:
     """Run the monitor node."""
     return _run("monitor", args)
-
-
-def viewer(args: Sequence[str] | None = None) -> int:
-    """Run the viewer node."""
-    return _run("viewer", args)
 
 
 def main(args: Sequence[str] | None = None) -> int:

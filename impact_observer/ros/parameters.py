@@ -161,28 +161,11 @@ MONITOR = (
     _MAX_MESSAGE,
     _AUTOSTART,
 )
-VIEWER = (
-    _MODEL,
-    Option("observers", "observer", "names of the observers to show, separated by commas"),
-    Option("frame", "world", "frame of the markers"),
-    Option("rate", 25.0, "rate of the markers", "Hz", low=0.1, high=1000.0),
-    Option(
-        "amplitude",
-        0.0,
-        "largest displacement of a body, which spaces the bodies; 0: from the model",
-        "m",
-        low=0.0,
-        high=1e6,
-    ),
-    _MAX_MESSAGE,
-    _AUTOSTART,
-)
 TABLES: Mapping[str, tuple[Option, ...]] = {
     "plant": PLANT,
     "detector": DETECTOR,
     "observer": OBSERVER,
     "monitor": MONITOR,
-    "viewer": VIEWER,
 }
 
 

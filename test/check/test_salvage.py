@@ -411,7 +411,7 @@ def test_damaged_database_names_the_command_that_recovers_it(
     with pytest.raises(BagError, match=r"bag: nothing can be read; bag_0\.db3: .* \.recover"):
         salvage(Salvage(bag), Path("new"))
     assert not Path("new").exists()
-    assert main(["info", "bag"]) == 1
+    assert main(["export", "bag", "-o", "out.csv"]) == 1
     (error,) = capsys.readouterr().err.splitlines()
     assert error == f"impact-observer: bag: cannot be read as a bag: {malformed}; {recover}"
 

@@ -25,10 +25,10 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_a_valid_bag_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
-    """The command prints one line."""
+    """The last line says so."""
     write()
     assert main(["check", "bag"]) == 0
-    assert capsys.readouterr().out == "bag: an observer can use it (no findings)\n"
+    assert capsys.readouterr().out.endswith("\n\nbag: an observer can use it (no findings)\n")
 
 
 @pytest.mark.parametrize("sample", ["two_mass", "three_mass", "clock_offset", "quantisation"])
@@ -43,6 +43,7 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
     write(LATER[:1])
     assert main(["check", "bag", "--json"]) == 0
     results = json.loads(capsys.readouterr().out)
+    assert results.pop("content")["messages"] == 9
     assert results == {
         "path": "bag",
         "usable": True,
@@ -71,7 +72,7 @@ def test_on_a_terminal_lines_are_folded_beside_their_severity(
     write(LATER)
     assert main(["check", "bag"]) == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
-    assert plain.splitlines() == [
+    assert plain.splitlines()[-3:] == [
         "note  /impacts: the first sequence number is 2:",
         "      what was before is not here",
         "bag: an observer can use it (1 note)",

@@ -69,7 +69,7 @@ def rows(count: int, restitution: str = "0.5") -> str:
 
 def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[str]) -> None:
     """Tables of modes and contacts, and three findings, none a warning."""
-    assert check_model.check("two_mass") == 0
+    assert check_model.run(parsed("two_mass")) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 24
     assert lines[0] == "two_mass: 2 coordinates, 1 contact, forcing: 1 harmonic; SI units"
@@ -243,7 +243,7 @@ def test_a_long_table_shows_its_ends(tmp_path: Path, capsys: pytest.CaptureFixtu
     slowest = [6 * math.sin((2 * j + 1) * math.pi / 122) for j in range(3)]
     shown = ", ".join(f"{omega:.4g} rad/s" for omega in slowest)
     assert f"Without damping: {shown} and 27 more" in output
-    assert check_model.check(path, json=True) == 0
+    assert check_model.run(parsed(path, "--json")) == 0
     assert len(json.loads(capsys.readouterr().out)["modes"]) == 30
 
 
@@ -292,7 +292,7 @@ def test_an_undecided_question_is_a_warning(
     output = printed(capsys, "two_mass")
     assert "warning Whether an impact can raise V is not decided" in output
     assert "note Whether more contacts that close together depend on each other" in output
-    assert check_model.check("two_mass", json=True) == 0
+    assert check_model.run(parsed("two_mass", "--json")) == 0
     assert json.loads(capsys.readouterr().out)["nonexpansive"] is None
 
 
@@ -305,7 +305,7 @@ def test_declared_deviations_are_listed(
     output = printed(capsys, path)
     assert "gap.s0 1 0.02 m as uncertain" in output
     assert "mass.x0 1 0 kg as exact" in output
-    assert check_model.check(path, json=True) == 0
+    assert check_model.run(parsed(path, "--json")) == 0
     found = {each["name"]: each for each in json.loads(capsys.readouterr().out)["deviations"]}
     assert found["gap.s0"] == {"name": "gap.s0", "value": 1.0, "deviation": 0.02, "unit": "m"}
     assert found["mass.x0"]["deviation"] == 0.0

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The output of ``compare``: figures, a picture, a page; and the topics it accepts."""
+"""The output of ``compare``: figures, a table, a picture; and the topics it accepts."""
 
 import csv
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ pytest.importorskip("rosbags")
 
 from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import BagComparison, compare_bag, labelled_by_law
-from impact_observer.compare.error_pictures import distance_picture, error_pictures
+from impact_observer.compare.distance_picture import distance_picture
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import model_of
 from impact_observer.io.writer import BagWriter, copy_topics
@@ -59,54 +58,6 @@ def test_only_samples_from_a_time_on_count(
     assert found["mismatch_windows"] < whole["mismatch_windows"]
     assert main(["compare", str(bag), "--from", "7"]) == 2
     assert "no sample from stamp 8.000000000 s on, where --from begins" in capsys.readouterr().err
-
-
-class Page(HTMLParser):
-    """The files that a browser would load, and the text it would show."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.loaded: list[str] = []
-        self.open: list[str] = []
-        self.cells: list[str] = []
-        self.pictures = 0
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Count pictures, and note addresses of other files."""
-        self.open.append(tag)
-        self.pictures += tag == "svg"
-        self.loaded += [
-            value
-            for name, value in attrs
-            if name in {"src", "href", "xlink:href"} and value and not value.startswith("#")
-        ]
-
-    def handle_data(self, data: str) -> None:
-        """Keep the text in tables."""
-        if self.open and self.open[-1] in {"td", "th"}:
-            self.cells.append(data)
-
-
-@pytest.mark.slow
-def test_the_report_is_one_page_that_needs_no_network(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The page contains its pictures and figures; nothing is loaded from elsewhere."""
-    path = tmp_path / "report.html"
-    assert main(["compare", str(bag), "--report", str(path)]) == 0
-    assert f"report: {path}" in capsys.readouterr().out
-    text = path.read_text("utf-8")
-    page = Page(text)
-    assert page.pictures == 2
-    assert page.loaded == []
-    assert "url(http" not in text
-    assert "@import" not in text
-    assert "<script" not in text
-    found = metrics(capsys, str(bag))["geometric"]
-    for text in (f"{found['V_end']:.3g}", f"{found['V_ratio']:.2e}"):
-        assert text in page.cells
-    assert str(bag) in page.cells
 
 
 def test_the_csv_has_every_metric_of_the_json(
@@ -178,7 +129,6 @@ def test_a_topic_of_another_package_can_be_compared(
     [
         (["--observers", "observer_x"], r"no topic or observer /observer_x; in the bag: /impacts"),
         (["--truth", "/t"], r"no topic or observer /t; in the bag: /impacts"),
-        (["--report", "r.pdf"], r"r.pdf: expected a name that ends in \.html, \.htm"),
         (["--csv", "nowhere/f.csv"], r"nowhere/f.csv: no folder nowhere; make it first"),
         (
             ["--observers", "/impacts"],
@@ -215,9 +165,6 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
         "impacts at stop, estimates",
         "impacts at stop, later",
     ]
-    ((bags, n, figure),) = error_pictures(labelled, results)
-    assert (bags, n) == ([bag, later], 2)
-    assert [len(each.lines) for each in figure.axes] == [2] * 4
 
 
 def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:

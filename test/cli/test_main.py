@@ -10,7 +10,7 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
-from impact_observer.cli.main import COMMANDS, main
+from impact_observer.cli.main import COMMANDS, GONE, main
 from impact_observer.io import BagReader
 from impact_observer.io.recordings import model_of
 
@@ -109,6 +109,21 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
     assert "--help" in errors
 
 
+@pytest.mark.parametrize("command", GONE)
+def test_a_command_that_went_is_named_with_its_replacement(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the parser's own error; no such command is left."""
+    with pytest.raises(SystemExit) as end:
+        main([command, "bag"])
+    assert end.value.code == 2
+    replaced, error = capsys.readouterr().err.strip().splitlines()
+    assert f"{command} went" in replaced
+    assert GONE[command] in replaced
+    assert "invalid choice" in error
+    assert command not in COMMANDS
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -118,7 +133,7 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
         (["observe", "nowhere", "-o", "x"], "nowhere: does not exist"),
         (["compare", "nowhere"], "nowhere: does not exist"),
         (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a name"),
-        (["info", "nowhere"], "nowhere: does not exist"),
+        (["check", "nowhere"], "nowhere: does not exist"),
     ],
 )
 def test_what_does_not_exist_is_one_line_and_exit_code_2(
@@ -177,7 +192,7 @@ def test_ball_comes_to_rest_by_either_integrator(
         bag = str(tmp_path / integrator)
         arguments = ["simulate", "bouncing_ball", "--duration", "9", "-o", bag]
         assert main([*arguments, "--integrator", integrator, *steps]) == 0
-        assert main(["info", bag]) == 0
+        main(["check", bag])
         assert f"seed 0, {integrator}" in capsys.readouterr().out
 
 

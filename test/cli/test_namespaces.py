@@ -83,9 +83,9 @@ def test_without_a_namespace_the_error_names_the_option(
         assert re.search(said, error), error
 
 
-def test_info_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command info needs no namespace."""
-    assert main(["info", str(rigs)]) == 0
+def test_check_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are two rigs, of which an observer needs one."""
+    assert main(["check", str(rigs)]) == 1
     out = capsys.readouterr().out
     assert "/two_mass/observer: geometric" in out
     assert "/three_mass/observer: geometric" in out

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from impact_observer.cli.main import main
-from impact_observer.draw.plot.picture import recording_picture
-from impact_observer.draw.plot.series import read_recording
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.measured_samples import samples_in
 from impact_observer.io.messages import read_estimate, read_measurement_verdict
@@ -266,28 +264,6 @@ def test_what_cannot_be_simulated_is_one_line(
         assert main(["simulate", "two_mass", *given, "--duration", "1", "-o", output]) == 2
         (text,) = capsys.readouterr().err.splitlines()
         assert error in text
-
-
-def test_samples_are_dots_of_the_quantity_that_they_measure(bag: Path) -> None:
-    """Samples of a coordinate or gap are dots in its panel; an acceleration has no panel."""
-    sensors = read_measurements(bag.parent / "rig.yaml")
-    system = read_model("two_mass").system
-    with BagReader(bag) as reader:
-        found = read_recording(reader, system, select=["positions", "gaps"], measurements=sensors)
-    assert {name: [each.name for each in some] for name, some in found.dots.items()} == {
-        "q_x1": ["encoder"],
-        "q_x2": ["laser"],
-        "g_stop": ["probe"],
-    }
-    columns = {quantity.name: k for k, quantity in enumerate(found.quantities)}
-    (truth,) = found.series
-    for name, (dots,) in found.dots.items():
-        k = columns[name]
-        expected = np.interp(dots.seconds, truth.seconds[:, k], truth.values[:, k])
-        assert dots.values.size == 151
-        assert np.max(np.abs(dots.values - expected)) < 0.01
-    (line,) = (each for each in recording_picture(found).legends[0].get_texts()[-1:])
-    assert line.get_text() == "samples: encoder, laser, probe"
 
 
 def test_compare_shows_how_many_samples_were_used(

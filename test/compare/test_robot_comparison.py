@@ -12,7 +12,6 @@ pytest.importorskip("pinocchio", reason="not installed: extra robots")
 from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.compare.comparison import Comparison, compare_states
-from impact_observer.compare.error_pictures import hits_picture
 from impact_observer.compare.error_tables import print_tables
 from impact_observer.errors import UnfitBagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
@@ -127,20 +126,6 @@ def test_coverage_is_the_share_of_errors_within_two_deviations() -> None:
         inside = sum(abs(error[k, i]) <= 2 * deviations[k, i] for k in range(10, 400))
         assert share == pytest.approx(inside / 390, abs=1e-12)
     assert compared(np.zeros((400, 4)), error).coverage is None
-
-
-def test_picture_of_hits_has_the_errors_of_each_time_after_them() -> None:
-    """An error that falls with the time since the hit gives a curve that falls as fast."""
-    since = np.array([min([s - h for h in HITS if h <= s], default=NS_PER_S) for s in STAMPS])
-    error = np.zeros((400, 4))
-    error[:, 2] = np.exp(-since / 2e7)
-    figure = hits_picture({"law": compared(np.zeros((400, 4)), error, outcomes_of(EVENTS, None))})
-    assert figure is not None
-    (line,) = figure.axes[0].lines
-    x, y = (np.asarray(each, dtype=np.float64) for each in line.get_data())
-    assert x.size == 40
-    np.testing.assert_allclose(y, np.exp(-x / 20), rtol=0.08)
-    assert hits_picture({"law": compared(np.zeros((400, 4)), error)}) is None
 
 
 @pytest.mark.parametrize(("first", "is_known"), [(0.0, False), (1e-4, False), (1.0, True)])

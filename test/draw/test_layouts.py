@@ -1,200 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layouts for Foxglove and PlotJuggler show numbers that bags have."""
+"""The layouts for Foxglove and PlotJuggler show numbers that a bag of two_mass has."""
 
 import json
-from pathlib import Path
+import math
+import re
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from plotting_tools import everything, message_path, messages_in, plotjuggler_series, resolved
-from systems import system as make_system
 
-from impact_observer.cli.layout import layout
-from impact_observer.draw.curves import curves
-from impact_observer.draw.layouts import foxglove, plotjuggler
-from impact_observer.draw.observer_topics import ObserverTopics
-from impact_observer.errors import UsageError
-from impact_observer.model import read_model
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader, BagWriter, EstimateError
+from impact_observer.io.messages import bag_messages
+from impact_observer.resources import shared
 
-LAYOUTS = Path(__file__).parents[2] / "layouts"
-SHIPPED = {
-    "demo": ["observer_geometric", "observer_kinematic"],
-    "observer": ["observer"],
-}
-LAWS = {
-    "observer": "geometric",
-    "observer_geometric": "geometric",
-    "observer_kinematic": "kinematic",
-    "observer_minimum_variance": "minimum-variance",
-    "observer_unilateral": "unilateral",
-}
-LUA = {
-    "if value > 0 then return time, math.log(value) / math.log(10) end\nreturn {}",
-    "if value >= 0 then return time, math.sqrt(value) end\nreturn {}",
-}
+FOXGLOVE = json.loads(shared("layouts/foxglove.json").read_text("utf-8"))
+PLOTJUGGLER = ET.parse(shared("layouts/plotjuggler.xml")).getroot()
+FUNCTIONS = {"": float, "log10": math.log10, "sqrt": math.sqrt}
 
 
 @pytest.fixture(scope="module")
-def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
-    """All messages of a bag in which observers of five names ran."""
-    return messages_in(everything(tmp_path_factory.mktemp("all") / "bag", LAWS, duration=1.5))
+def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    """The messages of a plant, an observer and its monitor, by topic."""
+    folder = tmp_path_factory.mktemp("layouts")
+    bag = str(folder / "bag")
+    observe = ["observe", str(shared("bags/two_mass")), "--law", "minimum-variance"]
+    assert main([*observe, "--duration", "2", "-o", bag]) == 0
+    with BagReader(folder / "bag") as reader:
+        found = {t: [each for _, each in reader.messages(t)] for t in reader.topics}
+    make, error = bag_messages(), np.array([1e-3, -1e-3])
+    with BagWriter(folder / "nodes") as writer:
+        estimate = EstimateError(1, "minimum-variance", 1e-6, ("x1", "x2"), error, error)
+        writer.write("/monitor/error", 1, make.estimate_error(estimate))
+        writer.write("/observer/bound", 1, make.estimate_error(estimate))
+    with BagReader(folder / "nodes") as reader:
+        return found | {t: [each for _, each in reader.messages(t)] for t in reader.topics}
 
 
-@pytest.fixture(scope="module")
-def series(messages: dict[str, list[object]]) -> dict[str, list[object]]:
-    """The same as PlotJuggler's series."""
-    found: dict[str, list[object]] = {}
-    for topic, each in messages.items():
-        for message in each:
-            for name, value in plotjuggler_series(topic, message).items():
-                found.setdefault(name, []).append(value)
-    return found
-
-
-def drawn(observers: list[str], model: str = "two_mass") -> tuple[str, str]:
-    """Both layouts of a model and of the observers with these names."""
-    found = curves(read_model(model).system, [ObserverTopics.of_node(name) for name in observers])
-    return foxglove(found), plotjuggler(found)
-
-
-def paths_of(text: str) -> list[str]:
-    """Every message path in a Foxglove layout: of plots, states and texts."""
-    configs = json.loads(text)["configById"].values()
-    paths = [path["value"] for config in configs for path in config.get("paths", [])]
-    return paths + [config["topicPath"] for config in configs if "topicPath" in config]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*SHIPPED, "all"])
-def test_every_path_for_foxglove_finds_a_number_in_the_bag(
-    name: str, messages: dict[str, list[object]]
-) -> None:
-    """Paths follow the grammar of message paths; a panel of texts shows a topic of the bag."""
-    text = drawn([*LAWS])[0] if name == "all" else (LAYOUTS / f"{name}.json").read_text("utf-8")
-    paths = paths_of(text)
-    assert len(paths) > 20
-    for path in paths:
-        parsed = message_path(path)
-        values = [v for each in messages[parsed.topic] for v in resolved(parsed, each)]
-        assert values, f"{path} finds nothing"
-        if parsed.steps:  # diagnostics are texts, which Foxglove draws as the numbers they are
-            assert all(np.isfinite(float(value)) for value in values), path  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", [*SHIPPED, "all"])
-def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
-    name: str, series: dict[str, list[object]]
-) -> None:
-    """Series are named as PlotJuggler flattens messages; Lua computes transformed series."""
-    text = drawn([*LAWS])[1] if name == "all" else (LAYOUTS / f"{name}.xml").read_text("utf-8")
-    root = ET.fromstring(text)
-    computed = set()
-    for snippet in root.iterfind("customMathEquations/snippet"):
-        source = snippet.findtext("linked_source")
-        assert source in series, source
-        assert all(isinstance(value, float) for value in series[source])
-        assert snippet.findtext("function") in LUA
-        computed.add(snippet.attrib["name"])
-    shown = {curve.attrib["name"] for curve in root.iter("curve")}
-    assert computed <= shown
-    assert len(shown) > 20
-    for name_shown in shown - computed:
-        assert name_shown in series, name_shown
-        assert all(isinstance(value, float) for value in series[name_shown]), name_shown
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-@pytest.mark.parametrize("kind", ["json", "xml"])
-def test_shipped_layouts_are_what_the_command_writes(name: str, kind: str, tmp_path: Path) -> None:
-    """Shipped layouts are byte for byte those of ``impact-observer layout``."""
-    written = tmp_path / f"{name}.{kind}"
-    assert layout("two_mass", written, observers=SHIPPED[name]) == 0
-    assert written.read_bytes() == (LAYOUTS / written.name).read_bytes()
-
-
-def test_joint_states_of_an_observer_of_any_name_are_series_by_joint() -> None:
-    """PlotJuggler names joint states by joint on a topic of any name."""
-    names = {curve.attrib["name"] for curve in ET.fromstring(drawn(["watcher"])[1]).iter("curve")}
-    assert "/watcher/joint_states/x1/position" in names
+def walked(value: Any, path: str) -> list[Any]:  # noqa: ANN401 (of messages)
+    """The values of ``.name``, ``[index]``, ``[:]`` and ``{name=="text"}`` in a message."""
+    for step in re.findall(r"\.\w+|\[[\d:]+\]|\{[^}]+\}", path):
+        values = value if isinstance(value, list) and step[0] != "[" else [value]
+        if step[0] == ".":
+            value = [getattr(each, step[1:]) for each in values]
+        elif step[0] == "{":
+            name, text = step[1:-1].split("==")
+            value = [each for each in values if getattr(each, name) == text.strip('"')]
+        else:
+            (value,) = value
+            value = list(value) if step == "[:]" else [value[int(step[1:-1])]]
+    return list(value)
 
 
 def leaves(tree: Any) -> list[str]:  # noqa: ANN401 (of JSON)
-    """The panels in a tree of Foxglove's; splits are well formed."""
-    if isinstance(tree, str):
-        return [tree]
-    assert tree["direction"] in {"row", "column"}
-    assert 0 < tree["splitPercentage"] < 100
-    return leaves(tree["first"]) + leaves(tree["second"])
+    """The panels in a tree of Foxglove's."""
+    return [tree] if isinstance(tree, str) else [*leaves(tree["first"]), *leaves(tree["second"])]
 
 
-def test_a_foxglove_layout_shows_each_of_its_panels_once() -> None:
-    """One panel has the tabs; every other panel is in exactly one tab."""
-    whole = json.loads(drawn(["observer"])[0])
-    configs = whole["configById"]
-    tabs = configs[whole["layout"]]["tabs"]
-    placed = [panel for tab in tabs for panel in leaves(tab["layout"])]
-    assert sorted([*placed, whole["layout"]]) == sorted(configs)
-    kinds = {panel.partition("!")[0] for panel in configs}
-    wanted = {"Tab", "Plot", "StateTransitions", "RawMessages", "DiagnosticSummary", "3D"}
-    assert kinds == wanted
-    assert set(whole) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+def test_every_path_for_foxglove_finds_a_number_in_the_bag(
+    messages: dict[str, list[Any]],
+) -> None:
+    """Every panel is shown once."""
+    panels = FOXGLOVE["configById"]
+    assert sorted(leaves(FOXGLOVE["layout"])) == sorted(panels)
+    paths = [each["value"] for panel in panels.values() for each in panel.get("paths", [])]
+    assert len(paths) > 8
+    for path in paths:
+        whole, _, function = path.partition(".@")
+        topic, rest = re.fullmatch(r"([/\w]+)(\..*)", whole).groups()  # type: ignore[union-attr]
+        found = [each for message in messages[topic] for each in walked(message, rest)]
+        assert found, path
+        assert all(np.isfinite(FUNCTIONS[function](each)) for each in found), path
 
 
-def test_a_plotjuggler_layout_is_of_splitters_that_count_right() -> None:
-    """Beside and under each other; sizes add up; every plot has a title and curves."""
-    root = ET.fromstring(drawn(["observer", "observer_minimum_variance"])[1])
-    tabs = root.findall("tabbed_widget/Tab")
-    assert [tab.attrib["tab_name"] for tab in tabs][:3] == ["positions", "velocities", "errors"]
-    for splitter in root.iter("DockSplitter"):
+def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
+    messages: dict[str, list[Any]],
+) -> None:
+    """Joint states go by the joint; a computed series names its source."""
+    snippets = PLOTJUGGLER.findall("customMathEquations/snippet")
+    computed = {each.attrib["name"]: str(each.findtext("linked_source")) for each in snippets}
+    shown = [curve.attrib["name"] for curve in PLOTJUGGLER.iter("curve")]
+    assert computed.keys() <= set(shown)
+    for series in (computed.get(name, name) for name in shown):
+        topic = next(each for each in messages if series.startswith(f"{each}/"))
+        message, rest = messages[topic][-1], series.removeprefix(f"{topic}/")
+        joint, _, field = rest.partition("/")
+        if field:
+            rest = f"{field}[{list(message.name).index(joint)}]"
+        (value,) = walked(message, f".{rest}")
+        assert np.isfinite(float(value)), series
+
+
+def test_splitters_for_plotjuggler_count_right() -> None:
+    """Sizes add up, and every plot has a title and curves."""
+    for splitter in PLOTJUGGLER.iter("DockSplitter"):
         sizes = [float(size) for size in splitter.attrib["sizes"].split(";")]
         assert len(splitter) == int(splitter.attrib["count"]) == len(sizes)
-        assert sum(sizes) == pytest.approx(1.0, abs=1e-4)
-        assert splitter.attrib["orientation"] in {"|", "-"}
-    for area in root.iter("DockArea"):
+        assert sum(sizes) == pytest.approx(1.0)
+    for area in PLOTJUGGLER.iter("DockArea"):
         assert area.attrib["name"]
         assert area.findall("plot/curve")
-
-
-def test_plant_and_observers_differ_without_colours() -> None:
-    """The plant's line is grey and twice as wide; every observer has one colour everywhere."""
-    configs = json.loads(drawn(["observer_geometric", "observer_kinematic"])[0])["configById"]
-    colours: dict[str, set[str]] = {}
-    for name, config in configs.items():
-        for path in config["paths"] if name.startswith("Plot!") else []:
-            source = path["label"].rpartition(" ")[2]
-            colours.setdefault(source, set()).add(path["color"])
-            assert path["lineSize"] == (3 if source == "plant" else 1.5)
-    assert {len(each) for each in colours.values()} == {1}
-    assert len(set.union(*colours.values())) == len(colours) == 3
-
-
-def test_arrays_that_plotjuggler_does_not_read_are_left_out() -> None:
-    """The covariance of six coordinates has more than a hundred numbers, of five fewer."""
-    for n, there in ((5, True), (6, False)):
-        model = make_system(np.eye(n), np.eye(n), np.eye(n))
-        found = curves(model, [ObserverTopics.of_node("observer_minimum_variance")])
-        tabs = [tab.attrib["tab_name"] for tab in ET.fromstring(plotjuggler(found)).iter("Tab")]
-        assert ("standard deviations" in tabs) == there
-        assert "standard deviations" in foxglove(found)
-
-
-def test_a_contact_with_quotes_in_its_name_is_found() -> None:
-    """The path has quotes of the other kind; a name with both kinds is refused in one line."""
-    forms = {"a'b": '{contact=="a\'b"}', 'a"b': "{contact=='a\"b'}"}
-    for name, wanted in forms.items():
-        assert any(wanted in path for path in paths_of(foxglove(curves(named(name), OBSERVER))))
-    with pytest.raises(UsageError, match=r"both kinds of quotes"):
-        curves(named("a'\"b"), OBSERVER)
-
-
-OBSERVER = [ObserverTopics.of_node("observer")]
-
-
-def named(contact: str) -> Any:  # noqa: ANN401 (a System)
-    """The system two_mass whose contact has another name."""
-    from dataclasses import replace
-
-    whole = read_model("two_mass").system
-    return replace(whole, contacts=(replace(whole.contacts[0], name=contact),))

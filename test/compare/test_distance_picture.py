@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from systems import sample
 
 from impact_observer.compare.comparison import Comparison, compare_states
-from impact_observer.compare.error_pictures import lyapunov_picture
+from impact_observer.compare.distance_picture import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
@@ -28,14 +28,13 @@ def fading(law: str, decades: float) -> Comparison:
     return compare_states(sample("two_mass").system, law, truth, estimates, outcomes_of((), ()))
 
 
-def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:
+def picture(laws: dict[str, float], *, contacts: int = 2) -> Figure:
     """A picture of curves that fall by so many decades, drawn once so that all has its place."""
     figure = lyapunov_picture(
         {law: fading(law, decades) for law, decades in laws.items()},
         {f"stop {i}": STAMPS[3 :: 40 + i] for i in range(contacts)},
         title="one line\nand another",
         zero=TimeZero(NS_PER_S),
-        paper=paper,
     )
     figure.draw_without_rendering()
     return figure
@@ -88,10 +87,9 @@ def test_exact_estimates_leave_a_gap() -> None:
     assert low > 1e-4
 
 
-@pytest.mark.parametrize("paper", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_legend_and_impacts_cover_no_curve(paper: bool) -> None:
+def test_legend_and_impacts_cover_no_curve() -> None:
     """The legend lies above the axes and within the picture, impacts above the curves."""
-    figure = picture(FIVE, paper=paper)
+    figure = picture(FIVE)
     axes = figure.axes[0]
     legend = axes.get_legend()
     assert legend is not None
@@ -120,12 +118,11 @@ def test_very_many_contacts_share_one_row() -> None:
 @pytest.mark.parametrize(
     "letters", [*(pytest.param(each, marks=pytest.mark.slow) for each in (30, 60)), 300]
 )
-@pytest.mark.parametrize("paper", [False, True])
-def test_long_names_leave_the_curves_their_room(letters: int, paper: bool) -> None:
+def test_long_names_leave_the_curves_their_room(letters: int) -> None:
     """Names of bags go into fewer columns, and lose their middle before the axes get narrow."""
     name = ("recording_of_some_machine_" * 12)[:letters]
     named = {f"geometric {name}{i}": float(i) for i in range(3)}
-    figure = picture(named, paper=paper)
+    figure = picture(named)
     assert figure.axes[0].get_window_extent().width > 0.7 * figure.bbox.width
     shown = figure.axes[0].get_legend_handles_labels()[1]
     assert [label[-1] for label in shown[:3]] == ["0", "1", "2"]

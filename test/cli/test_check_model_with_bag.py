@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command that prints which part of the state the impacts in a bag determine."""
+"""The command ``check-model MODEL BAG``: which part of the state the impacts determine."""
 
-import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from systems import system
 
-from impact_observer.cli import observability as command
 from impact_observer.cli.main import main
-from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
@@ -28,12 +26,17 @@ stops: [{name: stop, body: x1, limit: 0.3, side: above, restitution: 0.7}]
 """
 
 
-def printed(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> str:
+def printed(capsys: pytest.CaptureFixture[str], model: str, bag: Path, *words: str) -> str:
     """Output of the command without line ends."""
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    assert command.run(parser.parse_args([str(bag), *words])) == 0
+    capsys.readouterr()
+    assert main(["check-model", model, str(bag), *words]) == 0
     return " ".join(capsys.readouterr().out.split())
+
+
+def impacts(capsys: pytest.CaptureFixture[str], model: str, *words: str) -> dict[str, Any]:
+    """What the impacts of the bag two_mass determine, by the JSON."""
+    found = json.loads(printed(capsys, model, TWO_MASS, "--json", *words))
+    return dict(found["impacts"])
 
 
 def bag_of(path: Path, *events: ImpactEvent) -> Path:
@@ -65,8 +68,8 @@ def decoupled(tmp_path: Path) -> str:
 
 def test_two_mass_is_determined_by_four_impacts(capsys: pytest.CaptureFixture[str]) -> None:
     """A table by the bag's model has a row for each rise and the end, then the conclusions."""
-    output = printed(capsys, TWO_MASS)
-    assert output.startswith("two_mass: 22 impacts in 28.189 s, 4 unknown numbers event s contact")
+    output = printed(capsys, "two_mass", TWO_MASS)
+    assert "two_mass: 22 impacts in 28.189 s, 4 unknown numbers event s contact" in output
     for row in ("1 0.537 stop 1/4 0.723 0 -", "4 5.695 stop 4/4 1.34 0.0826 16.2", "22 28.189"):
         assert row in output
     assert "5 6.5" not in output
@@ -87,7 +90,7 @@ def test_undetermined_combinations_are_named(
         impact(11, "stop", episode=1),
         impact(11, "stop", episode=1),
     )
-    output = printed(capsys, bag, "--model", decoupled)
+    output = printed(capsys, decoupled, bag)
     assert "The rank is 2 of 4: 2 combinations of the initial state are not determined." in output
     # x2 oscillates with sqrt(7) rad/s for 0.7 s
     assert "gives the same impacts: 1.0 x2, at the end -0.28 x2 - 2.5 dx2/dt 1.0 dx2/dt," in output
@@ -102,9 +105,7 @@ def test_undetermined_combinations_are_named(
 
 def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The JSON has results per impact; a value without meaning is null."""
-    found = json.loads(
-        printed(capsys, TWO_MASS, "--json", "--model", decoupled, "--deviation", "0.5")
-    )
+    found = impacts(capsys, decoupled, "--deviation", "0.5")
     assert found["rank"] == 2
     assert found["condition"] is found["impacts_to_full_rank"] is found["seconds_to_full_rank"]
     assert found["condition"] is None
@@ -114,7 +115,7 @@ def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]
     assert {len(values) for values in growth.values()} == {22}
     assert np.shape(growth["singular_values"]) == (22, 4)
     assert growth["stamp_ns"][0] - found["start_stamp_ns"] == round(growth["seconds"][0] * 1e9)
-    full = json.loads(printed(capsys, TWO_MASS, "--json"))
+    full = impacts(capsys, "two_mass")
     assert full["impacts_to_full_rank"] == 4
     assert full["condition"] == full["growth"]["condition"][-1] == pytest.approx(12, abs=0.1)
     assert full["growth"]["condition"][:4][:3] == [None, None, None]
@@ -122,7 +123,7 @@ def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]
 
 def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
     """A coarse tolerance makes the direction of least singular value undetermined."""
-    output = printed(capsys, TWO_MASS, "--tolerance", "0.1")
+    output = printed(capsys, "two_mass", TWO_MASS, "--tolerance", "0.1")
     assert "The rank is 3 of 4: 1 combination of the initial state is not determined" in output
 
 
@@ -134,14 +135,12 @@ def test_declared_deviations_stand_beside_exact_parameters(
     text = shared("config/two_mass.yaml").read_text(encoding="utf-8")
     path = tmp_path / "declared.yaml"
     path.write_text(text + "uncertainty: {names: [restitution.stop], covariance: [[1.0e-4]]}\n")
-    plain = printed(capsys, TWO_MASS)
-    output = printed(capsys, TWO_MASS, "--model", str(path))
+    plain = printed(capsys, "two_mass", TWO_MASS)
+    output = printed(capsys, str(path), TWO_MASS)
     assert "parameters exact" not in plain
     assert "deviation of parameters exact as declared unit" in output
-    printed_json = printed(capsys, TWO_MASS, "--model", str(path), "--json")
-    deviations = {
-        name: np.array(each) for name, each in json.loads(printed_json)["deviations"].items()
-    }
+    found = impacts(capsys, str(path))["deviations"]
+    deviations = {name: np.array(each) for name, each in found.items()}
     assert np.all(deviations["exact"] < 1e-7)
     assert np.all(deviations["declared"] > 1e-5)
     assert np.all(deviations["declared"] < 0.1)
@@ -155,7 +154,9 @@ def test_picture_is_written(
 ) -> None:
     """The command prints the name of the picture."""
     picture = tmp_path / f"rank.{ending}"
-    assert printed(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
+    assert printed(capsys, "two_mass", TWO_MASS, "--plot", str(picture)).endswith(
+        f"picture: {picture}"
+    )
     assert picture.stat().st_size > 5000
 
 
@@ -164,17 +165,31 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
 ) -> None:
     """The error names both sides, and the exit code is 1."""
     bag = bag_of(tmp_path / "bag", impact(3, "bell"))
-    assert main(["observability", str(bag), "--model", "two_mass"]) == 1
+    assert main(["check-model", "two_mass", str(bag)]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert f"{bag}: contains no impact of the model's contacts (stop); " in error
     assert "bell" in error
-    with pytest.raises(BagError, match="name one with --model"):
-        command.observe(bag)
-    with pytest.raises(UsageError, match="expected one number"):
-        command.observe(TWO_MASS, deviation="1,2")
-    with pytest.raises(UsageError, match=r"rank\.txt"):
-        command.observe(TWO_MASS, plot=tmp_path / "rank.txt")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["two_mass", "BAG", "--deviation", "1,2"], "expected one number"),
+        (["two_mass", "BAG", "--plot", "rank.txt"], "rank.txt"),
+        (["two_mass", "--plot", "rank.png"], "plot: given without a BAG"),
+        (["two_mass", "--tolerance", "0.1"], "tolerance: given without a BAG"),
+        (["hammer_arm", "BAG"], "hammer_arm: a robot"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Options that are about impacts need impacts, and a linear model."""
+    assert main(["check-model", *(str(TWO_MASS) if w == "BAG" else w for w in words)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
 
 
 def test_combination_shows_its_largest_terms() -> None:

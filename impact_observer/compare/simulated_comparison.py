@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of laws on a simulated run, as in Figure 2 of Baumann and Leine (ENOC 2014)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+from impact_observer.compare.bag_comparison import BagComparison
+from impact_observer.compare.comparison import SETTLED, compare_observer, impacts_in
+from impact_observer.io.bag_part import TimeZero
+from impact_observer.io.pairing import samples_of
+from impact_observer.model import Model
+from impact_observer.observer import make_observer
+from impact_observer.options import Options
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
+
+LAWS = "kinematic,geometric"
+"""The laws of the paper's figure."""
+INITIAL = "random:1"
+"""Initial state of the observers where none is given."""
+RATE = 100.0
+"""Rate of the samples that are compared, Hz."""
+
+
+def compare_simulated(
+    model: Model,
+    options: Sequence[Options],
+    duration: float,
+    *,
+    settled: float = SETTLED,
+    since: float = 0.0,
+    progress: Callable[[str, float, float], None] = lambda _what, _done, _all: None,
+) -> BagComparison:
+    """Simulate a model with an ideal sensor, and run an observer with each of the ``options``.
+
+    Args:
+        model: of a linear system, with an initial state.
+        options: of the observers, one a law, with one epoch; 0 for 1 s.
+        duration: of the run, s.
+        settled: V over V at the start below which an estimate has settled.
+        since: seconds after the epoch; samples before that are left out.
+        progress: receives the name of the work, the amount done, and the whole amount.
+
+    Raises:
+        UsageError, ModelError: the options or the initial state cannot be used.
+        ImpactLawError, DynamicsError: plant or observer cannot go on.
+    """
+    epoch = options[0].epoch or NS_PER_S
+    # The ensemble is left out: no estimate depends on the ensemble.
+    observers = [
+        make_observer(model.system, replace(each, ensemble=1, epoch=epoch)) for each in options
+    ]
+    run = simulate(
+        Plant(model.system, *model.initial_state(), epoch=epoch),
+        grid(epoch, epoch + from_seconds(duration), RATE),
+        progress=lambda stamp: progress("simulating", seconds_between(epoch, stamp), duration),
+    )
+    truth = samples_of(run.stamps, run.states)
+    comparisons = {
+        observer.law.name: compare_observer(
+            observer,
+            run.events,
+            truth,
+            settled=settled,
+            begin=epoch + from_seconds(since),
+            progress=partial(progress, observer.law.name),
+        )
+        for observer in observers
+    }
+    return BagComparison(model.system, comparisons, impacts_in(run.events), TimeZero(epoch))

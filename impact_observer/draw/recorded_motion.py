@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The motion in a bag as `plot` draws it: states of plant and observers, and impacts."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from impact_observer.errors import ModelError, UnfitBagError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Ruling, final_rulings
+from impact_observer.io import interfaces
+from impact_observer.io.bag_part import TimeZero, time_zero
+from impact_observer.io.pairing import arrived
+from impact_observer.io.reader import BagReader, first_block, states_of
+from impact_observer.io.recordings import events_in, model_of, outcomes_in
+from impact_observer.io.state_arrays import ObserverStates, deviations_in
+from impact_observer.model import System
+from impact_observer.model.system import UNKNOWN_UNIT, per_second
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Matrix, Stamps, Vector
+
+TRUTH = "truth"
+Marks: TypeAlias = dict[str, dict[Ruling | None, list[float]]]
+"""Instants of impacts, s since time zero, by contact (of several observers also by the observer)
+and final verdict; the verdict is None for reports of the sensor that no observer ruled on."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionCurve:
+    """The states of the plant or of an observer.
+
+    Attributes:
+        label: in the legend: ``truth``, or the law, with the observer where laws repeat.
+        law: of the observer, empty where none is recorded; None for the truth.
+        seconds: since time zero, ascending, shape (N,).
+        x: states (q, u), shape (N, 2n), SI units.
+        deviations: standard deviations of the states, shape (N, 2n); NaN without a covariance.
+    """
+
+    label: str
+    law: str | None
+    seconds: Vector
+    x: Matrix
+    deviations: Matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedMotion:
+    """The motion in a bag.
+
+    Attributes:
+        coordinates: names, n of them.
+        units: of the states (q, u), 2n of them.
+        curves: the truth, if the bag has one, then the estimates.
+        marks: impacts within the time of the curves.
+        zero: time zero.
+    """
+
+    coordinates: tuple[str, ...]
+    units: tuple[str, ...]
+    curves: tuple[MotionCurve, ...]
+    marks: Marks
+    zero: TimeZero
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The first and the last instant of all curves, s since time zero."""
+        at = [float(each.seconds[k]) for each in self.curves for k in (0, -1)]
+        return min(at), max(at)
+
+
+def drawn_topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
+    """The observers' prefixes by the topics of their states; the prefix of the truth is empty.
+
+    Args:
+        reader: the bag.
+        observers: names of observers; None for all.
+
+    Raises:
+        UsageError: an observer is not in the bag.
+    """
+    present, truth = reader.observers(), reader.truth_topic()
+    wanted = present if observers is None else [f"/{each.lstrip('/')}" for each in observers]
+    for each in wanted:
+        if each not in present:
+            there = ", ".join(present) or "none"
+            raise UsageError(f"observer {each}: not in {reader.path}; it has {there}")
+    own = {} if truth is None else {truth: ""}
+    return own | {states_of(reader, prefix): prefix for prefix in wanted}
+
+
+def read_motion(
+    reader: BagReader,
+    observers: Sequence[str] | None = None,
+    progress: Callable[[int, int], object] = lambda _done, _all: None,
+) -> RecordedMotion:
+    """Read the motion in a bag, without a truth too.
+
+    As in ``compare``, estimates that were published before their events arrived are left out.
+
+    Args:
+        reader: the bag.
+        observers: names of observers; None for all.
+        progress: called with the number of states read, and of all.
+
+    Raises:
+        UsageError: an observer is not in the bag.
+        BagError: the bag has no states, or is damaged.
+    """
+    topics = drawn_topics(reader, observers)
+    first = first_block(reader, topics)
+    if first is None:
+        raise UnfitBagError(
+            f"{reader.path}: no states; expected true states on"
+            f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
+        )
+    events = [] if reader.find(interfaces.IMPACTS) is None else events_in(reader)
+    zero, laws = time_zero(reader), {prefix: "" for prefix in topics.values() if prefix}
+    outcomes = {topic: outcomes_in(reader, topic, events) for topic in topics if topics[topic]}
+    parts = {topic: list[tuple[Stamps, Matrix, Matrix]]() for topic in topics}
+    done, total = 0, sum(reader.topics[topic].count for topic in topics)
+    for topic, block in reader.blocks(topics, first.names, covariance=True):
+        rows = np.ones(block.stamps.size, dtype=bool)
+        if isinstance(block, ObserverStates):
+            laws[topics[topic]] = block.law
+            if topic in outcomes and block.last_event.any():
+                rows = arrived(block.stamps, block.last_event, outcomes[topic].reported)
+        x = np.hstack([block.q, block.u])
+        parts[topic].append((block.stamps[rows], x[rows], deviations_in(block)[rows]))
+        progress(done := done + block.stamps.size, total)
+    labels = _labels(laws)
+    curves = tuple(
+        _curve(labels[topics[topic]], laws.get(topics[topic]), blocks, zero.stamp)
+        for topic, blocks in parts.items()
+        if any(stamps.size for stamps, _, _ in blocks)
+    )
+    motion = RecordedMotion(first.names, _units(reader, first.names), curves, {}, zero)
+    return replace(motion, marks=_marks(reader, labels, events, zero.stamp, motion.ends))
+
+
+def _curve(
+    label: str, law: str | None, blocks: Sequence[tuple[Stamps, Matrix, Matrix]], zero: int
+) -> MotionCurve:
+    """The states of one topic in order of their stamps; of equal stamps the last one counts."""
+    stamps, x, deviations = map(np.concatenate, zip(*blocks, strict=True))
+    at, last = np.unique(stamps[::-1], return_index=True)
+    kept = stamps.size - 1 - last
+    return MotionCurve(label, law, (at - zero) / NS_PER_S, x[kept], deviations[kept])
+
+
+def _labels(laws: Mapping[str, str]) -> dict[str, str]:
+    """The label of each prefix: its law, with the prefix where laws repeat; else the prefix."""
+    labels, count = {"": TRUTH}, Counter(laws.values())
+    for prefix, law in laws.items():
+        name = prefix.lstrip("/")
+        labels[prefix] = (f"{law} ({name})" if count[law] > 1 else law) if law else name
+    return labels
+
+
+def _marks(
+    reader: BagReader,
+    labels: Mapping[str, str],
+    events: Sequence[ImpactEvent],
+    zero: int,
+    ends: tuple[float, float],
+) -> Marks:
+    """The impacts within ``ends``, s since ``zero``, ns; reports where there are no verdicts."""
+    ruled = [prefix for prefix in labels if f"{prefix}/verdicts" in reader.topics]
+    found = [
+        (f"{contact}, {labels[prefix]}" if len(ruled) > 1 else contact, ruling, stamp)
+        for prefix in ruled
+        for contact, ruling, stamp in _ruled(reader, f"{prefix}/verdicts", events)
+    ] or [
+        (each.contact, None, event.stamp)
+        for event in events
+        for each in event.switches
+        if each.kind is not Kind.OPEN
+    ]
+    marks: Marks = {}
+    for row, verdict, stamp in sorted(found, key=lambda each: (each[0], each[2])):
+        if ends[0] <= (seconds := (stamp - zero) / NS_PER_S) <= ends[1]:
+            marks.setdefault(row, {}).setdefault(verdict, []).append(seconds)
+    return marks
+
+
+def _ruled(
+    reader: BagReader, topic: str, events: Sequence[ImpactEvent]
+) -> Iterator[tuple[str, Ruling | None, int]]:
+    """Contact, final ruling and stamp of each impact that an observer ruled on."""
+    switches = {(event.stamp, event.sequence): event.switches for event in events}
+    for (stamp, sequence, contact), ruling in final_rulings(reader.verdicts(topic)).items():
+        kinds = {each.contact: each.kind for each in switches.get((stamp, sequence), ())}
+        if ruling is Ruling.REJECTED and not kinds:
+            continue  # an insertion that was withdrawn
+        # A verdict without a contact is on the whole event.
+        for name in [contact] if contact else kinds:
+            if kinds.get(name) is not Kind.OPEN:
+                yield name, ruling, stamp
+
+
+def _units(reader: BagReader, names: Sequence[str]) -> tuple[str, ...]:
+    """The units of the states, by the model in the bag if that can be read."""
+    try:
+        subject = model_of(reader).subject
+    except (UnfitBagError, ModelError):
+        units = {}
+    else:
+        each = (subject.unit,) * subject.n if isinstance(subject, System) else subject.units
+        units = dict(zip(subject.coordinates, each, strict=True))
+    positions = tuple(units.get(name, UNKNOWN_UNIT) for name in names)
+    return (*positions, *map(per_second, positions))

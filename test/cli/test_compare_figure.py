@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""compare --figure: from a model to the picture of V over time."""
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from impact_observer.cli.main import main
+from impact_observer.draw import pictures
+from impact_observer.observer.laws import BUILT_IN
+from impact_observer.resources import shared
+
+QUICK = ("--figure", "two_mass", "--duration", "3")
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures, in place of files."""
+    found: list[Figure] = []
+    monkeypatch.setattr(pictures, "save", lambda figure, _path: found.append(figure))
+    return found
+
+
+def curves(figure: Figure) -> list[str]:
+    """Labels of the curves of V."""
+    labels = [str(line.get_label()) for line in figure.axes[0].lines]
+    return [label for label in labels if not label.startswith("impacts at")]
+
+
+def test_the_default_is_the_papers_two_laws(
+    drawn: list[Figure], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kinematic grey, geometric black; the tables are printed, too."""
+    assert main(["compare", *QUICK, "--plot", str(tmp_path / "v.png")]) == 0
+    (figure,) = drawn
+    assert curves(figure) == ["kinematic", "geometric"]
+    colours = [line.get_color() for line in figure.axes[0].lines[:2]]
+    assert colours == ["0.58", "black"]
+    (title,) = [text.get_text() for text in figure.texts]
+    assert "two_mass" in title
+    assert "V/V0" in capsys.readouterr().out
+
+
+def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> None:
+    """Every installed law of linear models has a curve."""
+    plot = ("--laws", "all", "--plot", str(tmp_path / "v.pdf"))
+    assert main(["compare", *QUICK, *plot]) == 0
+    (figure,) = drawn
+    assert curves(figure) == list(BUILT_IN)
+
+
+@pytest.mark.slow
+def test_metrics_are_those_of_a_simulated_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The commands simulate and compare --laws give the same numbers, to the last bit."""
+    bag = str(tmp_path / "bag")
+    laws = ("--laws", "open-loop,geometric", "--initial", "random:2", "--from", "1", "--json")
+    assert main(["simulate", "two_mass", "--duration", "3", "-o", bag]) == 0
+    capsys.readouterr()
+    assert main(["compare", *QUICK, *laws]) == 0
+    figure = json.loads(capsys.readouterr().out)
+    assert main(["compare", bag, *laws]) == 0
+    assert json.loads(capsys.readouterr().out) == figure
+    assert list(figure) == ["open-loop", "geometric"]
+    assert figure["geometric"]["V_ratio"] < figure["open-loop"]["V_ratio"]
+
+
+def test_what_cannot_be_simulated_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error comes before any simulation; nothing that is given is ignored."""
+    model = tmp_path / "startless.yaml"
+    lines = shared("config/two_mass.yaml").read_text("utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith("initial_state")]
+    model.write_text("\n".join(kept), encoding="utf-8")
+    wrong = {
+        "initial_state: is missing": ("--figure", str(model)),
+        "law 'quick'": ("--figure", "two_mass", "--laws", "quick"),
+        "initial state 'here'": ("--figure", "two_mass", "--initial", "here"),
+        "laws: none named": ("--figure", "two_mass", "--laws", ""),
+        "hammer_arm: a robot": ("--figure", "hammer_arm"),
+        "no bag named": (),
+        "bags is of bags": ("bag", "--figure", "two_mass"),
+        "start is of bags": ("--figure", "two_mass", "--start", "1"),
+        "observers is of bags": ("--figure", "two_mass", "--observers", "a"),
+    }
+    for said, arguments in wrong.items():
+        assert main(["compare", *arguments]) == 2
+        errors = capsys.readouterr().err.strip().splitlines()
+        assert len(errors) == 1
+        assert said in errors[0]
