@@ -68,7 +68,7 @@ def check_fit(fitted: "Identification") -> FitCheck:
     return FitCheck(
         size=size,
         large=fitted.large,
-        white=independence(errors),
+        white=independence(errors, fitted.clock if fitted.declared else None),
         lags=lags_of(errors),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),

@@ -310,6 +310,27 @@ def test_a_model_that_does_not_fit_is_said_first_and_written(
     assert "does not fit" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_times_that_were_printed_with_few_digits_fit(capsys: pytest.CaptureFixture[str]) -> None:
+    """A ball that bounces once a period; the phase of its table has a closed form.
+
+    Rounding to 10 us repeats itself, which says nothing against the model.
+    """
+    A, e, rate, first = 0.003, 0.5, 61.7, 0.05
+    times = first + 2 * np.pi / rate * np.arange(30)
+    text = (shared("config") / "ball_on_table.yaml").read_text()
+    Path("table.yaml").write_text(text.replace("62.83185307179586", f"{rate}"))
+    Path("times.csv").write_text("\n".join(f"{each:.5f},plate" for each in times.tolist()))
+    assert main(["import", "times.csv", "--model", "table.yaml", "-o", "bag"]) == 0
+    capsys.readouterr()
+    words = ["--free", "ground-phase", "--clock-error", "1e-4", "--trust-events"]
+    assert main(["identify", "bag", *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]["ground-phase.table.1"]["value"]
+    late = np.arccos(np.pi * 9.81 * (1 - e) / ((1 + e) * A * rate**2))
+    assert found == pytest.approx(1.5 * np.pi - late - rate * first, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("flights", "reason"),
     [
