@@ -79,8 +79,8 @@ def _inside(fitted: Identification) -> str:
     episode = fitted.recording.episode
     first, second = (key.stamp for key in episode.keys[:2])
     remedy = "--initial-state cannot write it"
-    if not system.depends_on_time:
-        ahead = first - max((second - first) // 10, 1)
+    ahead = first - max((second - first) // 10, 1)
+    if not system.depends_on_time and episode.epoch != ahead:
         epoch = text(ahead).rstrip("0").rstrip(".")
         remedy = f"repeat import or detect with --epoch {epoch}, shortly before it"
     ahead_of_first = seconds_between(episode.start, first)
@@ -332,7 +332,15 @@ def _remedy(fitted: Identification, check: FitCheck) -> str:
             f" If the sensor jitters so much, declare --clock-error {figure(fitted.rms)};"
             " otherwise look at --plot, or change the model (docs/misfit.md)."
         )
-    return _NO_OTHER
+    return f"{_NO_OTHER}{_about_damping(fitted.family)}"
+
+
+def _about_damping(family: ParametricFamily) -> str:
+    """What to add to a model that loses no energy between its impacts; else empty."""
+    system = family.system
+    if system.C.any() or system.guides:
+        return ""
+    return " The model has no damping: a small one, in its file, is tried as a cause too."
 
 
 def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
@@ -343,7 +351,8 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
             f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
-            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}{_about_others(fitted)}"
+            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}"
+            f"{_about_others(fitted) or _about_damping(fitted.family)}"
             f"{_without_a_fit(fitted)}",
         )
     elif not check.fits:
@@ -447,7 +456,7 @@ def _about_start(fitted: Identification) -> ReportLine:
     ahead = seconds_between(episode.start, episode.keys[0].stamp)
     before = f"{ahead:.6g} s before the first impact" if ahead else "the first impact"
     where = f"The start is {before}."
-    wrong = _inside(fitted)
+    wrong = _inside(fitted) if fitted.converged else ""
     return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 
 

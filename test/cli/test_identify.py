@@ -233,7 +233,12 @@ def test_a_start_at_the_first_impact_is_on_its_stop(capsys: pytest.CaptureFixtur
     assert main(words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "first impact. But the initial state is on the stop 'floor', as good as" in said
-    assert "repeat import or detect with --epoch" in said
+    epoch = re.search(r"repeat import or detect with --epoch ([0-9.]+),", said)
+    assert epoch is not None
+    given = ["--epoch", epoch[1], "-o", "later"]
+    assert main(["import", "bounces.csv", "--model", "bouncing_ball", *given]) == 0
+    main(["identify", "later", *words[2:]])
+    assert "repeat import" not in capsys.readouterr().out
 
 
 @pytest.mark.long
