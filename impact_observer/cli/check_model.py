@@ -38,6 +38,8 @@ def check(model: str | Path, *, json: bool = False) -> int:
     from impact_observer.model import read_model
 
     read = read_model(model)
+    if read.misfit and not json:
+        say(f"warning: {read.misfit}")
     if read.robot is not None:
         robot = check_robot(read)
         if json:

@@ -103,7 +103,7 @@ def observe(
         declared = read_measurements(measurements)
         sensors = sensors_of(declared, system)
         recorded = samples_in(reader, declared)
-        for problem in () if json else recorded.problems:
+        for problem in () if json else filter(None, (read.misfit, *recorded.problems)):
             say(f"warning: {problem}")
         try:
             result = observability(

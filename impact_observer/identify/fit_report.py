@@ -20,7 +20,7 @@ from impact_observer.draw.reports import (
     print_table,
 )
 from impact_observer.events import Kind
-from impact_observer.identify.fit_check import FitCheck
+from impact_observer.identify.fit_check import FitCheck, check_fit
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.prior import chance_of
@@ -33,7 +33,7 @@ from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
 from impact_observer.model.free_parameters import OFFSET, is_observed, is_phase
-from impact_observer.model.model_file import ModelText, edited, load_yaml
+from impact_observer.model.model_file import VERDICT, ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.output_files import replacing
@@ -245,6 +245,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "settled": [[stamp, names[i]] for stamp, i in sorted(recording.settled)],
         "probability_of_size": check.size,
         "probability_of_whiteness": check.white,
+        "largest_shift": check.shift.largest,
         "contacts": {
             name: {"impacts": count, "mean": mean, "rms": rms}
             for name, (count, mean, rms) in check.by_contact.items()
@@ -758,7 +759,7 @@ def write_model(
 def model_text(
     fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
 ) -> str:
-    """The given model file with the fitted values, in its own form, with covariance and origin.
+    """The given model file with the fitted values, in its own form, with covariance and verdict.
 
     Args:
         fitted: the fitted model.
@@ -772,7 +773,10 @@ def model_text(
     """
     document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(fitted.family.names, fitted.values.tolist(), fitted.errors.tolist(), strict=True)
+    check = check_fit(fitted)
+    shift = check.shift if check.shift.largest else ()
     provenance: dict[str, object] = {
+        **dict(zip(VERDICT, (check.fits, float(fitted.rms), *shift), strict=False)),
         "package": "impact_observer",
         "version": __version__,
         "identified_from": str(bag),

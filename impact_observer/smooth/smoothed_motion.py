@@ -258,7 +258,7 @@ class SmoothedMotion:
         last_event, last_sequence = self._last_event(k, stamp)
         sizes = self._law.filter.scales.sizes(x)
         root = np.column_stack([self._widened * root, *self._other_sides(stamp, k)])
-        covariance = self._law.uncertainty.published_covariance(root, sizes)
+        covariance = self._law.uncertainty.published_covariance(root, x, sizes)
         if system.frame is not None:
             (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed

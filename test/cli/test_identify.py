@@ -317,6 +317,44 @@ def test_a_model_that_does_not_fit_is_said_first_and_written(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_tmp_path")
+def test_the_verdict_on_a_model_stays_with_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """A ball on a floor of two stones: every other bounce loses more than the model has.
+
+    The file says so, and so does whoever reads the file, or a bag that has the model.
+    """
+    flights = 0.8 * np.cumprod(np.tile([0.9, 0.87], 8))
+    times = 1 + np.append(0.0, np.cumsum(flights))
+    Path("bounces.csv").write_text("\n".join(f"{each:.9f},floor" for each in times.tolist()))
+    imported = ["import", "bounces.csv", "--epoch", "1.9", "--model"]
+    words = ["--free", "restitution", "--clock-error", "1e-4", "--trust-events", "-o"]
+    assert main([*imported, "bouncing_ball", "-o", "bag"]) == 0
+    assert main(["identify", "bag", *words, "stones.yaml"]) == 1
+    written = read_model("stones.yaml")
+    assert written.provenance["fits"] is False
+    assert 1e-4 < written.provenance["residual"] < written.shift.largest < 0.02  # type: ignore[operator]
+    assert written.shift.interval == pytest.approx(np.mean(flights))
+    said, warning = capsys.readouterr().out, "warning: rig (/plant/model) does not fit"
+    assert "model: stones.yaml, though it does not fit" in said
+    assert main([*imported, "stones.yaml", "-o", "rig"]) == 0
+    states = ["--rate", "5", "-o"]
+    for command in (
+        ["observe", "rig", "--law", "minimum-variance", *states, "observed"],
+        ["smooth", "rig", *states, "smoothed"],
+        ["observability", "rig"],
+        ["identify", "rig", *words, "again.yaml"],
+    ):
+        capsys.readouterr()
+        main(command)
+        assert warning in " ".join(capsys.readouterr().out.split()), command[0]
+    again = read_model("again.yaml").provenance
+    assert again["fits"] is False
+    assert again["before"]["fits"] is False  # type: ignore[index]
+    assert main(["check-model", "again.yaml"]) == 0
+    assert "warning: again.yaml does not fit" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
 def test_times_that_were_printed_with_few_digits_fit(capsys: pytest.CaptureFixture[str]) -> None:
     """A ball that bounces once a period; the phase of its table has a closed form.
 
@@ -330,7 +368,8 @@ def test_times_that_were_printed_with_few_digits_fit(capsys: pytest.CaptureFixtu
     assert main(["import", "times.csv", "--model", "table.yaml", "-o", "bag"]) == 0
     capsys.readouterr()
     words = ["--free", "ground-phase", "--clock-error", "1e-4", "--trust-events"]
-    assert main(["identify", "bag", *words, "--json"]) == 0
+    assert main(["identify", "bag", *words, "-o", "fit.yaml", "--json"]) == 0
+    assert read_model("fit.yaml").provenance["fits"] is True
     found = json.loads(capsys.readouterr().out)["parameters"]["ground-phase.table.1"]["value"]
     late = np.arccos(np.pi * 9.81 * (1 - e) / ((1 + e) * A * rate**2))
     assert found == pytest.approx(1.5 * np.pi - late - rate * first, abs=1e-3)
@@ -353,7 +392,9 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     assert main(["import", "bounces.csv", "--model", "bouncing_ball", "-o", "bag"]) == 0
     words = ["--free", "restitution", "--clock-error", "1e-3", "--trust-events"]
     assert main(["identify", "bag", *words, "-o", "ball.yaml", "--accept"]) == 1
-    last = capsys.readouterr().out.splitlines()[-1]
+    said = capsys.readouterr().out
+    assert "The model has no damping" in said
+    last = said.splitlines()[-1]
     assert last == f"model: ball.yaml is not written: {reason}; --accept does not change that"
     assert not Path("ball.yaml").exists()
 
