@@ -89,6 +89,8 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     from impact_observer.check.model_report import for_json, print_check
     from impact_observer.check.robot_report import check_robot, print_robot, robot_json
 
+    if read.misfit and not as_json:
+        say(f"warning: {read.misfit}")
     if read.robot is not None:
         robot = check_robot(read)
         if not as_json:

@@ -263,6 +263,8 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
         for line in (*lost, *recorded.problems, *hits):
             tell(f"warning: {line}")
         unused = joint_topics(reader, declared)
+        if model.misfit:
+            tell(f"warning: {model.misfit}")
     zero, prior = TimeZero(epoch, assumed.instant), model.uncertainty
     if prior is not None and prior.is_fitted_to(each.stamp for each in events):
         prior = None
@@ -299,6 +301,9 @@ def _write(
             fit, given, args.bag, args.output, initial=args.initial_state
         )
         doubt = "" if checked.fits else "though it does not fit"
+        if shift := checked.shift.largest:
+            shown = f"deviations of estimates with it contain a shift of {shift:.2g} s"
+            doubt = " and ".join(filter(None, [doubt, shown]))
         words, is_whole = (
             ", ".join(filter(None, [str(args.output), left_out, doubt])),
             not left_out,

@@ -196,9 +196,8 @@ def _names_with_units(model: "Model", unknowns: "UnknownParameters") -> list[str
 
 
 def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "Iterator[str]":
-    """The parameters of a model whose deviations count, and those whose deviations do not."""
+    """The parameters of a model whose deviations count, and what these do not contain."""
     from impact_observer.draw.reports import figure
-    from impact_observer.filter.unknown_parameters import not_considered
 
     if unknowns is not None and any(unknowns.considered):
         each = zip(
@@ -214,15 +213,7 @@ def considered_lines(model: "Model", unknowns: "UnknownParameters | None") -> "I
             if considered
         ]
         yield f"considered: {', '.join(texts)}"
-    names: Sequence[str] = ()
-    if model.uncertainty is not None and model.robot is None:
-        names = not_considered(model.uncertainty)
-    if names:
-        yield (
-            f"warning: taken for exact, as no observer considers them: {', '.join(names)};"
-            f" identify --free {','.join(names)} on this recording makes their errors"
-            " small, --model-error counts what remains"
-        )
+    yield from (f"warning: {doubt}" for doubt in model.doubts)
 
 
 def torque_lines(model: "Model") -> "Iterator[str]":

@@ -118,7 +118,7 @@ def _about_run(model: "Model", law: "Law", run: "SmoothedMotion") -> "Iterator[s
         yield sensor.text
     yield from contradiction_lines(run.contradictions, unit)
     warned = chain.from_iterable(sensor.warnings for sensor in run.sensors)
-    far = run.misfit if run.unexplained else ""
+    far = run.misfit if run.is_unexplained else ""
     for line in filter(None, (*warned, run.fallback, far, run.model_doubt, run.early_doubt[0])):
         yield f"warning: {line}"
 

@@ -13,6 +13,7 @@ from impact_observer.filter.contradiction import Declared
 from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.model import System
+from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 from impact_observer.options import Options, highest
 from impact_observer.robots.robot import Robot
 from impact_observer.states import Matrix, Vector, frozen
@@ -60,6 +61,8 @@ class Uncertainty:
         dead_time: after an event, in which the sensor reports no other hit of the contact, s.
         undeclared: deviation of a published component, over its motion, for errors of a model
             that declares none; 0 for an exact model. Estimates do not depend on it.
+        shift: by how much the motion may be early or late, for errors of a model that a fit has
+            shown; deviations contain it, estimates do not depend on it.
     """
 
     deviation: Vector | float = float(Options.initial_deviation)
@@ -72,6 +75,7 @@ class Uncertainty:
     unknowns: UnknownParameters | None = None
     dead_time: float = Options.dead_time
     undeclared: float = 0.0
+    shift: TimeShift = NO_SHIFT
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.
@@ -107,18 +111,19 @@ class Uncertainty:
         """Whether both are the same but for the deviation of the initial state."""
         return all(getattr(self, name) == getattr(other, name) for name in _LIMITED)
 
-    def published_covariance(self, root: Matrix, sizes: Vector) -> Matrix:
-        """The covariance ``root root^T`` as published: with rounding and what is undeclared.
+    def published_covariance(self, root: Matrix, x: Vector, sizes: Vector) -> Matrix:
+        """The covariance ``root root^T`` as published: with rounding and errors of the model.
 
-        ``sizes`` are those of the motion of (q, u), shape (2n,), see ``Scales.sizes``.
+        ``sizes`` are those of the motion of ``x``, (q, u), shape (2n,), see ``Scales.sizes``.
         """
         covariance = root @ root.T
-        covariance.flat[:: len(root) + 1] += self.least_deviations(sizes) ** 2
+        covariance.flat[:: len(root) + 1] += self.least_deviations(x, sizes) ** 2
         return frozen(covariance)
 
-    def least_deviations(self, sizes: Vector) -> Vector:
-        """Standard deviations of (q, u) by rounding and what is undeclared, shape (2n,)."""
-        return max(self.undeclared, STATE_ROUNDING) * sizes
+    def least_deviations(self, x: Vector, sizes: Vector) -> Vector:
+        """Standard deviations of ``x``, (q, u), by rounding and errors of the model, (2n,)."""
+        least = max(self.undeclared, STATE_ROUNDING) * sizes
+        return np.asarray(np.hypot(least, self.shift.errors(x)))
 
     @property
     def estimates_parameters(self) -> bool:

@@ -141,7 +141,7 @@ class UnknownParameters:
     ) -> "UnknownParameters":
         """These, and beside them the others with a deviation in ``uncertainty``: considered.
 
-        Parameters that only ``identify`` learns are left out, see ``not_considered``.
+        Parameters that only ``identify`` learns are left out, see ``Model.doubts``.
 
         Raises:
             UsageError: a deviation cannot be used, or a parameter excludes an estimated one.
@@ -163,12 +163,6 @@ def _motion_first(family: ParametricFamily) -> ParametricFamily:
     """The ``family`` with the parameters first that change the motion between impacts."""
     parameters = sorted(family.parameters, key=lambda each: not each.moves)
     return ParametricFamily(family.system, tuple(parameters))
-
-
-def not_considered(uncertainty: ParameterUncertainty) -> tuple[str, ...]:
-    """Names of the parameters of a linear system with a deviation that an observer ignores."""
-    known = uncertainty.deviation_by_name
-    return tuple(name for name, each in known.items() if each and not is_observed(name))
 
 
 def _number(text: str, number: str) -> float:

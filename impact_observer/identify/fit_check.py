@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a model explains recorded impact times as well as their clock allows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_observer.identify.residuals import (
+    DOUBTED,
     REJECTED,
     independence,
     lags_of,
     probability_of_size,
 )
+from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 
 if TYPE_CHECKING:
     from impact_observer.identify.identification import Identification
@@ -31,6 +33,8 @@ class FitCheck:
         worst: the contact of the largest rms.
         odd: names of the sensors whose errors are too large, or correlated.
         missed: names of parameters that were not free and explain more than chance does.
+        shift: by how much the motion may be early or late; none where there is no motion, or
+            white errors of the clock explain the shifts.
     """
 
     size: float | None
@@ -41,6 +45,7 @@ class FitCheck:
     worst: str
     odd: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
+    shift: TimeShift = NO_SHIFT
 
     @property
     def fits(self) -> bool:
@@ -65,13 +70,17 @@ def check_fit(fitted: "Identification") -> FitCheck:
     size = None
     if fitted.declared:
         size = probability_of_size(errors, fitted.clock, fitted.redundancy)
-    return FitCheck(
+    found = FitCheck(
         size=size,
         large=fitted.large,
-        white=independence(errors),
+        white=independence(errors, fitted.clock if fitted.declared else None),
         lags=lags_of(errors),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
         odd=tuple(each.name for each in fitted.sensors if not each.fits),
         missed=fitted.missed,
     )
+    chance = min(independence(errors), 1.0 if size is None else size)
+    if not fitted.converged or (found.fits and chance >= DOUBTED):
+        return found
+    return replace(found, shift=TimeShift.of(shifts, fitted.stamps))

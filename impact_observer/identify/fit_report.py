@@ -20,7 +20,7 @@ from impact_observer.draw.reports import (
     print_table,
 )
 from impact_observer.events import Kind
-from impact_observer.identify.fit_check import FitCheck
+from impact_observer.identify.fit_check import FitCheck, check_fit
 from impact_observer.identify.identification import Identification
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.prior import chance_of
@@ -33,7 +33,7 @@ from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
 from impact_observer.model.free_parameters import OFFSET, is_observed, is_phase
-from impact_observer.model.model_file import ModelText, edited, load_yaml
+from impact_observer.model.model_file import VERDICT, ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.output_files import replacing
@@ -79,8 +79,8 @@ def _inside(fitted: Identification) -> str:
     episode = fitted.recording.episode
     first, second = (key.stamp for key in episode.keys[:2])
     remedy = "--initial-state cannot write it"
-    if not system.depends_on_time:
-        ahead = first - max((second - first) // 10, 1)
+    ahead = first - max((second - first) // 10, 1)
+    if not system.depends_on_time and episode.epoch != ahead:
         epoch = text(ahead).rstrip("0").rstrip(".")
         remedy = f"repeat import or detect with --epoch {epoch}, shortly before it"
     ahead_of_first = seconds_between(episode.start, first)
@@ -245,6 +245,7 @@ def for_json(fitted: Identification, check: FitCheck) -> dict[str, object]:
         "settled": [[stamp, names[i]] for stamp, i in sorted(recording.settled)],
         "probability_of_size": check.size,
         "probability_of_whiteness": check.white,
+        "largest_shift": check.shift.largest,
         "contacts": {
             name: {"impacts": count, "mean": mean, "rms": rms}
             for name, (count, mean, rms) in check.by_contact.items()
@@ -332,7 +333,15 @@ def _remedy(fitted: Identification, check: FitCheck) -> str:
             f" If the sensor jitters so much, declare --clock-error {figure(fitted.rms)};"
             " otherwise look at --plot, or change the model (docs/misfit.md)."
         )
-    return _NO_OTHER
+    return f"{_NO_OTHER}{_about_damping(fitted.family)}"
+
+
+def _about_damping(family: ParametricFamily) -> str:
+    """What to add to a model that loses no energy between its impacts; else empty."""
+    system = family.system
+    if system.C.any() or system.guides:
+        return ""
+    return " The model has no damping: a small one, in its file, is tried as a cause too."
 
 
 def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
@@ -343,7 +352,8 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
             f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
-            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}{_about_others(fitted)}"
+            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}"
+            f"{_about_others(fitted) or _about_damping(fitted.family)}"
             f"{_without_a_fit(fitted)}",
         )
     elif not check.fits:
@@ -447,7 +457,7 @@ def _about_start(fitted: Identification) -> ReportLine:
     ahead = seconds_between(episode.start, episode.keys[0].stamp)
     before = f"{ahead:.6g} s before the first impact" if ahead else "the first impact"
     where = f"The start is {before}."
-    wrong = _inside(fitted)
+    wrong = _inside(fitted) if fitted.converged else ""
     return ReportLine("warning", f"{where} But {wrong}.") if wrong else ReportLine("note", where)
 
 
@@ -749,7 +759,7 @@ def write_model(
 def model_text(
     fitted: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
 ) -> str:
-    """The given model file with the fitted values, in its own form, with covariance and origin.
+    """The given model file with the fitted values, in its own form, with covariance and verdict.
 
     Args:
         fitted: the fitted model.
@@ -763,7 +773,10 @@ def model_text(
     """
     document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(fitted.family.names, fitted.values.tolist(), fitted.errors.tolist(), strict=True)
+    check = check_fit(fitted)
+    shift = check.shift if check.shift.largest else ()
     provenance: dict[str, object] = {
+        **dict(zip(VERDICT, (check.fits, float(fitted.rms), *shift), strict=False)),
         "package": "impact_observer",
         "version": __version__,
         "identified_from": str(bag),

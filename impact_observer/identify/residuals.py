@@ -78,17 +78,19 @@ def whiteness(shifts: Vector) -> float:
     return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))
 
 
-def independence(shifts: Vector) -> float:
+def independence(shifts: Vector, clock: float | None = None) -> float:
     """``whiteness`` of shifts of stamps, s; 1 where they are the rounding of the stamps.
 
-    The rounding of a periodic motion repeats itself, and says nothing against the model.
+    The rounding of a periodic motion repeats itself, and says nothing against the model. Times may
+    be printed with few digits: shifts up to half of a declared ``clock`` error, s, are rounding.
     """
-    return 1.0 if is_rounding(shifts) else whiteness(shifts)
+    return 1.0 if is_rounding(shifts, clock) else whiteness(shifts)
 
 
-def is_rounding(shifts: Vector) -> bool:
-    """Whether shifts, s, are as small as the rounding of stamps to 1 ns."""
-    return bool(np.sum(shifts**2) <= shifts.size * (2.0 * ROUNDED) ** 2)
+def is_rounding(shifts: Vector, clock: float | None = None) -> bool:
+    """Whether shifts, s, are as small as the rounding of stamps, or half the ``clock`` error."""
+    least = max(2.0 * ROUNDED, (clock or 0.0) / 2)
+    return bool(np.sum(shifts**2) <= shifts.size * least**2)
 
 
 def explained(solution: Solution, clock: float | None) -> bool:
@@ -99,7 +101,7 @@ def explained(solution: Solution, clock: float | None) -> bool:
     errors, size = solution.residuals, 1.0
     if clock is not None:
         size = probability_of_size(errors, max(clock, ROUNDED), solution.redundancy)
-    return solution.converged and min(size, independence(errors)) >= REJECTED
+    return solution.converged and min(size, independence(errors, clock)) >= REJECTED
 
 
 def probabilities_of_savings(solution: Solution, saved: Vector, clock: float | None) -> Vector:
@@ -143,12 +145,13 @@ def widening(solution: Solution, clock: float | None) -> float:
     if solution.scattered is not None:
         least = solution.scattered.shown.clock
     size = probability_of_size(shifts, least, solution.redundancy)
-    if size >= DOUBTED and independence(shifts) >= DOUBTED:
+    white = independence(shifts, clock)
+    if min(size, white) >= DOUBTED:
         return 1.0
     if solution.scattered is not None:
         return _correlated(shifts)
     rms = max(solution.rms, ROUNDED)
-    correlated = _correlated(shifts) if independence(shifts) < DOUBTED else 1.0
+    correlated = _correlated(shifts) if white < DOUBTED else 1.0
     shown = max(_jackknife(solution), rms * correlated)
     return float(max(shown / (rms if clock is None else least), 1.0))
 

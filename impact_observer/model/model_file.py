@@ -3,7 +3,7 @@
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from impact_observer.model.degrees import DEGREES, is_in_degrees, radians
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
+from impact_observer.model.free_parameters import is_observed
 from impact_observer.model.ground_keys import (
     GroundMotions,
     Turning,
@@ -43,6 +44,7 @@ from impact_observer.model.system import (
     System,
     moving_system,
 )
+from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -52,6 +54,10 @@ _MATRIX_KEYS = (
 )
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """Exceptions of ruamel: its own errors, and others for values such as ``2020-13-45``."""
+VERDICT = FITS, RESIDUAL, SHIFT, INTERVAL = ("fits", "residual", "shift", "interval")
+"""Keys of the provenance by which ``identify`` says whether a model fits, and what is left: the
+rms of the shifts, s, and where these are no errors of the clock a ``TimeShift``.
+"""
 _COMMON_KEYS = ("name", "unit", "initial_state", "uncertainty", "provenance")
 
 
@@ -63,7 +69,8 @@ class Model:
         linear: the system that plant and replica share; None for a robot.
         position: the plant's coordinates at the epoch, shape (n,); None if the file has none.
         velocity: the plant's velocities at the epoch, shape (n,); None if the file has none.
-        provenance: origin of the file; without effect on the dynamics.
+        provenance: origin of the file, and the verdict of ``identify``; without effect on the
+            dynamics.
         source: name of the file in errors.
         elements: the elements of the system; empty for a file with matrices.
         element_form: the bodies, springs and so on of the file, by key; empty for a file with
@@ -104,6 +111,42 @@ class Model:
         """Whether the file declares some number to be exact, by a deviation of 0."""
         return self.uncertainty is not None and not self.uncertainty.deviations.all()
 
+    @property
+    def misfit(self) -> str:
+        """The warning that the model does not fit its impacts; empty if ``identify`` said none."""
+        if self.provenance.get(FITS, True):
+            return ""
+        left = self._verdict.number(RESIDUAL, 0.0)
+        return (
+            f"{self.source or self.subject.name} does not fit the impacts from which it was"
+            f" identified: shifts of {left:.2g} s rms are left, and deviations contain one of"
+            f" {self.shift.largest:.2g} s; see docs/misfit.md"
+        )
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """Warnings of what makes the deviations of every estimate with the model wrong."""
+        if self.misfit:
+            yield self.misfit
+        if self.uncertainty is None or self.robot is not None:
+            return
+        known = self.uncertainty.deviation_by_name
+        if names := ",".join(n for n, each in known.items() if each and not is_observed(n)):
+            yield (
+                f"taken for exact, as no observer considers them: {names.replace(',', ', ')};"
+                f" identify --free {names} on this recording makes their errors small,"
+                " --model-error counts what remains"
+            )
+
+    @property
+    def shift(self) -> TimeShift:
+        """By how much the motion may be early or late, as the fit of the model has shown."""
+        return TimeShift(*map(self._verdict.number, (SHIFT, INTERVAL), NO_SHIFT))
+
+    @property
+    def _verdict(self) -> Section:
+        return _verdict(self.provenance)
+
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
 
@@ -121,7 +164,8 @@ class Model:
         """The text of a model file of this model, with elements or with matrices as read.
 
         Reading the text gives equal numbers. Matrices and samples from other files are in the
-        text. ``provenance`` is the origin of the text, such as package, version and seed.
+        text. ``provenance`` is the origin of the text, such as package, version and seed; a
+        verdict of ``identify`` on the model is kept beside it.
         """
         document = self._form() if self.robot is None else dict(self.robot.document)
         document = {"name": self.subject.name, **document}
@@ -133,7 +177,8 @@ class Model:
         if self.uncertainty is not None:
             document["uncertainty"] = self.uncertainty.document
         if provenance or self.provenance:
-            document["provenance"] = dict(provenance or self.provenance)
+            verdict = {key: self._verdict.value(key) for key in VERDICT if key in self._verdict}
+            document["provenance"] = {**(provenance or self.provenance), **verdict}
         stream = io.StringIO()
         yaml = YAML(typ="safe", pure=True)
         yaml.Representer = _Representer
@@ -455,7 +500,17 @@ def _provenance(section: Section) -> dict[str, Value]:
     provenance = section.value("provenance") if "provenance" in section else {}
     if not isinstance(provenance, Mapping):
         raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
+    if not isinstance(fits := provenance.get(FITS, True), bool):
+        raise ModelError(f"provenance.{FITS}", f"{fits!r} found; expected true or false")
+    verdict = _verdict(provenance)
+    for key in (each for each in VERDICT[1:] if each in verdict):
+        verdict.positive(key, or_zero=key != INTERVAL)
     return {str(key): value for key, value in provenance.items()}
+
+
+def _verdict(provenance: Mapping[str, Value]) -> Section:
+    """The verdict of ``identify`` in a provenance; without ``fits`` no key is one of a verdict."""
+    return Section("provenance", provenance if FITS in provenance else {}, [*provenance])
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:

@@ -11,7 +11,7 @@ from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.states import Matrix, Vector
 
-UNDECLARED = "undeclared errors of the model"
+UNDECLARED, LEFT = "undeclared errors of the model", "shifts that its fit left"
 VariancePart = tuple[str, Vector]
 """A source and its part of the variances of (q, u), shape (2n,)."""
 
@@ -77,6 +77,7 @@ def variance_parts(
     of_rest = " and ".join(rest)
     parts.append((of_rest, _beyond(np.sum(root[:size] ** 2, axis=1), parts)))
     parts.append((UNDECLARED, (law.uncertainty.undeclared * sizes) ** 2))
+    parts.append((LEFT, law.uncertainty.shift.errors(belief.x) ** 2))
     others = of_rest if is_doubted else "undecided events"
     return [*parts, (others, _beyond(np.diag(covariance), parts))]
 

@@ -38,7 +38,8 @@ def make_observer(
 
     Of a model with elements their parameters can be estimated one by one, and parameters with
     deviations are considered. Where its file declares no number exact, published deviations
-    contain small errors of all numbers; a ``System`` is exact. ``options`` are None for the
+    contain small errors of all numbers; a ``System`` is exact. Of a model that was fitted they
+    contain what the fit left. ``options`` are None for the
     defaults. The ``others`` are initial states of the replicas that run beside the estimate, shape
     (ensemble - 1, 2n); by default they are drawn. Another ``law`` than that of the options may be
     given. The ``measurements`` are made beside the impacts. The ``unknowns`` take the place of
@@ -65,6 +66,7 @@ def make_observer(
         linear, live = connected(model.system)
         unknowns = unknowns or _unknown_parameters(linear, options, model)
         system, known = linear, Uncertainty(unknowns=unknowns, undeclared=undeclared)
+    known = replace(known, shift=model.shift)
     encoders = encoder_start(options, system, measurements)
     return Observer(
         system,

@@ -322,7 +322,7 @@ class RunHistory:
         covariance = NO_COVARIANCE
         if root is not None:
             both, sizes = self._both_sides(entry, s, x, root, closed), self._scales.sizes(x, s)
-            covariance = law.uncertainty.published_covariance(both, sizes)
+            covariance = law.uncertainty.published_covariance(both, x, sizes)
         if self._system.frame is not None:
             x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(

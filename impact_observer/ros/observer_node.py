@@ -94,6 +94,8 @@ class ObserverNode(ManagedNode):
         model = with_urdf_of_topic(self, read_model(values.text("model")))
         self._declared_sensors = read_measurements(values.text("measurements"))
         self.observer = make_observer(model, options, measurements=self._declared_sensors)
+        for doubt in model.doubts:
+            self.lines.warning(doubt)
         self._say_torques()
         self._sensor_topics = {
             self.resolve_topic_name(each.topic) for each in self._declared_sensors

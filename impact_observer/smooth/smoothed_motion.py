@@ -19,8 +19,9 @@ from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.impact_deviations import balance_at
 from impact_observer.filter.joint import Joint
 from impact_observer.filter.linear import LinearPrediction
-from impact_observer.filter.uncertainty import LARGEST_DEVIATION
+from impact_observer.filter.uncertainty import LARGEST_DEVIATION, Uncertainty
 from impact_observer.kernel._kernel import TINY
+from impact_observer.model.time_shift import TimeShift
 from impact_observer.observer.belief import Belief, Parameters, Prediction
 from impact_observer.observer.impact_sides import EXACT, REACH, side_error
 from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
@@ -170,7 +171,8 @@ class SmoothedMotion:
             if not (change := moment.change).hit:
                 continue
             joint = arc.filter.conditioning.at_jump(change, self._joint(k))
-            least = self._law.uncertainty.least_deviations(self._law.filter.scales.sizes(joint.x))
+            sizes = self._law.filter.scales.sizes(joint.x)
+            least = self._uncertainty.least_deviations(joint.x, sizes)
             # Where contacts rest, the jump has no other error.
             errors = joint.root[:, :0] if change.closed else arc.left(self.smoothed.path, k).N
             balance = balance_at(arc.filter.members, change, joint, least, errors[n : 2 * n])
@@ -290,7 +292,7 @@ class SmoothedMotion:
         last_event, last_sequence = self._last_event(k, stamp)
         sizes = self._law.filter.scales.sizes(x)
         root = np.column_stack([self._widened * root, *self._other_sides(stamp, k)])
-        covariance = self._law.uncertainty.published_covariance(root, sizes)
+        covariance = self._uncertainty.published_covariance(root, x, sizes)
         if system.frame is not None:
             (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
@@ -406,6 +408,11 @@ class SmoothedMotion:
         )
         return text, until
 
+    @property
+    def is_unexplained(self) -> bool:
+        """Whether the motion leaves shifts that no error of the clock explains."""
+        return self.unexplained > 0 or self._excess > 0
+
     @cached_property
     def unexplained(self) -> int:
         """Number of reported instants that are too far from the motion."""
@@ -420,10 +427,14 @@ class SmoothedMotion:
         """Errors of the stamps of reported moments, in their deviations, by their index."""
         late = self._constants.offset
         return {
-            k: (self.smoothed.instant(k)[0] - late) / max(moment.clock, TINY)
+            k: (self.smoothed.instant(k)[0] - late) / self._clock(k)
             for k, moment in enumerate(self.account.moments)
             if not moment.is_inserted
         }
+
+    def _clock(self, k: int) -> float:
+        """Standard deviation of the stamp of the ``k``-th moment, s."""
+        return max(self.account.moments[k].clock, TINY)
 
     @cached_property
     def _widened(self) -> float:
@@ -439,6 +450,33 @@ class SmoothedMotion:
         return min(factor, LARGEST_DEVIATION)
 
     @cached_property
+    def _excess(self) -> float:
+        """Shifts of the stamps over the declared clock error; 0 where chance explains these.
+
+        Of the error of a stamp the motion takes up the variance of its smoothed instant: all
+        together no more than there are unknowns, beside noise that follows no stamp.
+        """
+        if not self._law.uncertainty.clock_error or len(self._residuals) < 2:
+            return 0.0
+        taken = [self.smoothed.instant(k)[1] / self._clock(k) for k in self._residuals]
+        unknowns = min(float(np.sum(np.square(taken))), self.smoothed.first.mean.size)
+        freedom = max(len(taken) - unknowns, 1.0)
+        squares = float(np.sum(np.square([*self._residuals.values()])))
+        is_chance = special.chdtrc(freedom, squares) >= _ONE_MOTION_IN
+        return 0.0 if is_chance else math.sqrt(squares / freedom)
+
+    @cached_property
+    def _uncertainty(self) -> Uncertainty:
+        """What is declared; where the shifts are larger, with the largest of these."""
+        declared = self._law.uncertainty
+        if not self._excess:
+            return declared
+        shifts = [r * self._clock(k) for k, r in self._residuals.items()]
+        stamps = [self.account.moments[k].change.stamp - self.start for k in self._residuals]
+        shown = TimeShift.of(np.array(shifts), np.array(stamps) * 1e-9)
+        return replace(declared, shift=max(declared.shift, shown))
+
+    @cached_property
     def misfit(self) -> str:
         """The warning that the motion does not explain the impacts; empty without a misfit."""
         if self.unexplained:
@@ -449,6 +487,12 @@ class SmoothedMotion:
             )
         if self.smoothed.arc.filter.system.guides and self.smoothed.chance < _ONE_MOTION_IN:
             return _IMPLAUSIBLE
+        if self._excess:
+            return (
+                f"shifts of the stamps are {self._excess:.2g} times the declared clock error, and"
+                f" deviations contain one of {self._uncertainty.shift.largest:.2g} s: the model or"
+                " --clock-error is wrong; see docs/smoothing.md"
+            )
         return self._filter_misfit
 
     @property

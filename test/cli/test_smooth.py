@@ -298,6 +298,27 @@ def test_a_phase_that_nobody_knows_is_named_where_the_motion_does_not_settle(
     assert "--estimate-parameters forcing-phase.1 or identify --free forcing-phase.1" in said
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("clock", "is_warned"), [(1e-3, False), (5e-4, True)])
+def test_shifts_above_the_declared_clock_error_are_warned_of_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], clock: float, is_warned: bool
+) -> None:
+    """Stamps jitter by 1 ms. The model is declared exact, so that no noise follows them."""
+    declared = ["--clock-error", f"{clock}", "--model-error", "0", "-o", str(tmp_path / "out")]
+    assert main(["smooth", str(shared("bags/jitter")), *declared]) == 0
+    said = capsys.readouterr().out
+    times = re.search(r"warning: shifts of the stamps are ([0-9.]+) times the declared", said)
+    assert ("warning" in said, times is not None) == (is_warned, is_warned)
+    assert times is None or 1.5 < float(times[1]) < 2.5
+    with BagReader(tmp_path / "out") as reader:
+        (_, states), *_ = reader.blocks(["/smoother/state"], covariance=True)
+        truth = reader.joint_states("/plant/joint_states")
+        messages = [message for _, message in reader.messages("/smoother/state")]
+    assert any(each.synchronized for each in messages) != is_warned
+    within = np.abs(states.q - truth.q) <= 2 * deviations_in(states)[:, :2]
+    assert np.mean(within) > 0.9
+
+
 def test_a_parameter_that_no_observer_considers_is_named_with_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

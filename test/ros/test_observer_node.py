@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ from impact_observer.observer import (
     make_observer,
 )
 from impact_observer.plant import Plant, simulate
+from impact_observer.resources import shared
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews
 from impact_observer.ros.observer_node import ObserverNode
@@ -135,6 +137,18 @@ def rig_with(**parameters: object) -> Iterator[Rig]:
         made = make_rig(spinner)
         spinner.until(lambda: made.impacts.get_subscription_count() == 1)
         yield made
+
+
+def test_a_model_that_does_not_fit_is_said_at_the_start(
+    ros_environment: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The verdict is in the provenance of its file."""
+    assert ros_environment
+    model = tmp_path / "worn.yaml"
+    text = shared("config/two_mass.yaml").read_text("utf-8")
+    model.write_text(f"{text}\nprovenance: {{fits: false}}\n", "utf-8")
+    with rig_with(model=str(model)):
+        assert "worn.yaml does not fit the impacts" in "".join(capfd.readouterr())
 
 
 def replica(*events: Event) -> Observer:

@@ -261,7 +261,8 @@ class MinimumVariance(Law):
             early = conditioning.joint_prior(change, state, clock)
             joint = conditioning.joint_posterior(change, early)
         joint = conditioning.at_jump(change, joint)
-        least = self.uncertainty.least_deviations(self.filter.scales.sizes(joint.x))
+        sizes = self.filter.scales.sizes(joint.x)
+        least = self.uncertainty.least_deviations(joint.x, sizes)
         kicks = np.zeros_like(joint.x)[:, None]
         level = mean_level(hypotheses, ErrorKind.RESTITUTION)
         if level and self._bank.errors is not None:
