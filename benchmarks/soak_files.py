@@ -172,7 +172,7 @@ def signal(folder: Path) -> Attack:
             data = mutated(draw, data, [data])
         file.write_bytes(data)
         form = TableForm(
-            unit=draw.choice((None, None, *UNITS)),
+            time_unit=draw.choice((None, None, *UNITS)),
             time_column=draw.choice((None, None, "x", "")),
             sort=draw.random() < 0.2,
             separator=draw.choice((None, None, *SEPARATORS)),

@@ -52,7 +52,10 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("observability", "what the impacts determine", "rich"),
         Room("check", "models and bags: what is wrong with them, salvage", "rich"),
     ),
-    (Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),),
+    (
+        Room("fit", "from a recording to numbers, a table of impacts and a picture"),
+        Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),
+    ),
     (Room("ros", "nodes, recorder, player, monitor, watch", "rclpy"),),
     (Room("cli", "one short file per subcommand", "rich"),),
 )

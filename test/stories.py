@@ -12,7 +12,9 @@ _SAVED = re.compile(
     r"[Ss]ave this as `([^`]+)`[^\n]*\n(?:[^\n]+\n)*\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL
 )
 _PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_TYPED = re.compile(r"^ {4}(?:\./dev run|\.venv/bin/(\w+)) ((?:.*\\\n)*.*)$", re.MULTILINE)
+_TYPED = re.compile(
+    r"^ {4}(?:impact-observer|(detector|observer|plant|monitor)) ((?:.*\\\n)*.*)$", re.MULTILINE
+)
 
 
 @dataclass(frozen=True)

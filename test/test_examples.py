@@ -75,7 +75,7 @@ def test_the_page_has_the_commands_that_print_a_drop_height(
     monkeypatch.chdir(tmp_path)
     Path("ball.yaml").write_text(code["MODEL"])
     Path("clicks.csv").write_text("\n".join(["time", *map(str, code["CLICKS"])]))
-    commands = re.findall(r"^    ./dev run ((?:import|identify) .*)$", page, re.MULTILINE)
+    commands = re.findall(r"^    impact-observer ((?:import|identify) .*)$", page, re.MULTILINE)
     assert len(commands) == 2
     assert [main(command.split()) for command in commands] == [0, 0]
     printed = capsys.readouterr().out

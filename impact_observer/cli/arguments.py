@@ -277,7 +277,7 @@ def table_form(args: argparse.Namespace) -> "TableForm":
     from impact_observer.io.tables import TableForm
 
     return TableForm(
-        unit=args.time_unit,
+        time_unit=args.time_unit,
         time_column=args.time_column,
         sort=args.sort,
         separator=args.separator,

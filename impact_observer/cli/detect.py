@@ -48,6 +48,8 @@ _NUMBERS = {
     "baseline": "time constant of the mean that is subtracted, s",
     "dead_time": "time after an event in which there is no other, s (default: of a peak 0.02, of a"
     " switch 0.005, of an arrival 0)",
+    "decay": "time constant of the ringing after a peak, s: a peak counts only if it is 1.5 times"
+    " higher than what is left of the one before (default 0: any peak counts)",
     "latency": "constant latency, which is subtracted from the stamps, s",
     "min_contact_duration": "least closed time of a switch in persistent contact (default 0.05 s)",
 }

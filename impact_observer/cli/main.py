@@ -25,6 +25,7 @@ COMMANDS = {
     "new": "copy a commented rig to edit: a model, its sensors, a launch file",
     "check-model": "what a model means for an observer, and what the impacts in a bag determine",
     "identify": "estimate a model's parameters from impact times, or check it against them",
+    "fit": "from a recording to numbers, a table of impacts and a picture",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of sensors, or in a signal (CSV, WAV)",
     "import": "make a bag from the impact times in a CSV file",

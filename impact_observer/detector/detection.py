@@ -214,11 +214,14 @@ class Detector:
         ]
 
     def dead_time_doubts(self, index: int) -> list[str]:
-        """What a dead time suppressed, and what shows that it is too short, a line each."""
+        """What a dead time suppressed, and what shows that it is too short, a line each.
+
+        With a ``decay`` the dead time has nothing to do with the ringing.
+        """
         source, dead = self.sources[index], self._sensors[index].dead_times
         impacts, length = self.counts[index].impacts, f"dead time of {source.dead_time:g} s"
         lines = []
-        if dead.suppressed and source.kind == PEAK:
+        if dead.suppressed and source.kind == PEAK and not source.decay:
             nearest = seconds_between(0, dead.nearest)
             remedy = "a shorter dead time (--dead-time) finds such peaks"
             if dead.loud_ends:
@@ -228,7 +231,9 @@ class Detector:
                 f" ringing lay in the {length}, {nearest:.3g} s or more after an impact, left out;"
                 f" {remedy}"
             )
-        if 4 * dead.loud_ends < impacts and (ringing := dead.bunches.doubt):
+        if source.decay:
+            pass
+        elif 4 * dead.loud_ends < impacts and (ringing := dead.bunches.doubt):
             lines.append(ringing)
         elif dead.loud_ends:
             remedy = (

@@ -107,6 +107,9 @@ class PeakSensor(Sensor):
     A peak begins when the signal reaches the threshold after the signal was below
     ``threshold - hysteresis``. The peak ends when the signal is below ``threshold - hysteresis``
     again, or ``dead_time`` after it began. No other peak begins within ``dead_time`` of the top.
+    With a ``decay`` the threshold is the root of the squares of the declared one and of the
+    ringing: ``RINGING`` times the highest sample since a peak began, which falls with that time
+    constant.
     The stamp is that of the top, or of the onset: the first top after the signal reached the
     threshold, without a change of sign in between.
     """
@@ -117,6 +120,8 @@ class PeakSensor(Sensor):
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
         self._dead_time = source.number("dead_time")
+        self._decay = source.number("decay")
+        self._loudest: Point = (0, 0.0)
         self._baseline = source.number("baseline")
         self._mean: tuple[float, ...] = ()
         self._before: Point | None = None
@@ -143,13 +148,15 @@ class PeakSensor(Sensor):
         if (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
             switches = self._on_deadline(time.received)
         self._note_ringing(before, point)
+        scale = self._ringing(point)
         if self._peak is not None:
             self._peak.extend(before, point, self._field_before, field)
             if point[1] < self._low:
                 switches += self._on_deadline(time.received)
-        elif point[1] >= self._high and self._armed and time.stamp >= self._dead_until:
-            self._peak = self._begin(time, point, field)
-        self._armed = point[1] < self._low or (self._armed and point[1] < self._high)
+        elif point[1] >= scale * self._high and self._armed and time.stamp >= self._dead_until:
+            self._peak, self._loudest = self._begin(time, point, field), point
+        is_low, is_high = (point[1] < scale * each for each in (self._low, self._high))
+        self._armed = is_low or (self._armed and is_high)
         if self._baseline and self._peak is None:  # a peak would shift the mean
             since = 0 if self._before is None else time.stamp - self._before[0]
             weight = -math.expm1(-seconds_between(0, since) / self._baseline)
@@ -166,6 +173,17 @@ class PeakSensor(Sensor):
             left = (self._before[0], self._field_before * sign)
         first = _Top((time.stamp, field * sign), time.stamp, left)
         return _Peak(time, sign, _Top(point, time.stamp, self._before), first)
+
+    def _ringing(self, point: Point) -> float:
+        """Returns the threshold at a sample, over the declared one."""
+        if not self._decay:
+            return 1.0
+        left = self._loudest[1] * math.exp(
+            -seconds_between(self._loudest[0], point[0]) / self._decay
+        )
+        if (self._peak is not None or point[0] < self._dead_until) and point[1] > left:
+            self._loudest, left = point, point[1]
+        return math.hypot(1.0, RINGING * left / self._high)
 
     def _note_ringing(self, before: Point, point: Point) -> None:
         """Count a peak in the dead time that is higher than the ringing, and a loud end of it."""

@@ -39,12 +39,23 @@ def parse_sources(text: str, name: str) -> tuple[Source, ...]:
         document = load_yaml(text)
         if not isinstance(document, Mapping):
             raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
-        members = Section("", document, ("sources",)).items("sources")
-        sources = tuple(_source(key, value, name) for key, value in members)
+        sources = sources_in(Section("", document, ("sources",)), name)
         if not sources:
             raise ModelError("sources", "is missing or empty; expected a list of sensors")
     except ModelError as error:
         raise UsageError(f"{name}: {error}") from None
+    return sources
+
+
+def sources_in(section: Section, name: str) -> tuple[Source, ...]:
+    """Returns the sensors under the key ``sources``, none without the key.
+
+    Raises:
+        ModelError, UsageError: one line that names the key and what is wanted.
+    """
+    if "sources" not in section:
+        return ()
+    sources = tuple(_source(key, value, name) for key, value in section.items("sources"))
     first: dict[str, Source] = {}
     for source in sources:
         if (other := first.setdefault(source.contact, source)) is not source:

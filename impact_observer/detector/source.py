@@ -49,6 +49,7 @@ _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
         "instant": "top",
         "baseline": 0.0,
         "dead_time": 0.02,
+        "decay": 0.0,
     },
     ARRIVAL: {"dead_time": 0.0},
 }
@@ -73,6 +74,8 @@ class Source:
         instant: of peaks, the stamp is that of the ``top``, or of the ``onset``.
         baseline: time constant of the running mean that is subtracted, s; 0 for none.
         dead_time: the time after an event without another event, s.
+        decay: time constant of the ringing after a peak, s; 0 for none. A peak counts only if it
+            is ``RINGING`` times higher than what is left of the peak before.
         latency: delay of the stamps, which is subtracted, s.
         min_contact_duration: a closure that lasts longer is persistent contact, s; with 0
             every closure is.
@@ -91,6 +94,7 @@ class Source:
     instant: str | None = None
     baseline: float | None = None
     dead_time: float | None = None
+    decay: float | None = None
     latency: float = 0.0
     min_contact_duration: float | None = None
     inverted: bool | None = None
@@ -113,7 +117,7 @@ class Source:
 
     def _check_numbers(self) -> None:
         """Raise if a number that is given is out of range."""
-        for key in ("baseline", "dead_time", "latency", "min_contact_duration"):
+        for key in ("baseline", "dead_time", "decay", "latency", "min_contact_duration"):
             value = getattr(self, key)
             if value is not None and not 0 <= value <= LONGEST:
                 raise self.wrong(key, f"{value:g} found; expected 0 to {LONGEST:g} s")

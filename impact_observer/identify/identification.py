@@ -209,6 +209,11 @@ class Identification:
         return np.asarray(np.sqrt(np.diag(self.covariance))[self.start.size :])
 
     @property
+    def cause(self) -> OtherParameter | None:
+        """The first parameter with which, free too, a model fits that does not; None without."""
+        return next((each for each in self.others if each.fits), None)
+
+    @property
     def prior_shifts(self) -> tuple[PriorShift, ...]:
         """What the fit changed in parameters that have a prior, or a refuted one."""
         errors = self.errors / self.widened

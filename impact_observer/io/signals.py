@@ -85,7 +85,7 @@ def read_signal(path: Path, form: TableForm | None = None, zero: int | None = No
         UsageError: the file cannot be read, or has no column of numbers.
     """
     if path.suffix.lower() not in SOUND_FILES:
-        signal = _of_table(read_table(path, form or TableForm(), "time, value"), zero)
+        signal = signal_of_table(read_table(path, form or TableForm(), "time, value"), zero)
     elif form in (None, TableForm()):
         signal = _sound(path, NS_PER_S if zero is None else zero)
     else:
@@ -97,8 +97,16 @@ def read_signal(path: Path, form: TableForm | None = None, zero: int | None = No
     return signal
 
 
-def _of_table(table: Table, zero: int | None) -> Signal:
-    """The columns of numbers in a table."""
+def signal_of_table(table: Table, zero: int | None) -> Signal:
+    """The columns of numbers in a table.
+
+    Args:
+        table: the table.
+        zero: stamp of its time zero, ns; None as for :func:`read_signal`.
+
+    Raises:
+        UsageError: there is no column of numbers, or most times have lost their digits.
+    """
     columns = {name: table.numbers(name) for name in table.columns_of_numbers()}
     if not columns:
         found = ", ".join(table.cells) or "no column"

@@ -68,7 +68,7 @@ class TableForm:
     """Options for reading a table; None, 0 and False leave the choice to the table.
 
     Attributes:
-        unit: of time, a key of ``UNITS``; None for that in the header, else seconds.
+        time_unit: a key of ``UNITS``; None for that in the header, else seconds.
         time_column: name of the column of time; None for one that is called a time.
         sort: whether rows may stand in any order.
         separator: of columns, a key of ``SEPARATORS``.
@@ -77,7 +77,7 @@ class TableForm:
         frame_rate: of the frames that a column, or the rows, count, Hz.
     """
 
-    unit: str | None = None
+    time_unit: str | None = None
     time_column: str | None = None
     sort: bool = False
     separator: str | None = None
@@ -468,8 +468,8 @@ class _Reader:
             },
         )
         if self.is_dated or self.is_clock:
-            if self.form.unit is not None:
-                problem = f"--time-unit {self.form.unit} given for dates; leave it out"
+            if self.form.time_unit is not None:
+                problem = f"--time-unit {self.form.time_unit} given for dates; leave it out"
                 self.wrong(self.header or self.first, problem)
             self.words = "times as dates in UTC" if self.is_dated else "times as h:min:s"
             read = map(ns_of_date if self.is_dated else ns_of_clock, texts)
@@ -494,6 +494,9 @@ class _Reader:
         elif self.step or self.form.frame_rate:
             frames = [k for k, name in enumerate(self.names) if counts_frames(name)]
             places = frames if len(frames) == 1 else places
+        if not (places or given or self.form.frame_rate):
+            dates = [k for k, cells in enumerate(self.cells) if is_dated(cells[0].strip())]
+            places = [0] if self.strict and len(told) == 1 else dates[:1]
         listed = ", ".join(told[k] for k in places or range(len(told)))
         listed, line = shorten(listed, 5 * _SHOWN, placeholder=" ..."), self.header
         if any((self.cells[k] != self.cells[places[0]]).any() for k in places[1:]):
@@ -506,7 +509,7 @@ class _Reader:
 
     def unit(self, name: str) -> Fraction:
         """The unit of a column of time, ns: that of the form, else of its name, else a second."""
-        unit = None if self.form.unit is None else Fraction(UNITS[self.form.unit])
+        unit = None if self.form.time_unit is None else Fraction(UNITS[self.form.time_unit])
         try:
             return unit or unit_in(name) or Fraction(NS_PER_S)
         except UnknownUnitError as unknown:

@@ -116,11 +116,13 @@ class Model:
         """The warning that the model does not fit its impacts; empty if ``identify`` said none."""
         if self.provenance.get(FITS, True):
             return ""
+        name = f"{self.source or self.subject.name} does not fit the impacts"
+        if RESIDUAL not in self.provenance:
+            return f"{name} to which it was fitted: no motion explains these; see docs/misfit.md"
         left = self._verdict.number(RESIDUAL, 0.0)
         return (
-            f"{self.source or self.subject.name} does not fit the impacts from which it was"
-            f" identified: shifts of {left:.2g} s rms are left, and deviations contain one of"
-            f" {self.shift.largest:.2g} s; see docs/misfit.md"
+            f"{name} from which it was identified: shifts of {left:.2g} s rms are left, and"
+            f" deviations contain one of {self.shift.largest:.2g} s; see docs/misfit.md"
         )
 
     @property

@@ -282,7 +282,7 @@ def test_a_unit_in_the_name_of_the_time_counts(tmp_path: Path, name: str) -> Non
     """Units stand in brackets, behind a line, in words, or with a number; an option overrides."""
     for form in (TableForm(), TableForm(time_column=name)):
         assert times(tmp_path, f"a,{name}\n1,7\n", form) == [round(7e9 * UNITS[name])]
-        given = replace(form, unit="us")
+        given = replace(form, time_unit="us")
         assert times(tmp_path, f"a,{name}\n1,7\n", given) == [7000]
 
 
@@ -335,11 +335,11 @@ def test_frames_over_their_rate_are_exact(
         ("when,a\n1,2\n", "when, a", "--time-column", TableForm(time_column="when")),
         ("Frame,X1\n1,2\n2,3\n", "Frame, X1", "--frame-rate", BY_RATE),
         ("Ball,3 cm\n1,2.5\n2,3.5\n", "Ball, 3 cm", "--skip-rows", TableForm(skip_rows=1)),
-        ("Time (jiffies),a\n7,1\n", "'jiffies'", "--time-unit", TableForm(unit="ms")),
-        ("time_ticks,a\n7,1\n", "'ticks'", "--time-unit", TableForm(unit="ms")),
-        ("time_min,a\n7,1\n", "'min'", "--time-unit", TableForm(unit="min")),
-        ("Time [UTC],a\n7,1\n", "'UTC'", "--time-unit", TableForm(unit="s")),
-        ("time,a\n1700000000000,1\n", "1700000000000", "--time-unit", TableForm(unit="ms")),
+        ("Time (jiffies),a\n7,1\n", "'jiffies'", "--time-unit", TableForm(time_unit="ms")),
+        ("time_ticks,a\n7,1\n", "'ticks'", "--time-unit", TableForm(time_unit="ms")),
+        ("time_min,a\n7,1\n", "'min'", "--time-unit", TableForm(time_unit="min")),
+        ("Time [UTC],a\n7,1\n", "'UTC'", "--time-unit", TableForm(time_unit="s")),
+        ("time,a\n1700000000000,1\n", "1700000000000", "--time-unit", TableForm(time_unit="ms")),
         ("time,a\n2.5,1\n0.5,2\n2.6,1\n", "2 s", "--sort", TableForm(sort=True)),
     ],
 )
@@ -432,7 +432,7 @@ def test_what_is_no_table_is_refused(tmp_path: Path, text: str | bytes, found: s
 def test_a_unit_of_dates_is_an_option_without_a_use(tmp_path: Path) -> None:
     """A date has no unit."""
     with pytest.raises(UsageError, match="--time-unit ms"):
-        read(tmp_path, table("time,az\n", dated(" ")), TableForm(unit="ms"))
+        read(tmp_path, table("time,az\n", dated(" ")), TableForm(time_unit="ms"))
 
 
 @pytest.mark.parametrize(

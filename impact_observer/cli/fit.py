@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a recording to a page: find the impacts, identify what is uncertain, smooth the motion.
+
+The recording is a sound, a table of a signal or of times of impacts, or a bag. Numbers of the
+model that bear a deviation are identified, others are taken as typed. Without --epoch the phase
+of the drive is free. The folder has fitted.yaml, impacts.csv, motion.png and the bag smoothed.
+
+    impact-observer fit hits.wav rig.yaml -o out
+"""
+
+import argparse
+from pathlib import Path
+
+from impact_observer.cli.arguments import add_table, number, stamp, table_form
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    add = parser.add_argument
+    add("recording", metavar="RECORDING", type=Path, help="a WAV, a table (CSV, TXT), or a bag")
+    add("model", metavar="MODEL", help="a model file, or a sample")
+    add("-o", "--output", metavar="FOLDER", type=Path, required=True, help="a folder to make")
+    add(
+        "--sources",
+        metavar="FILE",
+        type=Path,
+        help="sensors (docs/detector.md), and under `table` the options of a table, such as"
+        " {skip_rows: 3}",
+    )
+    add("--epoch", metavar="S", type=stamp, help="stamp of t = 0 of forces (default: unknown)")
+    add(
+        "--clock-error",
+        metavar="S",
+        type=number,
+        default=-1.0,
+        help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
+    )
+    add_table(parser.add_argument_group("a table", "how it is to be read"))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit a recording; return 1 where the model does not fit."""
+    from impact_observer.cli.progress import Progress
+    from impact_observer.fit.fit_page import fit_recording
+
+    with Progress() as progress:
+        page = fit_recording(
+            args.recording,
+            args.model,
+            args.output,
+            sources=args.sources,
+            form=table_form(args),
+            zero=args.time_zero,
+            epoch=args.epoch,
+            clock_error=args.clock_error,
+            show=progress.show,
+            step=progress.step,
+        )
+        for line in page.lines:
+            progress.line(line)
+    return 0 if page.fits else 1

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of the options with which a detector finds the impacts in a signal."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.detector import Source
+from impact_observer.detector.peak import RINGING
+from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.model import System
+from impact_observer.plant import make_plant
+from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.states import Stamps, Vector
+
+_MOST = 400
+"""Impacts of the model that are simulated."""
+_SHORTEST = 0.1
+"""Intervals between impacts that are shorter, relative to their median, are of one bunch."""
+_QUANTILE = 0.05
+"""Share of the intervals of the model that may be shorter than its shortest usual interval."""
+_INTERVAL = 0.02
+"""Shortest usual interval where the model tells none, s."""
+_DEAD = 0.125
+"""Dead time, relative to the shortest usual interval."""
+_NOISE = 3.0
+"""Least height of a peak, in standard deviations of the noise."""
+_QUIET = 0.2, 0.2533
+"""Share of the samples that are quiet, and the largest of them in deviations of the noise."""
+_LOUD = 0.5
+"""Least height of the peaks whose ringing is measured, relative to the largest one."""
+_USUAL = 0.9
+"""Quantile of the ringing after these peaks that counts."""
+_MARGIN = 1.25
+"""Threshold in the ringing after a peak, over the usual ringing."""
+_CLEAR = 0.75
+"""Time after a peak with nothing but ringing, relative to the shortest usual interval."""
+_PRIOR = 0.5
+"""What the logarithm of impacts found over impacts expected costs, in logarithms of ratios."""
+_SURPLUS = 1.25
+"""Ratio of peaks above the noise and impacts expected up to which all of them are impacts."""
+_ABOVE = 1.1
+"""Threshold over the largest of as many samples of white noise."""
+_RANGE = 2.0
+"""Ratio, or inverse ratio, of impacts found and expected that leaves a doubt."""
+_SHOWN = 2
+"""Peaks that are kept as refused, for each impact."""
+_BASELINE = 1.0
+"""Time constant of the mean that is subtracted where the signal has an offset, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedImpacts:
+    """Impacts as a model has them, in the motion from rest that its forces make.
+
+    Attributes:
+        interval: shortest usual interval between two impacts, s.
+        rate: impacts a second.
+    """
+
+    interval: float
+    rate: float
+
+
+def expected_impacts(system: System, seconds: float) -> ExpectedImpacts | None:
+    """Simulate at most ``seconds`` of a motion from rest; return its impacts, None without any."""
+    rest = np.zeros(system.n)
+    stamps = list[int]()
+    try:
+        plant = make_plant(system, rest, rest, epoch=NS_PER_S)
+        end = NS_PER_S + from_seconds(seconds)
+        while len(stamps) < _MOST and (switching := plant.next_switching(end)) is not None:
+            plant.cross(switching)
+            if switching.switches:
+                stamps.append(switching.instant.stamp)
+    except (DynamicsError, ImpactLawError, UsageError):
+        return None  # at rest a gap is negative, or the forcing ends
+    intervals = np.diff(np.array(stamps[len(stamps) // 4 :]) / NS_PER_S)
+    usual = (
+        intervals[intervals > _SHORTEST * np.median(intervals)] if intervals.size else intervals
+    )
+    if not usual.size:
+        return None
+    return ExpectedImpacts(
+        float(np.quantile(usual, _QUANTILE)), usual.size / float(intervals.sum())
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenSource:
+    """A complete declaration of a peak sensor, with what remains in doubt.
+
+    Attributes:
+        source: the declaration; what was declared by the user is unchanged.
+        refused: stamps of the highest peaks that are no impacts, ns, the highest first.
+        doubts: why impacts may be missing or false, a line each.
+    """
+
+    source: Source
+    refused: Stamps
+    doubts: tuple[str, ...]
+
+
+def choose_detection(
+    source: Source, stamps: Stamps, values: Vector, expected: ExpectedImpacts | None
+) -> ChosenSource:
+    """Choose what a peak sensor does not declare: baseline, dead time, decay, instant, threshold.
+
+    Peaks that ring are one bunch: the ringing after the loudest peaks gives its decay. The
+    threshold stands at the largest ratio of neighbouring heights of bunches, where their number
+    agrees with the model's.
+
+    Args:
+        source: the declaration, with None for what is to be chosen.
+        stamps: of the samples, ns, ascending, shape (k,).
+        values: of the signal, in its own unit, shape (k,).
+        expected: the impacts of the model; None if unknown.
+
+    Raises:
+        UsageError: no peak exceeds the noise.
+    """
+    t = (stamps - stamps[0]) / NS_PER_S
+    offset = float(np.median(values))
+    noise = float(np.quantile(np.abs(values - offset), _QUIET[0])) / _QUIET[1]
+    baseline = source.baseline
+    if baseline is None:
+        baseline = _BASELINE if abs(offset) > noise else 0.0
+    signal = values - offset if baseline else values
+    height = {"up": signal, "down": -signal}.get(source.direction or "both", np.abs(signal))
+    top, floor = float(np.max(height)), _NOISE * noise
+    if top <= floor:
+        raise source.wrong(
+            "threshold",
+            f"no peak of {source.topic} exceeds {floor:.3g}, {_NOISE:g} times the noise",
+        )
+    interval = _INTERVAL if expected is None else expected.interval
+    dead = min(_DEAD * interval, _INTERVAL) if source.dead_time is None else source.dead_time
+    decay = source.decay
+    if decay is None:
+        decay = _decay(t, height, dead, interval, floor)
+    doubts = list[str]()
+    threshold = source.threshold
+    if threshold is None:
+        _, every = _peaks(t, height, floor, dead, decay)
+        count = None if expected is None else expected.rate * float(t[-1])
+        loudest = _ABOVE * noise * float(np.sqrt(2 * np.log(t.size)))
+        threshold, doubt = _threshold(height[every], floor, max(loudest, floor), count)
+        doubts += [f"{source.contact}: {doubt}"] if doubt else []
+    begins, tops = _peaks(t, height, threshold, dead, decay)
+    is_turned = np.any(signal[begins] * signal[tops] < 0)
+    instant = source.instant or ("onset" if is_turned else "top")
+    chosen = replace(
+        source,
+        threshold=_rounded(threshold),
+        baseline=baseline,
+        dead_time=_rounded(dead),
+        decay=_rounded(decay),
+        instant=instant,
+    )
+    _, others = _peaks(t, height, floor, dead, decay)
+    others = np.setdiff1d(others, tops)
+    refused = others[np.argsort(-height[others])][: _SHOWN * tops.size]
+    return ChosenSource(chosen, stamps[refused], tuple(doubts))
+
+
+def _peaks(
+    t: Vector, height: Vector, threshold: float, dead: float, decay: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the indices of onsets and tops of peaks, as ``PeakSensor`` finds them."""
+    begins, tops = list[int](), list[int]()
+    above = np.flatnonzero(height >= threshold)
+    at = 0
+    while at < above.size:
+        begin = int(above[at])
+        end = int(np.searchsorted(t, t[begin] + dead, side="right"))
+        top = begin + int(np.argmax(height[begin : max(end, begin + 1)]))
+        begins.append(begin)
+        tops.append(top)
+        at = int(np.searchsorted(above, max(end, begin + 1)))
+        while decay and at < above.size:
+            some = above[at : at + 256]
+            ringing = RINGING * height[top] * np.exp(-(t[some] - t[top]) / decay)
+            louder = np.flatnonzero(height[some] >= np.hypot(threshold, ringing))
+            at += int(louder[0]) if louder.size else some.size
+            if louder.size:
+                break
+    return np.array(begins, dtype=np.intp), np.array(tops, dtype=np.intp)
+
+
+def _decay(t: Vector, height: Vector, dead: float, interval: float, floor: float) -> float:
+    """Return the time constant of the ringing after the loudest peaks, s; 0 without ringing.
+
+    The threshold of ``PeakSensor`` stands above nine of ten ringings up to the next impact.
+    """
+    _, tops = _peaks(t, height, _LOUD * float(np.max(height)), dead, 0.0)
+    tops = tops[t[tops] + interval <= t[-1]]
+    lags = np.linspace(dead, _CLEAR * interval, 1 + round(2 / _DEAD))[:-1]
+    if not tops.size or not _CLEAR * interval > dead:
+        return 0.0
+    edges = np.searchsorted(t, t[tops, None] + np.append(lags, _CLEAR * interval))
+    left = np.array(
+        [[np.max(height[a:b], initial=0.0) for a, b in pairwise(each)] for each in edges.tolist()]
+    )
+    usual = np.quantile(left / height[tops, None], _USUAL, axis=0)
+    rings = (_MARGIN * usual < RINGING) & (usual * np.median(height[tops]) > floor)
+    return float(np.max(lags[rings] / np.log(RINGING / _MARGIN / usual[rings]), initial=0.0))
+
+
+def _threshold(
+    heights: Vector, floor: float, loudest: float, count: float | None
+) -> tuple[float, str]:
+    """Return the threshold between impacts and other peaks, and why it is in doubt, if it is.
+
+    Args:
+        heights: of all peaks above ``floor`` that are no ringing.
+        floor: least height of a peak.
+        loudest: height up to which a peak may be noise.
+        count: number of impacts that the model expects; None if unknown.
+    """
+    falling = np.append(np.sort(heights)[::-1], floor)
+    number = np.arange(1, falling.size)
+    score = np.log(falling[:-1] / falling[1:])
+    if count is not None:
+        score -= _PRIOR * np.abs(np.log(number / count))
+    k = int(np.argmax(score))
+    above = int(np.sum(heights > loudest))
+    if count is not None and count / _RANGE <= above <= count * _SURPLUS:
+        k = above - 1
+    doubt = ""
+    if count is not None and not 1 / _RANGE <= number[k] / count <= _RANGE:
+        doubt = f"{number[k]} impacts found, about {count:.0f} expected of the model"
+    return float(np.sqrt(falling[k] * falling[k + 1])), doubt
+
+
+def _rounded(x: float) -> float:
+    """Return ``x`` with three digits, as an option is typed."""
+    return float(f"{x:.3g}")

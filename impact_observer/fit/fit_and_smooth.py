@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fits a model to the impacts in a bag, and smooths the motion with the fitted model."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from impact_observer import __version__
+from impact_observer.errors import DynamicsError, IdentificationError
+from impact_observer.events import ImpactEvent
+from impact_observer.filter.uncertainty import suggested_deviation
+from impact_observer.identify import fit_report
+from impact_observer.identify.fit_check import FitCheck, check_fit
+from impact_observer.identify.identification import Identification, identify
+from impact_observer.io.observed_bag import events_from
+from impact_observer.io.reader import BagReader
+from impact_observer.model import Model, parse_model
+from impact_observer.model.free_parameters import parameters_beside, parametric_family
+from impact_observer.model.model_file import FITS, ModelText, edited
+from impact_observer.model.parameter_uncertainty import ParameterUncertainty
+from impact_observer.observer import Options
+from impact_observer.smooth.bag_smoothing import BagSmoothing, smooth_bag
+from impact_observer.stamps import seconds_between
+
+_PHASES = "forcing-phase", "ground-phase"
+"""Kinds of parameters that are free where the epoch is unknown."""
+_VAGUE = 10.0
+"""Prior deviation of an unknown phase, in standard errors of the fit."""
+_STATES = 40
+"""Smoothed states in the mean time between two impacts."""
+_MOST = 200_000
+"""Smoothed states of a recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitTask:
+    """What is to be fitted.
+
+    Attributes:
+        bag: with the impacts.
+        text: of the model file.
+        model: the model.
+        knows_epoch: whether the user or the recording says the epoch; else phases are free.
+        epoch: stamp of ``t = 0``, ns; 0 for that of the bag.
+        clock_error: standard deviation of a stamp, s; negative to estimate the deviation.
+        mislabelled: probability that an impact is reported for another contact.
+        resolution: of printed times, or the time between samples, s; 0 if unknown.
+    """
+
+    bag: Path
+    text: ModelText
+    model: Model
+    knows_epoch: bool
+    epoch: int = 0
+    clock_error: float = -1.0
+    mislabelled: float = Options.mislabelled
+    resolution: float = 0.0
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters to identify: with a deviation, or phases without an epoch."""
+        known = self.model.uncertainty
+        names = () if known is None else known.names
+        if self.knows_epoch:
+            return names
+        every = parameters_beside(parametric_family(self.model.system, (), self.model.elements))
+        phases = [each.name for each in every if each.name.startswith(_PHASES)]
+        return (*names, *(name for name in phases if name not in names))
+
+
+@dataclass(frozen=True, slots=True)
+class FittedRecording:
+    """A model fitted to a recording, and the smoothed motion.
+
+    Attributes:
+        model: the fitted model, or the given one where no motion explains the impacts.
+        text: of the model file.
+        identification: None where the search found nothing, see ``failure``.
+        check: tests of the identification.
+        failure: why there are no values; empty if there are.
+        smoothing: of the recording with ``model``.
+    """
+
+    model: Model
+    text: str
+    identification: Identification | None
+    check: FitCheck | None
+    failure: str
+    smoothing: BagSmoothing
+
+    @property
+    def fits(self) -> bool:
+        """Whether the model explains the impacts."""
+        return not self.failure and self.check is not None and self.check.fits
+
+
+def fit_bag(
+    task: FitTask,
+    output: Path,
+    smoothed: Path,
+    *,
+    show: Callable[[str], None],
+    step: Callable[[str, float, float], None],
+) -> FittedRecording:
+    """Identify what is uncertain in a model, write the fitted model, and smooth the recording.
+
+    Args:
+        task: what is to be fitted.
+        output: the model file to write.
+        smoothed: the bag to write.
+        show: receives what is being done.
+        step: receives what is being done, and how much of how much is done.
+
+    Raises:
+        UsageError, BagError: bag and model do not go together.
+        DynamicsError: no motion at all can be smoothed.
+    """
+    with BagReader(task.bag) as reader:
+        events = events_from(reader, task.epoch)
+        events = [replace(each, epoch=each.epoch or task.epoch) for each in events]
+        identification, failure = _identified(task, events, task.clock_error, show)
+        is_rounding = identification is not None and identification.rms <= task.resolution / 2
+        if is_rounding and task.clock_error < 0:
+            # Of a periodic motion the rounding repeats itself, which says nothing of the model.
+            identification, failure = _identified(task, events, task.resolution, show)
+        check = None if identification is None else check_fit(identification)
+        if identification is None or failure:
+            text = _unexplained(task.text, task.bag)
+        else:
+            text = fit_report.model_text(identification, task.text, task.bag, output)
+        output.write_text(text, encoding="utf-8")
+        model = parse_model(text, str(output))
+        model = _smoothed_model(task, model, identification)
+        options = _options(task, model, identification)
+        smoothing = smooth_bag(reader, model, options, smoothed, rate=_rate(events), progress=step)
+    return FittedRecording(model, text, identification, check, failure, smoothing)
+
+
+def _identified(
+    task: FitTask, events: list[ImpactEvent], clock: float, show: Callable[[str], None]
+) -> tuple[Identification | None, str]:
+    """Return the identification, if there is one, and why its values are of no use, if so."""
+    model = task.model
+    prior = model.uncertainty
+    if prior is not None and prior.is_fitted_to(each.stamp for each in events):
+        prior = None
+    family = parametric_family(replace(model.system, live=None), task.free, model.elements)
+    try:
+        found = identify(
+            family,
+            events,
+            clock=None if clock < 0 else clock,
+            progress=lambda what: show(f"{family.system.name}: {what}"),
+            mislabelled=task.mislabelled,
+            prior=prior,
+        )
+    except (IdentificationError, DynamicsError) as error:
+        return None, str(error)
+    return found, fit_report.why_useless(found)
+
+
+def _unexplained(text: ModelText, bag: Path) -> str:
+    """Return the text of a model with the mark that no motion explains the impacts of a bag."""
+    provenance: dict[str, object] = {
+        FITS: False,
+        "package": "impact_observer",
+        "version": __version__,
+        "identified_from": str(bag),
+    }
+    if before := parse_model(text.text, text.source, text.folder).provenance:
+        provenance["before"] = before
+    return edited(text.text, {("provenance",): provenance})
+
+
+def _smoothed_model(task: FitTask, model: Model, found: Identification | None) -> Model:
+    """Return the fitted model with the deviations that its numbers had before this recording.
+
+    The smoother uses the same impacts once more, so what these told is no prior. A phase that was
+    unknown gets a prior that tells little. Where one more number alone makes a misfit fit, this
+    number is uncertain by as much as it has to change.
+    """
+    if found is None or not found.converged:
+        return model
+    known = task.model.uncertainty or ParameterUncertainty((), np.zeros((0, 0)))
+    errors = dict(zip(found.family.names, (_VAGUE * found.errors).tolist(), strict=True))
+    changes = {name: error for name, error in errors.items() if name not in known.names}
+    if (cause := found.cause) is not None:
+        given = parametric_family(model.system, (cause.name,), model.elements).nominal
+        changes[cause.name] = cause.value - float(given[0])
+    covariance = block_diag(known.covariance, np.diag(np.square([*changes.values()])))
+    return replace(model, uncertainty=ParameterUncertainty((*known.names, *changes), covariance))
+
+
+def _options(task: FitTask, model: Model, found: Identification | None) -> Options:
+    """Return the options of the observer with which the recording is smoothed."""
+    clock = task.clock_error
+    if clock < 0 and found is not None and found.converged:
+        clock = found.clock
+    deviation = suggested_deviation(model.system) or Options.initial_deviation
+    return Options(
+        law="minimum-variance",
+        initial_deviation=deviation,
+        clock_error=clock,
+        mislabelled=task.mislabelled,
+        epoch=task.epoch,
+    )
+
+
+def _rate(events: list[ImpactEvent]) -> float:
+    """Return the rate of the smoothed states, Hz."""
+    stamps = sorted({each.stamp for each in events})
+    seconds = max(seconds_between(stamps[0], stamps[-1]), 1e-9)
+    return min(_STATES * len(stamps), _MOST) / seconds

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a fit: the files in its folder, and the lines that are printed."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer.compare.bag_export import impact_rows
+from impact_observer.compare.table_files import write_table
+from impact_observer.draw.pictures import save
+from impact_observer.draw.reports import figure
+from impact_observer.errors import ModelError, NotLinearError, UsageError
+from impact_observer.events import ImpactEstimate, Ruling
+from impact_observer.fit.fit_and_smooth import FitTask, FittedRecording, fit_bag
+from impact_observer.fit.impacts_in_recording import RecordedImpacts, Task, read_recording
+from impact_observer.fit.recording_picture import PlottedMotion, PlottedSignal, recording_picture
+from impact_observer.fit.sources_file import read_fit_sources, sources_text
+from impact_observer.io import interfaces
+from impact_observer.io.bag_part import time_zero
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import impact_estimates
+from impact_observer.io.state_arrays import deviations_in
+from impact_observer.io.tables import TableForm
+from impact_observer.model import Model, parse_model
+from impact_observer.model.free_parameters import with_unit
+from impact_observer.model.model_file import ModelText, model_text
+from impact_observer.model.system import unit_of
+from impact_observer.stamps import seconds_between
+
+_STATES = f"/{interfaces.OBSERVER_STATES.name_under(interfaces.SMOOTHER)}"
+_IMPACTS = interfaces.SMOOTHED_ESTIMATES.topic
+_NUMBERS, _DOUBTS = 5, 4
+"""Identified numbers and doubts that are printed, each a line."""
+
+
+def _silent(_done: int, _total: int) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What a fit has to say.
+
+    Attributes:
+        fits: whether the model explains the impacts.
+        lines: at most 15, to be printed.
+    """
+
+    fits: bool
+    lines: Sequence[str]
+
+
+def fit_recording(
+    recording: Path,
+    model: str,
+    folder: Path,
+    *,
+    sources: Path | None = None,
+    form: TableForm | None = None,
+    zero: int | None = None,
+    epoch: int | None = None,
+    clock_error: float = -1.0,
+    show: Callable[[str], None] = lambda _: None,
+    step: Callable[[str, float, float], None] = lambda _what, _done, _total: None,
+) -> Page:
+    """Fit a model to a recording and write ``folder``; a model that does not fit writes it too.
+
+    Args:
+        recording: a sound, a table of a signal or of times, or a bag.
+        model: the model file, or the name of a sample.
+        folder: is made; it holds ``fitted.yaml``, ``impacts.csv``, ``motion.png``, the bag
+            ``smoothed`` and, where impacts were found in a signal, ``sources.yaml``.
+        sources: a file of sensors, and of the form of a table.
+        form: of a table, where ``sources`` says none.
+        zero: stamp of time 0 of a file that is no bag, ns; None for the usual one.
+        epoch: stamp of ``t = 0``, ns; None where the user gives none.
+        clock_error: standard deviation of a stamp, s; negative to estimate the deviation.
+        show: receives what is being done.
+        step: receives what is being done, and how much of how much is done.
+
+    Raises:
+        UsageError, BagError: the inputs cannot be used, or the folder exists.
+        NotLinearError: the model is a robot.
+    """
+    if folder.exists():
+        raise UsageError(f"{folder}: exists already; choose another folder")
+    given = model_text(model)
+    read = parse_model(*given)
+    if read.robot is not None:
+        raise NotLinearError(read.robot.name)
+    declared = read_fit_sources(sources, form or TableForm())
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
+        made = Path(place) / "made"
+        made.mkdir()
+        known = Task(recording, read, declared.sources, declared.form, zero, epoch)
+        impacts = read_recording(known, Path(place) / "impacts", show)
+        task = FitTask(
+            bag=impacts.bag,
+            text=_in_one_file(given, read),
+            model=read,
+            knows_epoch=impacts.knows_epoch,
+            epoch=impacts.epoch,
+            clock_error=clock_error,
+            mislabelled=impacts.mislabelled,
+            resolution=impacts.resolution,
+        )
+        fit = fit_bag(task, made / "fitted.yaml", made / "smoothed", show=show, step=step)
+        hits = _write(fit, impacts, made)
+        made.rename(folder)
+    return Page(fit.fits, [*_lines(task, fit, impacts, hits, folder)])
+
+
+def _in_one_file(given: ModelText, model: Model) -> ModelText:
+    """Return the text of a model with what it names of other files."""
+    try:
+        parse_model(given.text, given.source)
+    except ModelError:
+        return ModelText(model.text(), given.source)
+    return given
+
+
+def _write(fit: FittedRecording, impacts: RecordedImpacts, folder: Path) -> list[ImpactEstimate]:
+    """Write table, picture and sensors; return the estimates of impacts."""
+    system = fit.model.system
+    with BagReader(folder / "smoothed") as reader:
+        write_table(folder / "impacts.csv", impact_rows(reader, [_IMPACTS], None, _silent))
+        hits = impact_estimates(reader)[_IMPACTS]
+        zero = time_zero(reader).stamp
+        blocks = [
+            (block.stamps, block.q, deviations_in(block)[:, : system.n])
+            for _, block in reader.blocks([_STATES], system.coordinates, covariance=True)
+        ]
+    stamps, positions, deviations = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    motion = PlottedMotion(system.coordinates, stamps, positions, deviations)
+    units = system.unit, unit_of("J", system.unit)
+    signals = [*map(PlottedSignal, impacts.sources, impacts.traces, impacts.refused)]
+    title = f"{system.name} {'fits' if fit.fits else 'does not fit'}"
+    picture = recording_picture(signals, motion, hits, zero=zero, units=units, title=title)
+    save(picture, folder / "motion.png")
+    if impacts.sources:
+        text = sources_text(impacts.sources)
+        (folder / "sources.yaml").write_text(text, encoding="utf-8")
+    return hits
+
+
+def _lines(
+    task: FitTask,
+    fit: FittedRecording,
+    impacts: RecordedImpacts,
+    hits: Sequence[ImpactEstimate],
+    folder: Path,
+) -> Iterator[str]:
+    """Return the lines that tell what was found, and what is in doubt."""
+    yield from impacts.lines
+    yield _verdict(task, fit, hits)
+    yield from _numbers(task, fit)
+    yield from _motion(fit, hits)
+    for doubt in [*_doubts(fit), *impacts.doubts][:_DOUBTS]:
+        yield f"doubt: {doubt}"
+    names = ", ".join(sorted(each.name for each in folder.iterdir()))
+    yield f"{folder}: {names}"
+
+
+def _verdict(task: FitTask, fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> str:
+    """Return the line that says whether the model fits, and how many impacts count."""
+    count = {ruling: sum(each.ruling is ruling for each in hits) for ruling in Ruling}
+    used = f"{count[Ruling.APPLIED]} impacts used"
+    used += f", {count[Ruling.REJECTED]} rejected" if count[Ruling.REJECTED] else ""
+    used += f", {count[Ruling.INSERTED]} missed ones inserted" if count[Ruling.INSERTED] else ""
+    found = fit.identification
+    if found is None or fit.failure:
+        return f"does not fit: {fit.failure}; {used}"
+    left = f"stamps differ from the motion by {found.rms:.2g} s rms"
+    if found.declared:
+        why = "declared" if task.clock_error >= 0 else "their resolution"
+        left += f" ({found.clock:.2g} s is {why})"
+    return f"{'fits' if fit.fits else 'does not fit'}: {left}; {used}"
+
+
+def _numbers(task: FitTask, fit: FittedRecording) -> Iterator[str]:
+    """Return a line for each identified number."""
+    found = fit.identification
+    if found is None or fit.failure:
+        return
+    known = task.model.uncertainty
+    given = {} if known is None else dict(zip(known.names, known.deviations.tolist(), strict=True))
+    each = zip(found.family.parameters, found.values.tolist(), found.errors.tolist(), strict=True)
+    lines = [
+        f"{with_unit(p.name, task.model.system.unit)} {figure(value, deviation=error)}"
+        f" (given {figure(p.value, deviation=given.get(p.name, 0.0))})"
+        for p, value, error in each
+    ]
+    yield from lines[:_NUMBERS]
+    if len(lines) > _NUMBERS:
+        yield f"{len(lines) - _NUMBERS} more numbers in fitted.yaml"
+
+
+def _motion(fit: FittedRecording, hits: Sequence[ImpactEstimate]) -> Iterator[str]:
+    """Return a line on speeds and energies of all impacts."""
+    own = [each for each in hits if each.ruling is not Ruling.REJECTED]
+    if not own:
+        return
+    unit = fit.model.system.unit
+    speed = np.array([each.speed_before for each in own])
+    energy = np.array([each.energy_loss for each in own])
+    error = float(np.median([each.speed_before_deviation for each in own]))
+    seconds = seconds_between(min(e.stamp for e in own), max(e.stamp for e in own))
+    power = f", {figure(float(energy.sum()) / seconds, 'W')}" if seconds else ""
+    yield (
+        f"speed before an impact: {np.min(speed):.3g} to {np.max(speed):.3g}, median"
+        f" {figure(float(np.median(speed)), unit_of('m/s', unit), error)}; energy lost:"
+        f" {figure(float(np.median(energy)), 'J')} an impact{power}"
+    )
+
+
+def _doubts(fit: FittedRecording) -> Iterator[str]:
+    """Return what makes the numbers or the motion doubtful, the worst first."""
+    if fit.identification is not None and (cause := fit.identification.cause) is not None:
+        yield (
+            f"with another {cause.name}, {cause.value:.4g}, the model fits: give this number a"
+            " deviation in the model file"
+        )
+    for run in fit.smoothing.runs:
+        yield from filter(None, (run.fallback, run.misfit or run.model_doubt, run.early_doubt[0]))
+    yield from fit.smoothing.problems

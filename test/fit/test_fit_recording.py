@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""fit: from a recording of a simulated rig to numbers, a table of impacts and a picture."""
+
+import csv
+import io
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import impact_estimates
+from impact_observer.model import read_model
+from impact_observer.plant import Run, simulate
+from impact_observer.stamps import grid
+
+EPOCH = 10**9
+SECONDS = 25.0
+FILES = {"fitted.yaml", "impacts.csv", "motion.png", "smoothed"}
+MODEL = """\
+name: rig
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
+springs:
+  - {between: [ground, x1], stiffness: 10, damping: 0.1}
+  - {between: [x1, x2], stiffness: 10, damping: 0.1}
+forces: [{body: x2, amplitude: 4, frequency: 2.5}]
+stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: RESTITUTION}]
+"""
+UNKNOWN = "{value: 0.6, deviation: 0.1}"
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """The plant, whose restitution is 0.7."""
+    return simulate("two_mass", grid(EPOCH, EPOCH + int(SECONDS * 1e9), 100.0))
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the model of the rig, whose restitution is known roughly."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.yaml").write_text(MODEL.replace("RESTITUTION", UNKNOWN))
+    return tmp_path
+
+
+def instants(run: Run) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Instants of the impacts, s since the epoch."""
+    return np.array([(each.stamp - EPOCH) / 1e9 for each in run.events])
+
+
+def typed_times(run: Run, folder: Path) -> Path:
+    """A table of times with four digits, below two lines of words."""
+    path = folder / "times.txt"
+    path.write_text("hits of the rig\n\n" + "\n".join(f"{t:.4f}" for t in instants(run)))
+    return path
+
+
+def oscilloscope(run: Run, folder: Path) -> Path:
+    """A CSV of a ringing accelerometer at 1 kHz, with semicolons and decimal commas."""
+    t = np.arange(int(SECONDS * 1000)) / 1000
+    a = 0.05 * np.random.default_rng(1).normal(size=t.size) + 9.81
+    for hit, speed in zip(instants(run), speeds(run), strict=True):
+        s = np.maximum(t - hit, 0.0)
+        a += 20 * speed * np.exp(-s / 0.02) * np.sin(2 * np.pi * 150 * s)
+    path = folder / "scope.csv"
+    rows = "\n".join(f"{x:.3f};{y:.4f}".replace(".", ",") for x, y in zip(t, a, strict=True))
+    path.write_text(f"t [s];a [m/s^2]\n{rows}\n")
+    return path
+
+
+def sound(run: Run, folder: Path) -> Path:
+    """A WAV of clicks that fade within some milliseconds."""
+    rate = 8000
+    t = np.arange(int(SECONDS * rate)) / rate
+    x = 0.002 * np.random.default_rng(2).normal(size=t.size)
+    for hit, speed in zip(instants(run), speeds(run), strict=True):
+        s = np.maximum(t - hit, 0.0)
+        x += 0.1 * speed * np.exp(-s / 0.002) * np.sin(2 * np.pi * 1000 * s)
+    path = folder / "hits.wav"
+    wavfile.write(path, rate, (32767 * np.clip(x, -1, 1)).astype(np.int16))
+    return path
+
+
+def bag(_run: Run, folder: Path) -> Path:
+    """A bag of the plant."""
+    with redirect_stdout(io.StringIO()):
+        words = ["simulate", "two_mass", "--duration", str(SECONDS), "--rate", "1", "-o"]
+        assert main([*words, str(folder / "bag")]) == 0
+    return folder / "bag"
+
+
+def speeds(run: Run) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """True contact speeds before the impacts, m/s: of x2, whose stop does not move."""
+    fine = simulate("two_mass", np.array([EPOCH, *(each.stamp - 1 for each in run.events)]))
+    return np.asarray(fine.states[1:, 3])
+
+
+@pytest.mark.parametrize("recorded", [typed_times, oscilloscope, sound, bag])
+def test_one_command_gives_numbers_table_and_picture(
+    recorded: Callable[[Run, Path], Path],
+    run: Run,
+    rig: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The restitution, the speed before each impact, and all files; few lines."""
+    recording = recorded(run, rig)
+    assert main(["fit", recording.name, "rig.yaml", "-o", "out"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 15
+    assert any(line.startswith("fits: ") for line in lines)
+    made = {path.name for path in (rig / "out").iterdir()}
+    assert made - {"sources.yaml"} == FILES
+    fitted = read_model(rig / "out" / "fitted.yaml")
+    assert fitted.system.eps[0] == pytest.approx(0.7, abs=0.01)
+    with BagReader(rig / "out" / "smoothed") as reader:
+        (found,) = impact_estimates(reader).values()
+    truth = speeds(run)
+    assert len(found) == truth.size
+    estimates = np.array([each.speed_before for each in found])
+    deviations = np.array([each.speed_before_deviation for each in found])
+    error = np.abs(estimates - truth)
+    assert np.all((error < 0.02 * truth) | (error < 2 * deviations))
+    with (rig / "out" / "impacts.csv").open() as file:
+        table = [*csv.DictReader(file)]
+    assert [float(row["speed_before"]) for row in table] == pytest.approx(estimates)
+
+
+def test_the_sources_that_are_written_repeat_the_detection(run: Run, rig: Path) -> None:
+    """The same impacts by ``--sources out/sources.yaml``."""
+    recording = oscilloscope(run, rig).name
+    assert main(["fit", recording, "rig.yaml", "-o", "out"]) == 0
+    words = ["fit", recording, "rig.yaml", "-o", "again", "--sources", "out/sources.yaml"]
+    assert main(words) == 0
+    first, again = ((rig / each / "impacts.csv").read_text() for each in ("out", "again"))
+    assert first == again
+
+
+def test_a_model_that_does_not_fit_is_marked_and_everything_is_written(
+    run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A restitution that is taken as typed, 0.65: exit code 1, and the number is named."""
+    (rig / "rig.yaml").write_text(MODEL.replace("RESTITUTION", "0.65"))
+    recording = typed_times(run, rig).name
+    assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 1
+    out = capsys.readouterr().out
+    assert "does not fit" in out
+    assert "restitution.stop" in out
+    assert {path.name for path in (rig / "out").iterdir()} == FILES
+    assert read_model(rig / "out" / "fitted.yaml").misfit
+
+
+def test_a_known_epoch_keeps_the_phase(run: Run, rig: Path) -> None:
+    """With ``--epoch`` the phase is no number to identify."""
+    recording = typed_times(run, rig).name
+    assert main(["fit", recording, "rig.yaml", "-o", "out", "--epoch", "1"]) == 0
+    assert "phase" not in (rig / "out" / "fitted.yaml").read_text().split("provenance")[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["hits.m4a", "rig.yaml"], "hits.m4a"),
+        (["two.csv", "rig.yaml"], "--sources"),
+        (["times.txt", "hammer_arm"], "hammer_arm"),
+        (["times.txt", "rig.yaml", "--sources", "odd.yaml"], "table.rows"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(
+    words: list[str], named: str, run: Run, rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, the name of the thing at fault, and no folder."""
+    typed_times(run, rig)
+    rows = "\n".join(f"{k / 100},{k % 7},{k % 5}" for k in range(200))
+    (rig / "two.csv").write_text(f"time,a,b\n{rows}\n")
+    (rig / "odd.yaml").write_text("table: {rows: 3}\n")
+    (rig / "hits.m4a").touch()
+    assert main(["fit", *words, "-o", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert named in line
+    assert not (rig / "out").exists()
+
+
+def test_a_folder_that_exists_is_not_replaced(run: Run, rig: Path) -> None:
+    """Nothing in it is lost."""
+    (rig / "out").mkdir()
+    assert main(["fit", typed_times(run, rig).name, "rig.yaml", "-o", "out"]) == 2
+    assert not [*(rig / "out").iterdir()]
