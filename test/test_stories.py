@@ -117,6 +117,7 @@ def test_the_tutorial_runs_live(
         if isinstance(step, Save):
             Path(step.name).write_text(step.text, encoding="utf-8")
     live = [step for step in steps(TUTORIAL) if isinstance(step, Run) and needs_ros(step)]
+    live = [step for step in live if step.node != "detector"]  # of a rig that exists
     assert live[-1].node == "plant"
     views = watched(live, ("-p", "duration:=7.0"), ros_environment, tmp_path)
     (estimate,) = views[-1]["observers"]

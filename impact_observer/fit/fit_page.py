@@ -12,7 +12,7 @@ from impact_observer.compare.bag_export import impact_rows
 from impact_observer.compare.table_files import write_table
 from impact_observer.draw.pictures import save
 from impact_observer.draw.reports import figure
-from impact_observer.errors import ModelError, NotLinearError, UsageError
+from impact_observer.errors import ModelError, UsageError
 from impact_observer.events import ImpactEstimate, Ruling
 from impact_observer.fit.fit_and_smooth import FitTask, FittedRecording, fit_bag
 from impact_observer.fit.impacts_in_recording import RecordedImpacts, Task, read_recording
@@ -89,8 +89,9 @@ def fit_recording(
         raise UsageError(f"{folder}: exists already; choose another folder")
     given = model_text(model)
     read = parse_model(*given)
-    if read.robot is not None:
-        raise NotLinearError(read.robot.name)
+    names = read.system.contact_names  # a robot has no system
+    if not names:
+        raise UsageError(f"{model}: no contact found; expected a stop that sensors notice")
     declared = read_fit_sources(sources, form or TableForm())
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
         made = Path(place) / "made"

@@ -114,12 +114,13 @@ def observe_bag(
         impacts: Impacts = {}
         items = noting_impacts(items, observer, impacts)
         made = messages.serialized(_with_samples(items, observer, loud))
+        log_time = 0
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
         topic, make = interfaces.OBSERVER_IMPACTS.topic, bag_messages()
         every = [*impacts.values(), *rejected_impacts(messages.final, events)]
         for each in sorted(every, key=attrgetter("stamp")):  # the last verdict decides on each
-            writer.write(topic, each.stamp, make.impact_estimate(each))
+            writer.write(topic, log_time, make.impact_estimate(each))
         observer.require_start()
         is_later = stamps.size and stamps[-1] > observer.last_event > 0
         if is_later and (silence := observer.silence(int(stamps[-1]))):

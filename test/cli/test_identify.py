@@ -333,14 +333,14 @@ def test_the_verdict_on_a_model_stays_with_it(capsys: pytest.CaptureFixture[str]
     assert written.provenance["fits"] is False
     assert 1e-4 < written.provenance["residual"] < written.shift.largest < 0.02  # type: ignore[operator]
     assert written.shift.interval == pytest.approx(np.mean(flights))
-    said, warning = capsys.readouterr().out, "warning: rig (/plant/model) does not fit"
+    said, warning = capsys.readouterr().out, "does not fit the impacts"
     assert "model: stones.yaml, though it does not fit" in said
     assert main([*imported, "stones.yaml", "-o", "rig"]) == 0
     states = ["--rate", "5", "-o"]
     for command in (
         ["observe", "rig", "--law", "minimum-variance", *states, "observed"],
         ["smooth", "rig", *states, "smoothed"],
-        ["observability", "rig"],
+        ["check-model", "stones.yaml", "rig"],
         ["identify", "rig", *words, "again.yaml"],
     ):
         capsys.readouterr()

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The choice of a detector's options, on signals whose hits are known."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from signals import Scalar
 
 from impact_observer.detector import Detector, Source
@@ -22,12 +21,12 @@ START = 10**9
 
 
 def ringing(
-    hits: Sequence[float], heights: Sequence[float], *, decay: float = 0.003, noise: float = 0.02
+    hits: ArrayLike, heights: ArrayLike, *, decay: float = 0.003, noise: float = 0.02
 ) -> tuple[Stamps, Vector]:
     """Two seconds of a signal that rings at 2 kHz after each hit, with an offset of gravity."""
     t = np.arange(2 * RATE) / RATE
     values = 9.81 + noise * np.random.default_rng(5).normal(size=t.size)
-    for hit, height in zip(hits, heights, strict=True):
+    for hit, height in zip(np.asarray(hits), np.asarray(heights), strict=True):
         s = np.maximum(t - hit, 0.0)
         values += height * np.sin(2 * np.pi * 2000 * s) * np.exp(-s / decay)
     return START + np.round(t * 1e9).astype(np.int64), values

@@ -53,7 +53,12 @@ def test_the_text_of_a_model_carries_its_urdf() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    ["sweep {} -o out", "figure {} -o out.png", "urdf {} -o out", "demo --model {}"],
+    [
+        "sweep {} -o out",
+        "compare --figure {} --plot out.png",
+        "fit t.csv {} -o out",
+        "demo --model {}",
+    ],
 )
 def test_commands_that_need_a_linear_model_say_so(
     words: str,
