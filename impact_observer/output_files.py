@@ -2,7 +2,7 @@
 """Files that commands write: never in place of an input, and never half.
 
 Every command checks its outputs first, by :func:`check_output`, and writes each beside its place,
-by :func:`replacing`. Several outputs of one command appear together (:func:`all_together`).
+by :func:`replacing`.
 """
 
 import errno
@@ -10,8 +10,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager
 from pathlib import Path
 
 from impact_observer.errors import ImpactObserverError, OutputError, UsageError
@@ -67,60 +66,20 @@ def check_name(path: Path) -> None:
         raise UsageError(f"{path}: is not UTF-8; expected another name") from None
 
 
-@dataclass
-class _Together:
-    """Outputs of one block of :func:`all_together`.
-
-    Attributes:
-        folders: with the files that wait.
-        waiting: files that wait, each with its place.
-        bags: bags that are made.
-    """
-
-    folders: ExitStack
-    waiting: list[tuple[Path, Path]] = field(default_factory=list)
-    bags: list[Path] = field(default_factory=list)
-
-
-_together: list[_Together] = []
-"""The blocks that have begun and not ended."""
-
-
 @contextmanager
-def all_together() -> Iterator[None]:
-    """Within the block, files of :func:`replacing` wait for its end; an error leaves none.
-
-    Bags that were made in it are removed after an error; Ctrl-C leaves those that are whole.
+def temporary_beside(path: Path) -> Iterator[Path]:
+    """A name like that of ``path`` in a temporary folder beside ``path``.
 
     Raises:
-        UsageError: a file may not be written.
-        OutputError: the disk is gone.
+        UsageError: no file may be made there.
+        OutputError: the disk is full or gone.
     """
-    with ExitStack() as folders:
-        own = _Together(folders)
-        _together.append(own)
-        try:
-            yield
-        except KeyboardInterrupt:
-            raise
-        except BaseException:
-            for bag in own.bags:
-                shutil.rmtree(bag, ignore_errors=True)
-            raise
-        finally:
-            _together.remove(own)
-        target = Path()
-        try:
-            for temporary, target in own.waiting:
-                temporary.replace(target)
-        except OSError as error:
-            raise unwritable(target, error) from None
-
-
-def note_bag(path: Path) -> None:
-    """Remove the bag at ``path``, which is whole, if the block of :func:`all_together` fails."""
-    if _together:
-        _together[-1].bags.append(path)
+    try:
+        folder = tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".new")
+    except OSError as error:
+        raise unwritable(path, error) from None
+    with folder as name:
+        yield Path(name) / path.name
 
 
 @contextmanager
@@ -133,23 +92,16 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     check_output(path, ())
     target = path.resolve()
-    try:
-        with ExitStack() as stack:
-            folder = tempfile.TemporaryDirectory(dir=target.parent, prefix=".new")
-            temporary = Path(stack.enter_context(folder)) / path.name  # whose suffix is the format
+    with temporary_beside(target) as beside:
+        temporary = beside.with_name(path.name)  # whose suffix is the format
+        try:
             yield temporary
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
             if target.exists():
                 shutil.copymode(target, temporary)
             check_output(path, ())  # what the block has read, too
-            if not _together:
-                temporary.replace(target)
-                return
-            _together[-1].waiting.append((temporary, target))
-            _together[-1].folders.push(stack.pop_all())
-    except OSError as error:
-        raise unwritable(path, error) from None
+            temporary.replace(target)
+        except OSError as error:
+            raise unwritable(path, error) from None
 
 
 def check_outputs(paths: Sequence[Path], *, force: bool) -> None:

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 from workloads import OFFLINE, OUT, make_inputs
 
 from impact_observer.cli.main import main
@@ -125,46 +124,6 @@ def test_a_full_disk_destroys_nothing_and_leaves_nothing(
     left = {each.name for each in Path().iterdir()}
     assert left == ({output.name} if keeps else set())
     assert not keeps or output.read_text("utf-8") == MINE
-
-
-@pytest.mark.parametrize(
-    ("command", "other"),
-    [
-        (["compare", "{bag}", "--csv", "out.csv"], "out.csv"),
-        (["detect", "{switch}", "--contact", "stop", "--topic", "/switch", "-o", "new"], "new"),
-        pytest.param(
-            ["identify", "{bag}", "--free", "restitution", "-o", "out.yaml"],
-            "out.yaml",
-            marks=pytest.mark.slow,
-        ),
-    ],
-    ids=lambda each: each[0],
-)
-def test_outputs_of_a_command_appear_together_or_not_at_all(
-    command: list[str],
-    other: str,
-    inputs: dict[str, str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """A disk that is full at the picture: the other output is not made, nor replaced."""
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    given = [*(each.format(**inputs) for each in command), "--plot", "out.png"]
-    if Path(other).suffix:
-        Path(other).write_text(MINE, encoding="utf-8")
-        given.append("--force")
-    with monkeypatch.context() as patched:
-        patched.setattr(Figure, "savefig", full)
-        assert main(given) == 1
-    assert "out.png: cannot be written: No space left" in capsys.readouterr().err
-    assert {each.name for each in Path().iterdir()} == ({other} if Path(other).suffix else set())
-    assert not Path(other).suffix or Path(other).read_text("utf-8") == MINE
-    assert main(given) == 0
-    assert {each.name for each in Path().iterdir()} == {other, "out.png"}
-    assert Path(other).is_dir() or Path(other).read_text("utf-8") != MINE
 
 
 def test_no_room_for_a_temporary_file_is_a_full_disk(tmp_path: Path) -> None:

@@ -293,11 +293,10 @@ def _time_zero(text: str) -> int:
 
 
 def add_bag_output(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of the bag that a command makes, and the period of writing to the disk."""
+    """Add the folder of the bag that a command makes."""
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
-    add_flush(parser)
 
 
 def add_force(parser: argparse.ArgumentParser, *outputs: str) -> None:
@@ -309,17 +308,6 @@ def add_force(parser: argparse.ArgumentParser, *outputs: str) -> None:
     """
     parser.set_defaults(outputs=outputs)
     parser.add_argument("--force", action="store_true", help="replace existing files, but no bag")
-
-
-def add_flush(parser: argparse.ArgumentParser) -> None:
-    """Add the longest time until a message of a bag is on the disk."""
-    parser.add_argument(
-        "--flush",
-        metavar="S",
-        type=positive,
-        default=0.5,
-        help="longest time until a message is on the disk, at most 1 s (default 0.5)",
-    )
 
 
 def add_namespace(parser: argparse.ArgumentParser) -> None:

@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.draw.pictures import save
-    from impact_observer.output_files import all_together, check_output
+    from impact_observer.output_files import check_output
 
     _check_source(args)
     options = _options(args)
@@ -116,11 +116,10 @@ def run(args: argparse.Namespace) -> int:
         say(json.dumps({law: metrics_of(each) for law, each in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
-    with all_together():
-        if args.csv is not None:
-            write_csv(labelled, args.csv)
-        if args.plot is not None:
-            save(distance_picture(labelled, results), args.plot)
+    if args.csv is not None:
+        write_csv(labelled, args.csv)
+    if args.plot is not None:
+        save(distance_picture(labelled, results), args.plot)
     for what, path in (("metrics", args.csv), ("picture", args.plot)):
         if path is not None and not args.json:
             say(f"{what}: {path}")

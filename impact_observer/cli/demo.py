@@ -8,7 +8,7 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_flush, positive
+from impact_observer.cli.arguments import positive
 from impact_observer.plain_text import say
 
 GOAL = 1e-2
@@ -48,7 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="for bag, picture and logs (default demo_DATE_TIME)",
     )
-    add_flush(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
                 f"{now.time:5.1f}/{args.duration:g} s {now.impacts:4d} impacts  V [J]: {v}"
             )
 
-        bag = demonstration.run(setup, folder, show, flush=args.flush)
+        bag = demonstration.run(setup, folder, show)
     return check_result(bag, folder / "lyapunov.png")
 
 

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.errors import UsageError
     from impact_observer.io.bag_topics import SIGNAL_FILES
     from impact_observer.model import read_model
-    from impact_observer.output_files import all_together, check_output
+    from impact_observer.output_files import check_output
 
     is_signal = args.bag.suffix.lower() in SIGNAL_FILES
     if args.plot is not None:
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
             " rising edges are the pulses of the drive"
         )
     model = None if args.model is None else read_model(args.model)
-    with Progress() as progress, all_together():
+    with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
         each = zip(result.sources, result.counts, result.suppressed, result.rises, strict=True)
         for source, counts, suppressed, rise in each:
@@ -156,7 +156,6 @@ def _in_bag(
             pulses=args.pulses,
             start=args.start,
             duration=args.duration,
-            flush=args.flush,
             traced=args.plot is not None,
             progress=lambda done, total: progress.step("detecting", done, total),
         )
@@ -198,7 +197,6 @@ def _in_signal(
         epoch=epoch,
         pulses=pulses,
         part=part,
-        flush=args.flush,
         traced=args.plot is not None,
         progress=show,
     )

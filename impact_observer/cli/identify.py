@@ -151,7 +151,6 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.identify.identification import identify
     from impact_observer.identify.written_uncertainty import refuse_scales_of_parts
     from impact_observer.model.free_parameters import parametric_family
-    from impact_observer.output_files import all_together
 
     free = tuple(name.strip() for name in args.free.split(",") if name.strip())
     clock = None if args.clock_error < 0 else args.clock_error
@@ -190,13 +189,12 @@ def run(args: argparse.Namespace) -> int:
             file=lines,
         )
     good = not fit_report.why_useless(fit) and (checked.fits or args.accept)
-    with all_together():
-        if args.output is not None:
-            good = _write(args, fit, checked, given.text) and good
-        if args.plot is not None:
-            title = f"{fit.family.system.name}: instants of the model minus stamps"
-            save(fit_picture(fit, title=title, zero=given.zero), args.plot)
-            say(f"picture: {args.plot}", file=lines)
+    if args.output is not None:
+        good = _write(args, fit, checked, given.text) and good
+    if args.plot is not None:
+        title = f"{fit.family.system.name}: instants of the model minus stamps"
+        save(fit_picture(fit, title=title, zero=given.zero), args.plot)
+        say(f"picture: {args.plot}", file=lines)
     return 0 if good else 1
 
 

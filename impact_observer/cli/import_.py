@@ -59,7 +59,6 @@ def run(args: argparse.Namespace) -> int:
             form=table_form(args),
             start=args.time_zero,
             epoch=args.epoch,
-            flush=args.flush,
             progress=show,
         )
         progress.line(f"{args.output}: {_summary(imported)}")

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         UsageError: the name is that of no file, there is no such template, or a file exists.
         OutputError: the disk is full or gone.
     """
-    from impact_observer.output_files import all_together, replacing
+    from impact_observer.output_files import replacing
     from impact_observer.resources import read_text, shared
 
     templates = {each.name: each for each in sorted(shared("config/templates").iterdir())}
@@ -54,10 +54,9 @@ def run(args: argparse.Namespace) -> int:
     for path in texts:
         if os.path.lexists(path):
             raise UsageError(f"{path}: exists already; choose another name")
-    with all_together():
-        for path, text in texts.items():
-            with replacing(path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+    for path, text in texts.items():
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     say(f"{', '.join(map(str, texts))}: written")
     say(f"Next: open {args.name}.yaml, whose first lines say what to run.")
     return 0

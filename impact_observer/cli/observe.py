@@ -110,7 +110,6 @@ def run(args: argparse.Namespace) -> int:
             rate=args.rate,
             epoch=chosen.epoch,
             most=args.most_estimates or MOST_ESTIMATES,
-            flush=args.flush,
             measured=measured,
             progress=show,
             warn=lambda line: progress.line(f"warning: {line}"),

@@ -2,13 +2,8 @@
 """Record topics of running nodes into a bag, until Ctrl-C."""
 
 import argparse
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_bag_output
-
-if TYPE_CHECKING:
-    from impact_observer.ros.recorder import RecordedTopics
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,12 +18,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--use-sim-time", action="store_true", help="log times follow /clock")
     add("--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time")
-    add(
-        "--compression",
-        choices=("none", "zstd"),
-        default="none",
-        help="of what is written (default: none)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.ros import recorder
+    from impact_observer.ros.recorder import record
 
     with Progress() as progress:
 
@@ -47,29 +36,20 @@ def run(args: argparse.Namespace) -> int:
             else:
                 progress.step("recording", passed, args.duration)
 
-        recorded = recorder.record(
+        counts = record(
             args.output,
             args.topics,
             use_sim_time=args.use_sim_time,
             duration=args.duration,
-            compressed=args.compression != "none",
-            flush=args.flush,
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,
         )
-        for line in _counts(recorded):
-            progress.line(line)
-        count = sum(recorded.counts.values())
+        for topic, count in counts.items():
+            why = {None: ": never appeared", 0: ": no messages"}.get(count, "")
+            progress.line(f"{count or 0:>9} {topic}{why}")
+        total = sum(filter(None, counts.values()))
         progress.line(
-            f"{count:>9} {'message' if count == 1 else 'messages'} in {args.output};"
+            f"{total:>9} {'message' if total == 1 else 'messages'} in {args.output};"
             f" impact-observer check {args.output} says whether an observer can use it"
         )
     return 0
-
-
-def _counts(recorded: "RecordedTopics") -> Iterator[str]:
-    """Lines with the count of each topic."""
-    for topic, count in recorded.counts.items():
-        yield f"{count:>9} {topic}{'' if count else ': no messages'}"
-    for topic in recorded.missing:
-        yield f"{0:>9} {topic}: never appeared"

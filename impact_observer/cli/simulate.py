@@ -133,7 +133,6 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             integrator=how,
             sensor=sensor,
-            flush=args.flush,
             samples=samples,
             types=simulation.types,
             true_parameters=true.values,

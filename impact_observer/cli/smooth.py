@@ -79,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
             measurements=sensors,
             rate=args.rate,
             most=args.most_estimates or MOST_ESTIMATES,
-            flush=args.flush,
             progress=progress.step,
             tell=lambda line: progress.line(f"note: {line}"),
         )

@@ -16,7 +16,7 @@ from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
 from impact_observer.stamps import LATE_EPOCH, NS_PER_S, text
 
@@ -99,7 +99,6 @@ def detect_bag(
     pulses: str | None = None,
     start: float | None = None,
     duration: float | None = None,
-    flush: float = FLUSH,
     traced: bool = False,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> BagDetection:
@@ -121,7 +120,6 @@ def detect_bag(
         start: of the part that is read, s after the epoch, or without one after the first message
             of the sensors; None for the beginning of the bag.
         duration: of the part, s; None for all.
-        flush: longest time until a message is on the disk, s.
         traced: whether to keep the signals, for a picture.
         progress: called with the messages read and how many there are.
 
@@ -156,7 +154,7 @@ def detect_bag(
     )
     result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
     result.zero = zero(reader) if traced else None
-    with all_or_nothing(output, flush) as writer:
+    with all_or_nothing(output) as writer:
         copied = _declared(reader, writer, model, problems)
         if pulses is not None:
             writer.declare(interfaces.PHASE_REFERENCE.topic)

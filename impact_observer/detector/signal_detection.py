@@ -23,7 +23,7 @@ from impact_observer.io.bag_part import BagPart
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.signals import Signal
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
 from impact_observer.stamps import seconds_between
 
@@ -48,7 +48,6 @@ def detect_signal(
     epoch: int = 0,
     pulses: Sequence[int] = (),
     part: BagPart | None = None,
-    flush: float = FLUSH,
     traced: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> BagDetection:
@@ -63,7 +62,6 @@ def detect_signal(
         pulses: stamps of the index pulses of a drive, ns, ascending; written to
             ``phase_reference``.
         part: that is read; None for all.
-        flush: longest time until a message is on the disk, s.
         traced: whether to keep the signals, for a picture.
         progress: called with the number of rows read.
 
@@ -87,7 +85,7 @@ def detect_signal(
     result = BagDetection(detector.sources, detector.counts, problems=problems, part=part)
     result.zero, result.rows = signal.time_zero, len(chosen.stamps)
     result.seconds = seconds_between(int(chosen.stamps[0]), int(chosen.stamps[-1]))
-    with all_or_nothing(output, flush) as writer:
+    with all_or_nothing(output) as writer:
         if model is not None:
             write_model(writer, model, max(begin, part.low if part else 0))
         writer.declare(interfaces.IMPACTS.topic)

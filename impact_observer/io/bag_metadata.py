@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``metadata.yaml`` of a bag, version 9, as ``ros2 bag`` of Jazzy reads it."""
 
+from collections import Counter
 from collections.abc import Iterable
 from enum import Enum
 from io import StringIO
@@ -10,7 +11,6 @@ from rosbags.interfaces import QosTime
 from ruamel.yaml import YAML
 
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.mcap_output import McapOutput
 
 _NO_MESSAGE = 2**63 - 1
 """Starting time that rosbag2 writes for a bag without messages, ns."""
@@ -34,19 +34,33 @@ class Topic(NamedTuple):
     quality: Quality
 
 
-def metadata(file_name: str, file: McapOutput, topics: Iterable[Topic]) -> tuple[str, str]:
+class BagExtent(NamedTuple):
+    """What a bag that is written has.
+
+    Attributes:
+        counts: messages of each channel.
+        start: log time of the earliest message, ns; 0 without any.
+        end: log time of the latest message, ns; 0 without any.
+    """
+
+    counts: Counter[int]
+    start: int
+    end: int
+
+
+def metadata(file_name: str, extent: BagExtent, topics: Iterable[Topic]) -> tuple[str, str]:
     """The text of ``metadata.yaml``, and what of it the MCAP file holds too.
 
     Args:
         file_name: of the MCAP file.
-        file: all its messages are written.
+        extent: of the messages.
         topics: of the bag, in the order of their declaration.
     """
     information = {
         "version": 9,
         "storage_identifier": "mcap",
         "relative_file_paths": [file_name],
-        **_extent(file),
+        **_extent(extent),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -56,26 +70,26 @@ def metadata(file_name: str, file: McapOutput, topics: Iterable[Topic]) -> tuple
                     "offered_qos_profiles": [_policies(topic.quality)],
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": file.counts[topic.channel],
+                "message_count": extent.counts[topic.channel],
             }
             for topic in topics
         ],
         "compression_format": "",
         "compression_mode": "",
-        "files": [{"path": file_name, **_extent(file)}],
+        "files": [{"path": file_name, **_extent(extent)}],
         "custom_data": None,
         "ros_distro": "rosbags",
     }
     return _yaml({"rosbag2_bagfile_information": information}), _yaml(information).strip()
 
 
-def _extent(file: McapOutput) -> dict[str, object]:
+def _extent(extent: BagExtent) -> dict[str, object]:
     """Number of messages, duration and start of a file, as in ``metadata.yaml``."""
-    count = file.counts.total()
+    count = extent.counts.total()
     return {
         "message_count": count,
-        "duration": {"nanoseconds": file.end - file.start},
-        "starting_time": {"nanoseconds_since_epoch": file.start if count else _NO_MESSAGE},
+        "duration": {"nanoseconds": extent.end - extent.start},
+        "starting_time": {"nanoseconds_since_epoch": extent.start if count else _NO_MESSAGE},
     }
 
 

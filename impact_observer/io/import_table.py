@@ -19,7 +19,6 @@ from impact_observer.io.messages import AnyMessage, JointState, bag_messages
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.io.signals import Signal, check_stamps, read_signal, topic_of, zero_of
 from impact_observer.io.tables import Table, TableForm, is_number, read_table, shown
-from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
 from impact_observer.stamps import text
 from impact_observer.states import Vector, frozen
@@ -69,7 +68,6 @@ def import_table(
     form: TableForm | None = None,
     start: int | None = None,
     epoch: int | None = None,
-    flush: float = FLUSH,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Imported:
     """Write the impact times of a table to a bag, and true states and samples of other tables.
@@ -88,7 +86,6 @@ def import_table(
         start: stamp of the files' time zero, ns. None for 0 where the first impact lies after
             1973, as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the files' time zero.
-        flush: longest time until a message is on the disk, s.
         progress: called with the number of messages written.
 
     Raises:
@@ -114,7 +111,7 @@ def import_table(
         streams.append(_states(truth, others, model, start))
     streams += [_samples(topic, signal) for topic, signal in signals.items()]
     counts = Counter[str]()
-    with all_or_nothing(output, flush) as writer:
+    with all_or_nothing(output) as writer:
         if model is not None:
             text_of_model = model.text({"package": "impact_observer", "version": __version__})
             writer.write(interfaces.PLANT_MODEL.topic, events[0].stamp, make.model(text_of_model))

@@ -28,7 +28,7 @@ from impact_observer.io.measured_samples import MeasuredTopics
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter
 from impact_observer.model import System
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.observer import Observer, replay_batches
@@ -54,7 +54,6 @@ def observe_bag(
     rate: float | None = None,
     epoch: int = 0,
     most: int = MOST_ESTIMATES,
-    flush: float = FLUSH,
     measured: MeasuredTopics | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     warn: Callable[[str], None] = lambda _: None,
@@ -68,7 +67,6 @@ def observe_bag(
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
         most: estimates that are made, at most.
-        flush: longest time until a message is on the disk, s.
         measured: the samples of sensors; None without sensors.
         progress: called with the number of estimates made, and of all estimates.
         warn: called with what was wrong with samples of live forces and grounds, and where events
@@ -99,7 +97,7 @@ def observe_bag(
     topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
     if measured is not None:
         topics += [topic for topic in measured.topics if topic not in topics]
-    with all_or_nothing(output, flush) as writer:
+    with all_or_nothing(output) as writer:
         for topic in topics:
             info = reader.topics[topic]
             own = info.definition if measured is not None and topic in measured.topics else ""

@@ -3,29 +3,28 @@
 
 import heapq
 import math
-import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 
 from impact_observer import __version__
-from impact_observer.errors import BagError, ImpactObserverError, UnfitBagError
+from impact_observer.errors import ImpactObserverError, UnfitBagError
 from impact_observer.events import ImpactEstimate, ImpactEvent
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.simulated_samples import SimulatedMessage
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter, check_free
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.sender_runs import in_order
-from impact_observer.output_files import note_bag
+from impact_observer.output_files import temporary_beside
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, from_seconds
@@ -72,32 +71,17 @@ def index_pulses(system: System | Robot, epoch: int, last: int) -> Iterator[int]
 
 
 @contextmanager
-def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
-    """A writer whose bag is removed after an exception, and kept after Ctrl-C.
-
-    Args:
-        path: the bag to make.
-        flush: longest time until a message is on the disk, s.
+def all_or_nothing(path: Path) -> Iterator[BagWriter]:
+    """A writer whose bag is written beside ``path``, and appears there after no exception.
 
     Raises:
-        KeyboardInterrupt: with the bag's name; the bag is complete up to the interrupt.
+        UsageError, BagError: as of :class:`BagWriter`.
     """
-    writer = BagWriter(path, flush=flush)
-    try:
-        yield writer
-        writer.close()
-        note_bag(path)
-    except KeyboardInterrupt:  # a signal interrupts once: closing is not interrupted
-        writer.close()
-        raise KeyboardInterrupt(
-            f"the bag {path} is whole and holds what was done until then; to repeat the command,"
-            " remove it or choose another name"
-        ) from None
-    except BaseException:
-        with suppress(BagError):
-            writer.close()
-        shutil.rmtree(path, ignore_errors=True)
-        raise
+    check_free(path)
+    with temporary_beside(path) as folder:
+        with BagWriter(path, folder) as writer:
+            yield writer
+        folder.replace(path)
 
 
 def carried_topics(
@@ -130,7 +114,6 @@ def write_run(
     seed: int,
     integrator: str = EVENT_DRIVEN,
     sensor: SensorModel = IDEAL,
-    flush: float = FLUSH,
     samples: Sequence[SimulatedMessage] = (),
     types: Mapping[str, str] = MappingProxyType({}),
     true_parameters: Mapping[str, float] = MappingProxyType({}),
@@ -149,7 +132,6 @@ def write_run(
         seed: seed of all random numbers in the bag.
         integrator: a description of the integrator.
         sensor: its faults.
-        flush: longest time until a message is on the disk, s.
         samples: messages of sensors beside the impacts, as they arrive.
         types: of these messages, by topic.
         true_parameters: of the plant by name, where they are not those of the model.
@@ -170,7 +152,7 @@ def write_run(
     received = simulate_sensor(
         sensor, system, run.switchings, epoch=run.epoch, last=last, seed=seed
     )
-    with all_or_nothing(path, flush) as writer:
+    with all_or_nothing(path) as writer:
         for each in PLANT_TOPICS:
             writer.declare(each.topic)
         for topic, kind in types.items():

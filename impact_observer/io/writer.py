@@ -1,32 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing a bag: an MCAP directory that ``ros2 bag`` reads."""
+"""Writing a bag: an MCAP directory that ``ros2 bag`` reads, by the library ``mcap``."""
 
-import math
 import os
-import shutil
-import threading
-from collections import deque
-from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar, final
+from typing import final
 
+from mcap.writer import CompressionType, Writer
+
+from impact_observer import __version__
 from impact_observer.errors import BagError, UsageError
-from impact_observer.io.bag_metadata import Topic, metadata, quality_text
+from impact_observer.io.bag_metadata import BagExtent, Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
-from impact_observer.io.mcap_output import Item, McapOutput
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 from impact_observer.output_files import check_name, unwritable
 
-_BATCH = 1024
-_BATCH_BYTES = 2**20
-"""Messages, or bytes of them, that are written together."""
-_Result = TypeVar("_Result")
-FLUSH = 0.5
-"""Default of the longest time until a message is on the disk, s."""
-LONGEST_FLUSH = 1.0
-"""The longest that can be asked for, s."""
+_CHUNK = 2**16
+"""Bytes in a chunk, which is what one flipped bit costs."""
 
 
 def bag_file(path: Path) -> str:
@@ -42,81 +35,68 @@ def check_free(path: Path) -> None:
             or no UTF-8.
     """
     check_name(path)
-    try:
-        path.lstat()
-        raise UsageError(f"{path}: exists already; remove it or choose another name")
-    except (FileNotFoundError, NotADirectoryError):
-        _check_length(path)
-    except OSError as error:
-        raise unwritable(path, error) from None
+    for each in (path, path.with_name(bag_file(path))):
+        try:
+            each.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError as error:
+            raise unwritable(path, error) from None
+        if each == path:
+            raise UsageError(f"{path}: exists already; remove it or choose another name")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: no folder {path.parent}; make it first")
 
 
-def _check_length(path: Path) -> None:
-    """Raise UsageError if the name of the file in the bag ``path`` is too long."""
-    try:
-        path.with_name(bag_file(path)).lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except OSError as error:
-        raise unwritable(path, error) from None
-
-
 @final
 class BagWriter:
-    """A bag, open for writing; a context manager.
+    """A bag, open for writing; a context manager, whose end closes the bag.
 
-    However its block ends, the bag is closed and complete: a thread of its own writes the file,
-    where no ``KeyboardInterrupt`` can cut a record short. If the process is killed or the machine
-    loses power, the disk has every message that was written ``flush`` seconds before: a chunk of
-    the file ends after at most that time, also if no further message comes.
+    If the process is killed or the machine loses power, the disk has every message that was
+    written before the last :meth:`flush`, or in a chunk that was full.
 
     Attributes:
-        path: the folder that is written.
-        message_count: messages written so far.
+        path: the bag.
     """
 
-    def __init__(
-        self, path: Path | str, *, compressed: bool = False, flush: float = FLUSH
-    ) -> None:
-        """Make the bag's folder at ``path``.
+    def __init__(self, path: Path | str, folder: Path | None = None) -> None:
+        """Make the bag's folder.
 
         Args:
-            path: the folder.
-            compressed: whether the chunks of the MCAP file are compressed, by zstd.
-            flush: longest time until a message is on the disk, s, besides what the disk takes.
+            path: the bag.
+            folder: where the files are written until the caller moves the folder to ``path``;
+                None for ``path``.
 
         Raises:
-            UsageError: something is at ``path`` already, its parent is no folder, or ``flush`` is
-                not in (0, ``LONGEST_FLUSH``]. Then nothing is created.
+            UsageError: something is at ``path`` already, or its parent is no folder. Then nothing
+                is created.
+            BagError: the disk is full or gone.
         """
         self.path = Path(path)
         check_free(self.path)
-        if not (math.isfinite(flush) and 0 < flush <= LONGEST_FLUSH):
-            raise UsageError(
-                f"flush is {flush:g}; expected more than 0, at most {LONGEST_FLUSH:g} s"
-            )
-        self.message_count = 0
+        self._folder = folder or self.path
         self._store = new_typestore()
         self._topics: dict[str, Topic] = {}
-        self._pending: deque[Item] = deque()
-        self._pending_bytes = 0
-        self._unflushed = False
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
-        self._made = False
-        self._closing = threading.Event()
-        self._failure: OSError | None = None
-        self._open = True
-        try:
-            self._file = self._run(lambda: self._make_file(compressed))
-            threading.Thread(target=self._flush_every, args=(flush,), daemon=True).start()
-        except BaseException:
-            self._closing.set()
-            self._thread.shutdown()
-            if self._made:
-                shutil.rmtree(self.path, ignore_errors=True)
-            raise
+        self._schemas: dict[str, int] = {}
+        self._counts = Counter[int]()
+        self._start = self._end = 0
+        self._is_open = True
+        with self._one_line():
+            self._folder.mkdir(mode=0o755)
+            self._file = (self._folder / bag_file(self.path)).open("xb")
+            self._writer = Writer(
+                self._file,
+                chunk_size=_CHUNK,
+                compression=CompressionType.NONE,
+                enable_crcs=True,
+                enable_data_crcs=True,
+            )
+            self._writer.start("ros2", f"impact_observer {__version__}")
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return self._counts.total()
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -125,21 +105,22 @@ class BagWriter:
         self.close()
 
     def close(self) -> None:
-        """Write the pending messages, the index and the metadata; closing twice does no harm.
+        """Write the last chunk, the index and the metadata; closing twice does no harm.
 
         Raises:
             BagError: the disk is full or gone.
         """
-        if not self._open:
+        if not self._is_open:
             return
-        try:
-            self._run(self._finish)
-        except KeyboardInterrupt:  # a signal raises it once
-            self._run(self._finish)
-            raise
-        finally:
-            self._open = False
-            self._thread.shutdown()
+        self._is_open = False
+        extent = BagExtent(self._counts, self._start, self._end)
+        whole, inner = metadata(bag_file(self.path), extent, self._topics.values())
+        with self._one_line(), self._file:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": inner})
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._synchronize()
+            (self._folder / "metadata.yaml").write_text(whole, encoding="utf-8")
 
     def declare(
         self,
@@ -174,11 +155,21 @@ class BagWriter:
         if type_name not in self._store.fielddefs:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
         offered = quality or usual_quality(topic)
-        text, _ = self._store.generate_msgdef(type_name, ros_version=2)
         type_hash = self._store.hash_rihs01(type_name)
         about = {"offered_qos_profiles": quality_text(offered), "topic_type_hash": type_hash}
-        channel = self._run(lambda: self._file.add_channel(topic, type_name, text, about))
+        with self._one_line():
+            schema = self._schema(type_name)
+            channel = self._writer.register_channel(topic, "cdr", schema, about)
         self._topics[topic] = Topic(channel, topic, type_name, type_hash, offered)
+
+    def _schema(self, type_name: str) -> int:
+        """The number of the schema of a message type, which is registered once."""
+        if type_name not in self._schemas:
+            text, _ = self._store.generate_msgdef(type_name, ros_version=2)
+            encoding = "ros2idl" if text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
+            number = self._writer.register_schema(type_name, encoding, text.encode())
+            self._schemas[type_name] = number
+        return self._schemas[type_name]
 
     def write(self, topic: str, log_time: int, message: object) -> None:
         """Write a message of :func:`~impact_observer.io.messages.bag_messages`.
@@ -220,104 +211,43 @@ class BagWriter:
         channel = self._topic(topic).channel
         if log_time < 0:
             raise UsageError(f"{self.path}: {topic} at log time {log_time} ns; expected 0 or more")
-        self._pending.append((channel, log_time, data))
-        self.message_count += 1
-        self._pending_bytes += len(data)
-        enough = len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES
-        if enough or self._failure is not None:
-            self._pending_bytes = 0
-            self._run(self._write_pending)
+        with self._one_line():
+            self._writer.add_message(channel, log_time, data, publish_time=log_time)
+        self._start = min(self._start, log_time) if self._counts else log_time
+        self._end = max(self._end, log_time)
+        self._counts[channel] += 1
 
     def _topic(self, topic: str) -> Topic:
         """Returns a topic; a topic of this package that is not declared yet is declared."""
-        if not self._open or topic not in self._topics:
-            self._check_open()
+        if not self._is_open:
+            raise UsageError(f"{self.path}: is closed; nothing more can be written")
+        if topic not in self._topics:
             self.declare(topic)
         return self._topics[topic]
 
-    def _check_open(self) -> None:
-        """Raise UsageError if the bag is closed."""
-        if not self._open:
-            raise UsageError(f"{self.path}: is closed; nothing more can be written")
-
-    def _make_file(self, compressed: bool) -> McapOutput:
-        """In the thread: make the folder and begin the file."""
-        self.path.mkdir(mode=0o755)
-        self._made = True
-        file = McapOutput(self.path / bag_file(self.path), compressed=compressed)
-        _synchronize(self.path)
-        _synchronize(self.path.absolute().parent)
-        return file
-
     def flush(self) -> None:
-        """Return when the disk has every message that was written so far.
+        """Close the chunk in progress; return when the disk has all messages so far.
 
         Raises:
-            UsageError: the bag is closed.
             BagError: the disk is full or gone.
         """
-        self._check_open()
-        self._run(self._flush)
+        with self._one_line():
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._synchronize()
 
-    def _flush_every(self, period: float) -> None:
-        """In a thread of its own: flush every ``period`` seconds until the bag is closed."""
+    def _synchronize(self) -> None:
+        """Wait until the disk has what was written."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    @contextmanager
+    def _one_line(self) -> Iterator[None]:
+        """Within the block, an error of the disk is a BagError."""
         try:
-            while not self._closing.wait(period):
-                self._thread.submit(self._flush).result()
-        except OSError as error:
-            self._failure = error  # for the next message
-        except RuntimeError:
-            return  # the bag, or Python itself, is being closed
-
-    def _flush(self) -> None:
-        """In the thread: write the messages that wait, and wait until the disk has them.
-
-        A flush that was submitted before the end and runs after the end finds the file closed.
-        """
-        if not self._closing.is_set() and (self._pending or self._unflushed):
-            self._write_pending()
-            self._file.flush()
-            self._unflushed = False
-
-    def _write_pending(self) -> None:
-        """In the thread: write the messages that wait."""
-        if self._failure is not None:
-            raise self._failure
-        self._unflushed = True
-        self._file.write([self._pending.popleft() for _ in range(len(self._pending))])
-
-    def _finish(self) -> None:
-        """In the thread: write the rest, then index and metadata, once."""
-        if self._closing.is_set():
-            return
-        self._closing.set()
-        try:
-            self._write_pending()
-        finally:
-            whole, inner = metadata(bag_file(self.path), self._file, self._topics.values())
-            self._file.finish(inner)
-            with (self.path / "metadata.yaml").open("x", encoding="utf-8") as file:
-                file.write(whole)
-                file.flush()
-                os.fsync(file.fileno())
-            _synchronize(self.path)
-
-    def _run(self, job: Callable[[], _Result]) -> _Result:
-        """Run ``job`` in the thread that owns the files, and wait for it."""
-        try:
-            return self._thread.submit(job).result()
+            yield
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"{self.path}: cannot be written: {reason}") from error
-
-
-def _synchronize(folder: Path) -> None:
-    """Have the disk take the names in a folder."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def copy_topics(

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.parameters import TABLES, check
@@ -78,8 +78,6 @@ def run(
     setup: DemoSetup,
     folder: Path,
     show: Callable[[DemoProgress], None],
-    *,
-    flush: float = FLUSH,
 ) -> Path:
     """Run the demonstration.
 
@@ -87,7 +85,6 @@ def run(
         setup: the plant, laws and times.
         folder: folder to create for the bag and the ``logs`` of the processes.
         show: called with the progress about twenty times a second.
-        flush: longest time until a message is on the disk, s.
 
     Returns:
         The bag.
@@ -109,7 +106,7 @@ def run(
         _refuse_other_nodes(node, executor)
         _make(folder)
         logs.mkdir()
-        writer = later.enter_context(BagWriter(bag, flush=flush))
+        writer = later.enter_context(BagWriter(bag))
         recorder, progress = Recorder(node, writer), DemoProgress()
         _subscribe(node, setup, progress)
         with _processes(setup, logs) as processes:

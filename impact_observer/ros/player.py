@@ -4,8 +4,8 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 
@@ -23,29 +23,19 @@ from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.session import ros_node
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
-DELAY = 5.0
-"""Default of the longest wait for subscribers before the first message, s."""
 _SETTLING_TIME = 1.0
 """Wait between the appearance of the last subscriber and the first message, s."""
-_LINGER = 0.5
-"""How long latched messages stay available to late subscribers after the last message, s."""
 _ACKNOWLEDGE = 2.0
 """Longest wait until reliable subscribers have acknowledged all messages, s."""
+_LINGER = 0.5
+"""How long latched messages stay available after the last message, s."""
 _TICK = 0.01
 """Time between two messages of ``/clock`` while no other message is due, s."""
 _MIN_DEPTH = 1000
 """Least depth of a volatile topic, for messages that are not acknowledged yet at a fast rate."""
-_PROGRESS_PERIOD = 0.1
-"""Time between two calls of ``on_progress``, s."""
 _SHORTEST_PASS = 1_000_000
 """Least time of one pass of a loop, ns, so that a loop does not flood the network."""
-
 KeepOn = Callable[[], bool]
-
-
-def _always() -> bool:
-    """Never end before the bag does."""
-    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +48,7 @@ class Playing:
         start: where to begin, s after the bag's start.
         duration: length of the part that is played, s; None up to the end.
         loop: whether to begin again at the end.
-        clock: whether to publish the bag's time on ``/clock``; a clock in the bag is then not
-            played.
-        names: new names of topics, by their absolute names in the bag.
+        clock: whether to publish the bag's time on ``/clock``; a recorded clock is then left out.
     """
 
     topics: Collection[str] | None = None
@@ -69,14 +57,9 @@ class Playing:
     duration: float | None = None
     loop: bool = False
     clock: bool = True
-    names: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UsageError: rate or duration is not a positive number.
-        """
+        """Raise UsageError unless rate and duration are positive numbers."""
         for name, value in (("rate", self.rate), ("duration", self.duration)):
             if value is not None and not 0 < value < math.inf:
                 raise UsageError(f"{name} is {value}; expected a positive number")
@@ -86,10 +69,10 @@ class Player:
     """Publishes the messages of a bag with the quality of service of their recording.
 
     Attributes:
-        topics: topics that are played, by their names in the bag; a topic whose message type is
-            not installed is omitted.
+        topics: topics that are played; a topic whose message type is not installed is omitted.
         count: messages sent so far, without those of ``/clock``.
         length: length of one pass, s.
+        elapsed: the bag's time since the start of the pass, s.
     """
 
     def __init__(self, node: Node, reader: BagReader, how: Playing | None = None) -> None:
@@ -101,35 +84,26 @@ class Player:
             how: None for the whole bag as recorded.
 
         Raises:
-            UsageError: ``start`` is not in the bag, the bag lacks a topic, two types would share
-                a name, or no topic can be played.
+            UsageError: ``start`` is not in the bag, the bag lacks a topic, or no topic can be
+                played.
         """
         self._how = how = how or Playing()
         whole = seconds_between(reader.start, reader.end)
         if not 0 <= how.start <= whole:
             raise UsageError(f"start is {how.start}; expected 0 to {whole} s, the bag's length")
-        self.count = 0
+        self.count, self.elapsed = 0, 0.0
         self._node, self._reader = node, reader
-        self._start = self._bag_time = reader.start + from_seconds(how.start)
-        self._end = reader.end
+        self._start = reader.start + from_seconds(how.start)
+        length = reader.end - self._start
         if how.duration is not None:
-            self._end = min(self._end, self._start + from_seconds(how.duration))
-        self.length = seconds_between(self._start, self._end)
+            length = min(length, from_seconds(how.duration))
+        self._end, self.length = self._start + length, length / NS_PER_S
         self._publishers = self._make_publishers()
         self.topics = tuple(self._publishers)
-        self._latched = self._latched_before_start()
         self._clock: Publisher | None = None
         if how.clock:
-            self._clock = node.create_publisher(
-                message_class(SIMULATED_CLOCK.type),
-                how.names.get(SIMULATED_CLOCK.topic, SIMULATED_CLOCK.topic),
-                qos_profile(SIMULATED_CLOCK.quality),
-            )
-
-    @property
-    def elapsed(self) -> float:
-        """The bag's time since the start of the pass, s."""
-        return seconds_between(self._start, self._bag_time)
+            kind, quality = message_class(SIMULATED_CLOCK.type), SIMULATED_CLOCK.quality
+            self._clock = node.create_publisher(kind, SIMULATED_CLOCK.topic, qos_profile(quality))
 
     def _quality(self, topic: str) -> Quality:
         """The recorded quality of service; the usual one of a topic recorded without."""
@@ -137,48 +111,33 @@ class Player:
 
     def _make_publishers(self) -> dict[str, Publisher]:
         """A publisher for every topic whose message type is installed."""
-        how, recorded = self._how, self._reader.topics
-        topics = recorded if how.topics is None else how.topics
-        own_clock = SIMULATED_CLOCK.topic if how.clock else None
-        for topic in (*topics, *how.names):
-            if topic not in recorded and topic != own_clock:
+        recorded, publishers = self._reader.topics, {}
+        for topic in recorded if self._how.topics is None else self._how.topics:
+            if self._how.clock and topic == SIMULATED_CLOCK.topic:
+                continue
+            if topic not in recorded:
                 there = ", ".join(recorded) or "none"
                 raise UsageError(f"{self._reader.path}: no topic {topic}; in the bag: {there}")
-        publishers: dict[str, Publisher] = {}
-        types: dict[str, str] = {}
-        for topic in topics:
-            if topic == own_clock:
+            try:
+                kind = message_class(recorded[topic].type)
+            except UsageError as error:
+                part = f"{recorded[topic].count} of {self._reader.message_count} messages"
+                line = f"{topic}, {part} of the bag, is not played: {error}"
+                self._node.get_logger().warning(printable(line))
                 continue
-            name, type_name = how.names.get(topic, topic), recorded[topic].type
-            if types.setdefault(name, type_name) != type_name:
-                raise UsageError(f"{name}: would be {types[name]} and {type_name}; rename one")
-            if publisher := self._publisher(topic, name, type_name):
-                publishers[topic] = publisher
+            quality = self._quality(topic)
+            if quality.depth and not quality.transient_local:
+                quality = replace(quality, depth=max(quality.depth, _MIN_DEPTH))
+            publishers[topic] = self._node.create_publisher(kind, topic, qos_profile(quality))
         if not publishers:
             raise UsageError(f"{self._reader.path}: nothing to play")
         return publishers
-
-    def _publisher(self, topic: str, name: str, type_name: str) -> Publisher | None:
-        """A publisher called ``name``; None, with a warning, if the type is not installed."""
-        try:
-            message_type = message_class(type_name)
-        except UsageError as error:
-            part = f"{self._reader.topics[topic].count} of {self._reader.message_count} messages"
-            line = f"{topic}, {part} of the bag, is not played: {error}"
-            self._node.get_logger().warning(printable(line))
-            return None
-        quality = self._quality(topic)
-        if quality.depth and not quality.transient_local:
-            quality = replace(quality, depth=max(quality.depth, _MIN_DEPTH))
-        return self._node.create_publisher(message_type, name, qos_profile(quality))
 
     def _latched_before_start(self) -> list[RawMessage]:
         """Messages that latched topics hold at the start, without events.
 
         Events before the start would not match the states of a run that starts there.
         """
-        if self._start <= self._reader.start:
-            return []
         kept: dict[str, deque[RawMessage]] = {
             topic: deque(maxlen=quality.depth or None)
             for topic in self.topics
@@ -192,11 +151,9 @@ class Player:
     def other_publishers(self) -> list[str]:
         """Topics to be played that another node publishes too, including the clock."""
         names = {publisher.topic_name for publisher in self._all()}
-        return sorted(
-            name for name in names if len(self._node.get_publishers_info_by_topic(name)) > 1
-        )
+        return sorted(n for n in names if len(self._node.get_publishers_info_by_topic(n)) > 1)
 
-    def wait_for_subscribers(self, delay: float, keep_on: KeepOn = _always) -> bool:
+    def wait_for_subscribers(self, delay: float, keep_on: KeepOn = lambda: True) -> bool:
         """Wait until events have a subscriber; without events, until every topic has one.
 
         Args:
@@ -211,10 +168,7 @@ class Player:
         now = changed = time.monotonic()
         latest = now + delay
         while now < latest and keep_on():
-            before, counts = (
-                counts,
-                [publisher.get_subscription_count() for publisher in events or self._all()],
-            )
+            before, counts = counts, [p.get_subscription_count() for p in events or self._all()]
             if counts != before:  # more subscribers may follow
                 changed = now
             if all(counts) and now > changed + _SETTLING_TIME:
@@ -223,7 +177,7 @@ class Player:
             now = time.monotonic()
         return bool(counts) and all(counts)
 
-    def play(self, keep_on: KeepOn = _always) -> None:
+    def play(self, keep_on: KeepOn = lambda: True) -> None:
         """Publish every message when the message is due.
 
         Due times are measured from the begin of a pass, so delays do not add up.
@@ -235,14 +189,15 @@ class Player:
         Raises:
             BagError: the bag is damaged.
         """
+        latched = self._latched_before_start()
         begin = time.monotonic_ns()
         length = max(round((self._end - self._start) / self._how.rate), _SHORTEST_PASS)
-        while self._play_once(begin, keep_on) and self._how.loop:
+        while self._play_once(latched, begin, keep_on) and self._how.loop:
             begin += length
 
-    def _play_once(self, begin: int, keep_on: KeepOn) -> bool:
+    def _play_once(self, latched: list[RawMessage], begin: int, keep_on: KeepOn) -> bool:
         """Play one pass from the monotonic time ``begin`` (ns) on; whether the end was reached."""
-        for message in self._latched:
+        for message in latched:
             self._send(message)
         start = self._start if self._start > self._reader.start else 0
         for message in self._reader.raw(self.topics, start):
@@ -268,7 +223,7 @@ class Player:
 
     def _publish_clock(self, bag_time: int) -> None:
         """Publish the bag's time, ns."""
-        self._bag_time = bag_time
+        self.elapsed = seconds_between(self._start, bag_time)
         if self._clock:
             self._clock.publish(ros_messages().clock(bag_time))
 
@@ -277,15 +232,8 @@ class Player:
         self._publishers[message.topic].publish(message.data)
         self.count += 1
 
-    def finish(self, keep_on: KeepOn = _always) -> None:
-        """Wait a short time until the messages have arrived.
-
-        Reliable subscribers get up to two seconds to acknowledge. Latched messages stay
-        available for another half second.
-
-        Args:
-            keep_on: called repeatedly; the wait ends when ``keep_on`` returns False.
-        """
+    def finish(self, keep_on: KeepOn = lambda: True) -> None:
+        """Wait a short time until the messages have arrived, while ``keep_on`` returns True."""
         latest = time.monotonic() + _ACKNOWLEDGE
         for publisher in self._all():
             while keep_on() and time.monotonic() < latest:
@@ -305,8 +253,8 @@ def play(
     path: Path | str,
     how: Playing | None = None,
     *,
-    delay: float = DELAY,
-    on_progress: Callable[[Player], None] | None = None,
+    delay: float = 5.0,
+    on_progress: Callable[[Player], object] = lambda _: None,
 ) -> int:
     """Play a bag until its end, SIGINT or SIGTERM.
 
@@ -314,7 +262,7 @@ def play(
         path: the bag.
         how: None for the whole bag as recorded.
         delay: longest wait for subscribers before the first message, s.
-        on_progress: called about ten times a second, and at the end.
+        on_progress: called again and again.
 
     Returns:
         The number of messages sent.
@@ -328,25 +276,17 @@ def play(
         raise UsageError(f"delay is {delay}; expected 0 or more seconds")
     with Stop() as stop, BagReader(path) as reader, ros_node("player") as (node, _):
         player = Player(node, reader, how)
-        shown = time.monotonic()
 
         def keep_on() -> bool:
-            nonlocal shown
-            if on_progress and time.monotonic() > shown + _PROGRESS_PERIOD:
-                shown = time.monotonic()
-                on_progress(player)
+            on_progress(player)
             return not stop.requested
 
         player.wait_for_subscribers(delay, keep_on)
         if others := player.other_publishers():
-            node.get_logger().warning(
-                printable(
-                    f"another node publishes {', '.join(others)} too; its messages mix with the"
-                    " bag's"
-                )
+            line = (
+                f"another node publishes {', '.join(others)} too; its messages mix with the bag's"
             )
+            node.get_logger().warning(printable(line))
         player.play(keep_on)
         player.finish(keep_on)
-        if on_progress:
-            on_progress(player)
         return player.count

@@ -27,7 +27,7 @@ from impact_observer.io.observed_bag import (
 )
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics
-from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, Options
@@ -75,7 +75,6 @@ def smooth_bag(
     measurements: Sequence[Measurement] = (),
     rate: float | None = None,
     most: int = MOST_ESTIMATES,
-    flush: float = FLUSH,
     progress: Progress = no_progress,
     tell: Callable[[str], object] = lambda _line: None,
 ) -> BagSmoothing:
@@ -89,7 +88,6 @@ def smooth_bag(
         measurements: measurements of sensors beside the impacts.
         rate: of the estimates, Hz; None for the stamps of the true states.
         most: estimates that are made, at most.
-        flush: longest time until a message is on the disk, s.
         progress: see ``Progress``.
         tell: called with a note on time zero, where no epoch is known.
 
@@ -125,7 +123,7 @@ def smooth_bag(
     if rate is None and (line := unseen_events(events, stamps, options.epoch)):
         left_out.append(line)
     own = (*_ESTIMATES, _VERDICTS, _IMPACTS, _IMPACT_ESTIMATES)
-    with all_or_nothing(output, flush) as writer:
+    with all_or_nothing(output) as writer:
         topics, not_copied = carried_topics(reader, writer, own)
         copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
         estimates = _estimates(writer, model.subject.coordinates, runs, stamps, progress)

@@ -13,7 +13,6 @@ from inspect import CO_GENERATOR
 from pathlib import Path
 from types import CodeType, FrameType
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
@@ -87,7 +86,7 @@ def test_sigterm_ends_a_command_in_order_wherever_it_comes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The exit code is 143, with one line; remaining bags are readable, files have their names."""
+    """The exit code is 143, with one line; outputs are whole or not there."""
     monkeypatch.chdir(tmp_path)
     arguments = [command, *(each.format(**inputs) for each in OFFLINE[command])]
     with profiling() as whole:
@@ -172,27 +171,19 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("number", "code", "how"),
     [(signal.SIGINT, 1, "interrupted"), (signal.SIGTERM, 143, "ended by SIGTERM")],
 )
-def test_an_observer_that_is_interrupted_leaves_a_whole_bag(
+def test_an_observer_that_is_interrupted_leaves_no_bag(
     plant: Path, tmp_path: Path, number: int, code: int, how: str
 ) -> None:
-    """The command prints one line; the bag has the first estimates of the run."""
+    """The command prints one line."""
     output = tmp_path / "estimates"
     command = [sys.executable, "-m", "impact_observer", "observe", str(plant), "-o", str(output)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    file = output / "estimates_0.mcap"
-    wait(lambda: file.is_file() and file.stat().st_size > 2**20)  # until a first chunk is there
+    wait(lambda: any(each.stat().st_size > 2**20 for each in tmp_path.rglob("*.mcap")))
     process.send_signal(number)
     _, error = process.communicate(timeout=90)
     assert process.returncode == code
-    line = f"impact-observer: {how}; the bag {output} is whole and holds what was done until then;"
-    assert error.startswith(line)
-    assert error.count("\n") == 1
-    with BagReader(output) as reader:
-        states = reader.observer_states("/observer/state")
-        truth = reader.joint_states("/plant/joint_states")
-    assert 0 < states.stamps.size < 20001
-    np.testing.assert_array_equal(states.stamps, truth.stamps[: states.stamps.size])
-    assert main(["compare", str(output)]) == 0
+    assert error == f"impact-observer: {how}\n"
+    assert not [*tmp_path.iterdir()]
 
 
 def wait(done: Callable[[], object], patience: float = 90.0) -> None:

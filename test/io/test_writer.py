@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing a bag."""
 
-import _thread
-import gc
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -138,44 +135,6 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
         assert [each.stamp for each in reader.events()] == list(range(1, 1001))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("patience", np.linspace(0.01, 0.2, 8).tolist())
-def test_bag_is_whole_wherever_an_interrupt_strikes(
-    request: pytest.FixtureRequest, tmp_path: Path, patience: float
-) -> None:
-    """Every message before an interrupt is read back, also if the interrupt is within a record."""
-    gc.disable()  # an interrupt within a callback of it, such as hypothesis's, would be lost
-    request.addfinalizer(gc.enable)
-    timer = threading.Timer(patience, _thread.interrupt_main)
-    taken: list[int] = []
-
-    def write_until_interrupted() -> None:
-        message = event(1)
-        with BagWriter(tmp_path / "bag") as writer:
-            timer.start()
-            while len(taken) < 1_000_000:
-                writer.write("/impacts", len(taken), message)
-                taken.append(len(taken))
-
-    with pytest.raises(KeyboardInterrupt):
-        write_until_interrupted()
-    with BagReader(tmp_path / "bag") as reader:
-        times = [each.log_time for each in reader.raw()]
-    assert times in (taken, [*taken, len(taken)])
-
-
-def test_bag_that_is_closed_during_a_flush_ends_without_an_error_in_a_thread(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The next flush is due at any instant, also while the bag is being closed."""
-    errors = list[object]()
-    monkeypatch.setattr(threading, "excepthook", errors.append)
-    for k in range(50):
-        with BagWriter(tmp_path / f"bag{k}", flush=1e-4) as writer:
-            writer.write("/impacts", 7, event(5))
-    assert not errors
-
-
 def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
     """A bag without messages can be read, with topics and without."""
     with BagWriter(tmp_path / "none"):
@@ -251,22 +210,3 @@ def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
     with BagReader(tmp_path / "two") as reader:
         assert list(reader.raw()) == wanted
         assert reader.topics["/impacts"].quality == interfaces.EVENTS
-
-
-def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
-    """As with ``ros2 bag record`` the metadata do not mention the compression of chunks."""
-    for name, compressed in (("plain", False), ("zstd", True)):
-        with BagWriter(tmp_path / name, compressed=compressed) as writer:
-            for stamp in range(1, 2001):
-                writer.write("/impacts", stamp, event(stamp))
-        with (tmp_path / name / f"{name}_0.mcap").open("rb") as file:
-            summary = make_reader(file).get_summary()
-        assert summary is not None
-        kinds = {chunk.compression for chunk in summary.chunk_indexes}
-        assert kinds == ({"zstd"} if compressed else {""})
-        metadata = YAML(typ="safe").load(tmp_path / name / "metadata.yaml")
-        about = metadata["rosbag2_bagfile_information"]
-        assert (about["compression_format"], about["compression_mode"]) == ("", "")
-    with BagReader(tmp_path / "plain") as plain, BagReader(tmp_path / "zstd") as packed:
-        assert list(packed.raw()) == list(plain.raw())
-        assert packed.size < plain.size / 2

@@ -296,26 +296,6 @@ def test_only_a_part_is_played(sample_bag: Path, ros_environment: dict[str, str]
     assert player.length == pytest.approx(0.22)
 
 
-def test_topics_are_published_by_other_names(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
-    """The clock is renamed too; two types under one name are refused."""
-    assert ros_environment
-    names = {"/impacts": "/rig/impacts", "/clock": "/rig_clock"}
-    with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
-        player = Player(node, reader, Playing(["/impacts"], 5.0, names=names))
-        (info,) = node.get_publishers_info_by_topic("/rig/impacts")
-        assert not node.get_publishers_info_by_topic("/impacts")
-        assert len(node.get_publishers_info_by_topic("/rig_clock")) == 1
-        assert offered_quality(info.qos_profile, depth=2000) == interfaces.EVENTS
-        assert player.topics == ("/impacts",)
-    wrong = Playing(names={"/impacts": "/plant/model"})
-    with pytest.raises(UsageError, match=r"/plant/model: would be .*ImpactEvent and std_msgs"):
-        play(sample_bag, wrong)
-    with pytest.raises(UsageError, match=r"no topic /absent; in the bag"):
-        play(sample_bag, Playing(names={"/absent": "/x"}))
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [

@@ -6,12 +6,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
 
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
@@ -195,9 +199,9 @@ def test_only_the_topics_asked_for_are_recorded(
 def test_a_signal_amid_a_burst_leaves_a_whole_bag(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """The compressed bag has every message up to its last; the counts are printed."""
+    """The bag has every message up to its last; the counts are printed."""
     command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "bag")]
-    command += ["--topics", "/impacts", "/absent", "/plant/model", "--compression", "zstd"]
+    command += ["--topics", "/impacts", "/absent", "/plant/model"]
     with (
         ros_node("plant") as (plant, _),
         subprocess.Popen(
@@ -228,6 +232,48 @@ def test_a_signal_amid_a_burst_leaves_a_whole_bag(
     assert f"{len(stamps)} /impacts\n" in said
     assert "0 /plant/model: no messages\n" in said
     assert "0 /absent: never appeared\n" in said
+
+
+def test_a_killed_recorder_loses_the_last_second_only(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """Another library reads the messages from the file that was never closed."""
+    command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "bag")]
+    stamps: list[int] = []
+    with (
+        ros_node("plant") as (plant, _),
+        subprocess.Popen(
+            command, env=ros_environment, stdout=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        try:
+            impacts = advertise(plant, "/impacts")
+            latest = time.monotonic() + PATIENCE
+            while not impacts.get_subscription_count():
+                assert time.monotonic() < latest
+                time.sleep(0.05)
+            for stamp in range(1, 11):
+                impacts.publish(event(stamp))
+            while len(stamps) < 10:
+                assert time.monotonic() < latest
+                time.sleep(0.1)
+                stamps = messages_on_disk(tmp_path / "bag" / "bag_0.mcap")
+        finally:
+            process.kill()
+    assert messages_on_disk(tmp_path / "bag" / "bag_0.mcap") == stamps
+
+
+def messages_on_disk(file: Path) -> list[int]:
+    """Log times of the messages on ``/impacts`` in an MCAP file that may have no end."""
+    found = list[int]()
+    impacts = set[int]()
+    with suppress(EndOfFile):
+        for each in StreamReader(BytesIO(file.read_bytes())).records:
+            if isinstance(each, Channel) and each.topic == "/impacts":
+                impacts.add(each.id)
+            if isinstance(each, Message) and each.channel_id in impacts:
+                found.append(each.log_time)
+    return found
 
 
 def test_log_times_follow_the_simulated_clock_and_never_go_back(
