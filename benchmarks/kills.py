@@ -5,7 +5,7 @@
 
 SIGKILL strikes one of them at random, again and again. A node that is never killed publishes the
 switch of the detector and receives everything: it is the witness. At the end every event is
-accounted for: those of the recorder in the bags that are salvaged, those of the observer by its
+accounted for: those of the recorder in the bags, those of the observer by its
 verdicts, the pulses of the switch by the detector's events. What had reached a process more than a
 second before it was killed must be there.
 
@@ -21,6 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,7 +32,7 @@ from rclpy.node import Node
 from rich.console import Console
 
 from benchmarks.topic import take_domain
-from impact_observer.check.salvage import Salvage, salvage
+from impact_observer.errors import BagError
 from impact_observer.io import BagReader, interfaces
 from impact_observer.io.messages import AnyMessage, read_event, read_verdict
 from impact_observer.ros.message_classes import message_class
@@ -230,15 +231,12 @@ class Rig:
             bag = life.folder / "bag"
             if not (bag / "bag_0.mcap").exists():
                 continue
-            if not (bag / "metadata.yaml").exists() and any(Salvage(bag).raw()):
-                salvage(Salvage(bag), bag := life.folder / "salvaged")
-            if (bag / "metadata.yaml").exists():
-                with BagReader(bag) as reader:
-                    for topic in reader.topics:
-                        saved |= {
-                            (topic, e.epoch, e.episode, e.sequence, e.stamp)
-                            for e in reader.events(topic)
-                        }
+            with suppress(BagError), BagReader(bag) as reader:  # killed before its first chunk
+                for topic in reader.topics:
+                    saved |= {
+                        (topic, e.epoch, e.episode, e.sequence, e.stamp)
+                        for e in reader.events(topic)
+                    }
         account = Account()
         for key, at in self.events.items():
             if self._was_sent(key, at) and any(life.had(at) for life in self.lives["recorder"]):

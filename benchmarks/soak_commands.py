@@ -28,7 +28,6 @@ check-model {model}
 check {bag}
 check {mcap}
 check {bag} --model {model}
-check {bag} --salvage -o {new}
 export {bag} -o {out.csv}
 export {mcap} --what events -o {out.csv}
 export {bag} -o {out.parquet}

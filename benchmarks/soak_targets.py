@@ -20,7 +20,6 @@ from benchmarks import soak_commands, soak_files
 from benchmarks.soak_files import EPOCH, Attack, S
 from benchmarks.soak_inputs import mutated
 from impact_observer.check.bag_check import check_bag
-from impact_observer.check.salvage import Salvage, salvage
 from impact_observer.cli.arguments import value_of
 from impact_observer.detector.sensor_file import parse_sources
 from impact_observer.errors import ImpactObserverError
@@ -150,7 +149,7 @@ def _csv(folder: Path) -> Attack:
 
 
 def _bag(folder: Path) -> Attack:
-    """A bag: read, checked, observed, salvaged."""
+    """A bag: read, checked, observed."""
     source = folder / "seed"
     soak_files.write_two_mass(source)
     seeds = {file.name: file.read_bytes() for file in source.iterdir()}
@@ -163,12 +162,10 @@ def _bag(folder: Path) -> Attack:
             content = mutated(draw, data, [data]) if name == chosen else data
             (bag / name).write_bytes(content)
         output = folder / f"out{next(number)}"
-        how = draw.randrange(3)
+        how = draw.randrange(2)
         try:
             if how == 0:
                 return check_bag(bag)
-            if how == 1:
-                return salvage(Salvage(bag), output)
             with BagReader(bag) as reader:
                 return observe_bag(reader, _observer(), output, rate=10.0, most=10_000)
         finally:

@@ -50,7 +50,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("compare", "estimates against truth: metrics, tables, picture, export", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
-        Room("check", "models and bags: what is wrong with them, salvage", "rich"),
+        Room("check", "models and bags: what is wrong with them", "rich"),
     ),
     (
         Room("fit", "from a recording to numbers, a table of impacts and a picture"),

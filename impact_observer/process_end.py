@@ -104,8 +104,9 @@ class Stop:
         if received.count == self._raising + 1:
             os.write(2, b"ending already; once more ends it at once, with work unfinished\n")
         elif received.count > self._raising:
-            salvage = b"`impact-observer check --salvage` mends a bag that was open"
-            os.write(2, b"ended at once; " + salvage + b"\n")
+            os.write(
+                2, b"ended at once; a bag that was open has no end, and is read without one\n"
+            )
             os._exit(128 + number)
 
 

@@ -57,12 +57,9 @@ def storage_of(path: Path) -> str:
             # A file that was compressed as a whole has two suffixes.
             suffixes = [each for file in path.iterdir() for each in file.suffixes]
             return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
-        hint = (
-            "if its recorder was killed, `impact-observer check --salvage` saves what is left;"
-            f" read {inside[0]} itself, or "
-            if inside
-            else ""
-        )
+        if any(file.suffix == ".mcap" for file in inside):
+            return "mcap"  # whose recorder was killed
+        hint = f"`{reindex_command(path)}` writes it; " if inside else ""
         kind = BagError if inside else UnfitBagError  # a bag that is damaged, or none
         raise kind(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:
@@ -90,11 +87,18 @@ def topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:
 
 
 def recover_command(path: Path) -> str:
-    """The command that writes what is left of a damaged sqlite3 file to a new one.
+    """The command that writes what is left of a damaged file to a new one.
 
     Args:
         path: the file, or the folder of a bag.
     """
-    files = sorted(path.glob("*.db3")) if path.is_dir() else [path]
+    files = sorted(path.glob("*.db3")) + sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     file = quote(str(files[0])) if len(files) == 1 else "FILE"
-    return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
+    if any(each.suffix == ".db3" for each in files):
+        return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
+    return f"mcap recover {file} -o NEW.mcap"
+
+
+def reindex_command(path: Path) -> str:
+    """The command that writes the metadata.yaml of the bag at ``path`` anew."""
+    return f"ros2 bag reindex {quote(str(path))}"

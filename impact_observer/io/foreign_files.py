@@ -10,11 +10,10 @@ from sqlite3 import connect
 from typing import NamedTuple
 
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
 
 from impact_observer.input_files import open_input
-from impact_observer.io.decompression import plain
 
 ROS_2 = "cdr"
 """Encoding of the messages of ROS 2."""
@@ -120,10 +119,10 @@ def _encodings_in_mcap(file: Path) -> set[str]:
             return found
         stream.seek(0)
         try:
-            for outer in StreamReader(stream, emit_chunks=True).records:
-                inner = breakup_chunk(plain(outer)) if isinstance(outer, Chunk) else [outer]
-                found |= {each.message_encoding for each in inner if isinstance(each, Channel)}
-                if any(isinstance(each, Message) for each in inner):
+            for each in StreamReader(stream).records:
+                if isinstance(each, Channel):
+                    found.add(each.message_encoding)
+                elif isinstance(each, Message):
                     break
         except Exception:  # noqa: BLE001 (as above)
             return found

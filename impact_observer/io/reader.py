@@ -6,11 +6,13 @@ bag, what was found and what is expected.
 """
 
 import struct
+import sys
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from operator import attrgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeVar, cast, final
 
 import numpy as np
@@ -29,10 +31,15 @@ from impact_observer.errors import (
     UsageError,
 )
 from impact_observer.events import ImpactEstimate, ImpactEvent, MeasurementVerdict, Verdict
-from impact_observer.input_files import check_input, open_input
+from impact_observer.input_files import check_input
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
-from impact_observer.io.decompression import bound_rosbags
+from impact_observer.io.bag_topics import (
+    TopicInfo,
+    recover_command,
+    reindex_command,
+    storage_of,
+    topic_info,
+)
 from impact_observer.io.foreign_files import (
     ROS_2,
     bag_files,
@@ -41,7 +48,6 @@ from impact_observer.io.foreign_files import (
     foreign_messages,
 )
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.mcap_checksums import index_is_damaged, mcap_files
 from impact_observer.io.messages import (
     AnyMessage,
     MessageError,
@@ -63,15 +69,15 @@ from impact_observer.io.typestores import (
     deserialize,
     new_typestore,
 )
+from impact_observer.io.unfinished_mcap import has_end, write_whole
 from impact_observer.model.model_file import load_yaml
+from impact_observer.plain_text import say
 from impact_observer.resources import read_text
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Stamps
 
-bound_rosbags()
 _Value = TypeVar("_Value")
 
-_SALVAGE = "`impact-observer check --salvage` saves what is left"
 _MOST_NESTED = 1000
 """Brackets, and letters of a line, up to which metadata cannot be nested too deeply."""
 _WRONG_KIND = "rows without a whole log time (ns) and bytes"
@@ -106,6 +112,7 @@ class BagReader:
         end: log time of the last message, ns; 0 when the bag is empty.
         message_count: messages on all topics.
         low: first stamp of the part that is read, ns; 0 for the whole bag.
+        is_whole: whether the files have an end and the folder has metadata.yaml.
     """
 
     def __init__(self, path: Path | str, namespace: str = "") -> None:
@@ -121,13 +128,13 @@ class BagReader:
         """
         self.path = Path(path)
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
-        with self._translated():
-            self.storage = storage_of(self.path)
-            self._check_files()
-            self._reader = Reader(self.path)
-            self._reader.open()
+        self._open = ExitStack()
+        self.is_whole = True
         try:
             with self._translated():
+                self.storage = storage_of(self.path)
+                self._check_files()
+                self._reader = self._open.enter_context(Reader(self._file_with_end()))
                 self._read_topics()
         except BaseException:
             self.close()
@@ -144,8 +151,23 @@ class BagReader:
         self.start = self._reader.start_time if self.message_count else 0
         self.end = int(self._reader.end_time) - 1 if self.message_count else 0
 
+    def _file_with_end(self) -> Path:
+        """The bag, or a file with the messages of MCAP files without an end."""
+        files = [each for each in bag_files(self.path) if each.suffix == ".mcap"]
+        self._has_metadata = (self.path / "metadata.yaml").is_file()
+        if not files or ((self._has_metadata or len(files) == 1) and all(map(has_end, files))):
+            return self.path if self._has_metadata or not files else files[0]
+        self._has_metadata = self.is_whole = False
+        folder = self._open.enter_context(TemporaryDirectory(prefix="impact_observer_"))
+        file = Path(folder) / files[0].name
+        if not write_whole(files, file):
+            raise BagError(f"{self.path}: has no end and no whole chunk; {self._recover}")
+        lacks = "a file without an end" if len(files) == 1 else "files without metadata.yaml"
+        say(f"warning: {self.path}: {lacks}, read up to the last whole chunk", file=sys.stderr)
+        return file
+
     def _check_files(self) -> None:
-        """Check that the files are regular ones, and the checksums of indexes of MCAP files.
+        """Check that the files are regular ones.
 
         Metadata with aliases are checked to have an end when they are written out, and those with
         many brackets or a long line, which may be nested deeply, to be YAML: the library that
@@ -156,23 +178,16 @@ class BagReader:
             if file.suffix == ".db3" and (view := first_view(file)):
                 found = f"{file.name} has a view {view}; expected tables alone"
                 raise BagError(f"{self.path}: cannot be read as a bag: {found}")
-        if self.path.is_dir():
-            text = read_text(self.path / "metadata.yaml")
+        if (metadata := self.path / "metadata.yaml").is_file():
+            text = read_text(metadata)
             brackets = text.count("[") + text.count("{")
             longest = max(map(len, text.splitlines()), default=0)
             if "&" in text or max(brackets, longest) > _MOST_NESTED:
                 load_yaml(text)
-        for file in mcap_files(self.path):
-            with open_input(file) as stream:
-                if index_is_damaged(stream):
-                    raise BagError(
-                        f"{self.path}: cannot be read as a bag: the index of {file.name} does not"
-                        f" match its checksum; {_SALVAGE}"
-                    )
 
     def _read_topics(self) -> None:
         """Read the topics of the bag that is open, and check its metadata."""
-        if self.path.is_dir():
+        if self._has_metadata:
             self._check_kinds()
         self._connections: dict[str, list[Connection]] = {}
         for topic in sorted(self._reader.topics, key=interfaces.absolute):
@@ -186,7 +201,7 @@ class BagReader:
         # takes such a topic for another one unless it is given as the files have it, too.
         files = getattr(self._reader.storage, "storages", ())
         self._stored: list[Connection] = [each for file in files for each in file.connections]
-        if self.path.is_dir():
+        if self._has_metadata:
             self._check_counts()
 
     def _check_counts(self) -> None:
@@ -199,7 +214,7 @@ class BagReader:
                 fault = f"{each.topic} ({each.msgtype}), which its files do not have"
             else:
                 continue
-            raise BagError(f"{self.path}: its metadata.yaml has {fault}; {_SALVAGE}")
+            raise BagError(f"{self.path}: its metadata.yaml has {fault}; {self._reindex}")
 
     def _check_kinds(self) -> None:
         """Check that metadata.yaml has a list of files, and whole numbers of ns and messages."""
@@ -220,7 +235,7 @@ class BagReader:
             faults.append(f"files: {storage.files!r}; expected a list")
             storage.files = []  # which is cleared at the end
         if faults:
-            raise BagError(f"{self.path}: its metadata.yaml has {faults[0]}; {_SALVAGE}")
+            raise BagError(f"{self.path}: its metadata.yaml has {faults[0]}; {self._reindex}")
 
     def __enter__(self) -> "BagReader":
         return self
@@ -230,8 +245,17 @@ class BagReader:
 
     def close(self) -> None:
         """Close the files; closing twice does no harm."""
-        if self._reader.is_open:
-            self._reader.close()
+        self._open.close()
+
+    @property
+    def _reindex(self) -> str:
+        """The remedy for a wrong metadata.yaml."""
+        return f"`{reindex_command(self.path)}` writes it anew"
+
+    @property
+    def _recover(self) -> str:
+        """The remedy for a damaged file."""
+        return f"`{recover_command(self.path)}` writes what is left to a new file"
 
     @property
     def size(self) -> int:
@@ -285,14 +309,12 @@ class BagReader:
         self,
         topics: Collection[str] | None = None,
         start: int = 0,
-        lose: Callable[[str], None] | None = None,
     ) -> Iterator[RawMessage]:
         """The serialized messages, in bag order, for copying and playing.
 
         Args:
             topics: only these absolute names; None for all.
             start: only messages logged at or after this stamp, ns.
-            lose: called with a line for a row of sqlite that is no message; None to raise.
 
         Raises:
             BagError: a topic is missing, or the bag is damaged.
@@ -300,7 +322,7 @@ class BagReader:
         wanted = self.topics if topics is None else topics
         for topic in wanted:
             self._topic(topic)
-        return self._stream([c for topic in wanted for c in self._connections[topic]], start, lose)
+        return self._stream([c for topic in wanted for c in self._connections[topic]], start)
 
     def read_between(self, low: int, high: int, received: Collection[str] = ()) -> None:
         """Leave out, from now on, what is stamped before ``low`` or after ``high``, ns.
@@ -525,7 +547,6 @@ class BagReader:
         self,
         connections: Collection[Connection],
         start: int = 0,
-        lose: Callable[[str], None] | None = None,
     ) -> Iterator[RawMessage]:
         """Yields the messages of some connections in bag order; checks that none is missing."""
         if not connections:
@@ -544,10 +565,7 @@ class BagReader:
             for own, log_time, data in self._reader.messages(known, start=start or None):
                 count += 1
                 if type(log_time) is not int or type(data) is not bytes:  # of sqlite, any type
-                    if lose is None:
-                        raise BagError(f"{self.path}: {own.topic} has {_WRONG_KIND}; {_SALVAGE}")
-                    lose(f"{names[own.topic]}: {_WRONG_KIND}")
-                    continue
+                    raise BagError(f"{self.path}: {own.topic} has {_WRONG_KIND}")
                 raw = RawMessage(names[own.topic], log_time, data)
                 if raw.topic in stamp_of and not low <= stamp_of[raw.topic](raw) <= high:
                     continue
@@ -556,7 +574,7 @@ class BagReader:
         if count < expected and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {expected} promised by its index; "
-                + _SALVAGE
+                + self._recover
             )
 
     def _stamp_reader(self, topic: str) -> Callable[[RawMessage], int]:
@@ -576,7 +594,7 @@ class BagReader:
         try:
             yield
         except ModelError as error:
-            raise BagError(f"{self.path}: its metadata.yaml: {error}; {_SALVAGE}") from None
+            raise BagError(f"{self.path}: its metadata.yaml: {error}; {self._reindex}") from None
         except ImpactObserverError:
             raise
         except Exception as error:  # anything, in a damaged file
@@ -584,18 +602,15 @@ class BagReader:
                 raise UnfitBagError(f"{self.path}: {foreign}") from None
             reason = _reason(error)
             others = [each for each in encodings_at(self.path) if each != ROS_2]
-            remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
+            remedy = self._recover
             if others:
                 reason = f"has {' and '.join(others)} messages beside those of ROS 2 ({ROS_2})"
-                remedy = "`impact-observer check --salvage` writes those of ROS 2 to a new bag"
+                remedy = "record those of ROS 2 alone"
             elif "Serialization format" in reason:  # of metadata.yaml alone
                 reason = f"its metadata.yaml has other messages than its files, which have {ROS_2}"
-                remedy = "`impact-observer check --salvage` writes them to a new bag"
+                remedy = self._reindex
             elif "files are missing" in reason:  # that metadata.yaml names
-                remedy = "move them back, or `impact-observer check --salvage` saves what is there"
-            elif "database" in reason:  # as sqlite3 says
-                command = recover_command(self.path)
-                remedy = f"`{command}` writes what is left to a new file"
+                remedy = f"move them back, or {self._reindex}"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
 
 

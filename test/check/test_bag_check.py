@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checking a bag: every fault has its line, and there is no other line."""
+"""Checking a bag: every fault is found, under the name of the thing at fault, and no other."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -7,13 +7,17 @@ from typing import cast
 
 import numpy as np
 import pytest
-from faulty_bags import GOOD, MAKE, S, model, state, three, write
+from faulty_bags import GOOD, MAKE, STOP, S, event_message, model, state, three, write
 
-from impact_observer.check.bag_check import check_bag
-from impact_observer.cli.main import main
-from impact_observer.events import ImpactEvent, Switch
+from impact_observer.check.bag_check import Finding, check_bag
+from impact_observer.errors import BagError
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.io import BagReader, BagWriter
+from impact_observer.io.observed_bag import observe_bag
+from impact_observer.io.recordings import model_of
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
+from impact_observer.observer import Options, make_observer
 
 TYPES = cast("dict[str, Callable[..., object]]", typestore().types)
 
@@ -21,123 +25,65 @@ TYPES = cast("dict[str, Callable[..., object]]", typestore().types)
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
-def lines(*, usable: bool, name: str | None = None) -> list[str]:
-    """Severity and line of each finding in ``bag``, against a given model or that of the bag."""
-    system = None if name is None else read_model(name).system
-    report = check_bag(Path("bag"), system)
+def findings(*, usable: bool, name: str | None = None) -> list[Finding]:
+    """The findings in ``bag``, against a given model or that of the bag."""
+    report = check_bag(Path("bag"), None if name is None else read_model(name).system)
     assert report.usable is usable
-    return [f"{each.severity} {each.line}" for each in report.findings]
+    assert all("\n" not in each.line for each in report.findings)
+    return report.findings
+
+
+def found(*, usable: bool, name: str | None = None) -> list[tuple[str, str]]:
+    """Severity and thing of each finding."""
+    return [(each.severity, each.thing) for each in findings(usable=usable, name=name)]
 
 
 def test_no_impacts_names_the_sensors_and_the_command() -> None:
-    """A switch, an accelerometer, forces: the line can be copied."""
-    vector = TYPES["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    header = TYPES["std_msgs/msg/Header"](MAKE.time(S), "")
-    wrench = TYPES["geometry_msgs/msg/Wrench"](vector, vector)
-    write(
-        None,
-        types={
-            "/switch": "std_msgs/msg/Bool",
-            "/force": "geometry_msgs/msg/WrenchStamped",
-            "/imu": "sensor_msgs/msg/Imu",
-        },
-        more=[
-            ("/switch", S, TYPES["std_msgs/msg/Bool"](data=True)),
-            ("/force", S, TYPES["geometry_msgs/msg/WrenchStamped"](header, wrench)),
-        ],
-    )
+    """The commands for a switch, an accelerometer and a force can be copied."""
+    kinds = {
+        "/force": "geometry_msgs/msg/WrenchStamped",
+        "/imu": "sensor_msgs/msg/Imu",
+        "/switch": "std_msgs/msg/Bool",
+    }
+    write(None, types={**kinds, "/phase_reference": "std_msgs/msg/Header"})
+    first, *sensors = findings(usable=False)
+    assert (first.severity, first.thing) == ("error", "bag")
+    assert [each.thing for each in sensors] == [*kinds]
     do = "impact-observer detect bag --contact NAME --topic"
-    assert lines(usable=False) == [
-        (
-            "error bag: no impacts; topics in the bag: /force, /imu, /plant/joint_states,"
-            " /plant/model, /switch; expected impact_observer_msgs/msg/ImpactEvent on /impacts;"
-            " detect can make them of its sensors"
-        ),
-        (
-            "note /force: geometry_msgs/msg/WrenchStamped looks like a force;"
-            f" {do} /force --field wrench.force.z --threshold N -o NEW"
-        ),
-        (
-            "note /imu: sensor_msgs/msg/Imu looks like an accelerometer;"
-            f" {do} /imu --threshold N -o NEW"
-        ),
-        f"note /switch: std_msgs/msg/Bool looks like a switch; {do} /switch -o NEW",
+    assert [each.remedy for each in sensors] == [
+        f"{do} /force --field wrench.force.z --threshold N -o NEW",
+        f"{do} /imu --threshold N -o NEW",
+        f"{do} /switch -o NEW",
     ]
-
-
-def test_no_impacts_tells_the_pulse_of_a_drive_from_a_sensor() -> None:
-    """The topic phase_reference is never a contact; another header may be a turn of a drive."""
-    header = "std_msgs/msg/Header"
-    write(None, types={"/phase_reference": header, "/tacho": header})
-    said = "\n".join(lines(usable=False))
-    assert "note /phase_reference" not in said
-    assert f"note /tacho: {header} looks like a message a hit, or a turn of a drive" in said
-    assert "detect --pulses" in said
-
-
-def test_no_impacts_and_no_sensors_names_import() -> None:
-    """A table of times will do."""
-    write(None)
-    assert lines(usable=False) == [
-        (
-            "error bag: no impacts; topics in the bag: /plant/joint_states, /plant/model;"
-            " expected impact_observer_msgs/msg/ImpactEvent on /impacts; a table of impact times"
-            " becomes a bag with `impact-observer import CSV -o BAG`"
-        )
-    ]
-
-
-def test_impacts_under_another_name_are_pointed_at() -> None:
-    """Impacts under another name are recognised by their type."""
-    write(
-        None,
-        types={"/hits": "impact_observer_msgs/msg/ImpactEvent"},
-        more=[("/hits", S, MAKE.event(GOOD[0]))],
-    )
-    assert lines(usable=False)[0].endswith(
-        "; play the bag with /hits as /impacts, and record that"
-    )
 
 
 def test_several_topics_of_impacts_are_refused() -> None:
-    """A topic without a namespace wins over the others."""
+    """Both are named."""
     both = [(f"/{rig}/impacts", S, MAKE.event(GOOD[0])) for rig in ("left", "right")]
     write(None, more=both)
-    assert lines(usable=False) == [
-        (
-            "error /left/impacts and /right/impacts: several topics fit /impacts; expected one"
-            " of them; record one only, or play the bag with one as /impacts"
-        )
-    ]
+    assert found(usable=False) == [("error", "/left/impacts and /right/impacts")]
 
 
 def test_a_second_topic_of_impacts_is_not_used() -> None:
-    """The one at the top is."""
+    """The topic without a namespace is."""
     write(more=[("/left/impacts", 2 * S, MAKE.event(GOOD[0]))])
-    assert lines(usable=True) == ["note /left/impacts: not used; /impacts is"]
+    assert found(usable=True) == []
 
 
 def test_impacts_of_another_type_are_named() -> None:
-    """The error says how messages of another type become events."""
+    """Found and wanted types are in the line."""
     message = TYPES["std_msgs/msg/Bool"](data=True)
     write(None, types={"/impacts": "std_msgs/msg/Bool"}, more=[("/impacts", S, message)])
-    assert lines(usable=False) == [
-        (
-            "error /impacts: is std_msgs/msg/Bool; expected"
-            " impact_observer_msgs/msg/ImpactEvent; detect makes impacts of such a topic"
-        )
-    ]
+    (finding,) = findings(usable=False)
+    assert finding.thing == "/impacts"
+    assert "std_msgs/msg/Bool" in finding.found
+    assert finding.wanted == "impact_observer_msgs/msg/ImpactEvent"
 
 
 def test_no_events_at_all() -> None:
-    """A topic without messages."""
+    """A topic without messages is an error."""
     write([])
-    assert lines(usable=False) == [
-        (
-            "error /impacts: no events; expected at least one impact; was the sender running,"
-            " and was it subscribed to reliably, transient local?"
-        )
-    ]
+    assert found(usable=False) == [("error", "/impacts")]
 
 
 BAD = state(5 * S)
@@ -145,156 +91,202 @@ BAD.position = cast("Sequence[float]", np.array([0, np.nan]))
 
 
 @pytest.mark.parametrize(
-    ("changes", "name", "usable", "expected"),
+    ("changes", "name", "usable", "expected", "words"),
     [
-        (
-            {"text": ""},
-            None,
-            True,
-            (
-                "warning bag: carries no model (/plant/model); name one with --model MODEL;"
-                " contacts and epoch are checked then"
-            ),
-        ),
-        (
-            {"text": "name: [broken"},
-            None,
-            True,
-            (
-                "warning /plant/model: the model it carries is not valid (model: is not YAML at"
-                " line 1, column 14: expected ',' or ']', but got '<stream end>'); name one with"
-                " --model MODEL"
-            ),
-        ),
+        ({"text": ""}, None, True, ("warning", "bag"), "/plant/model"),
+        ({"text": "name: [broken"}, None, True, ("warning", "bag"), "line 1, column 14"),
         (
             {"truth": [three(k * S) for k in range(1, 8)]},
             "three_mass",
             False,
-            (
-                "error /impacts: none of its contacts (stop) is one of the model three_mass;"
-                " expected right, left; name the model of this rig with --model"
-            ),
+            ("error", "/impacts"),
+            "three_mass",
         ),
-        (
-            {"truth": []},
-            None,
-            True,
-            (
-                "note bag: carries no truth (/plant/joint_states); observe needs --rate, and"
-                " there is nothing to compare with"
-            ),
-        ),
+        ({"truth": []}, None, True, ("note", "bag"), "/plant/joint_states"),
         (
             {"truth": [state(k * S, ("a", "x2")) for k in range(1, 8)]},
             None,
             True,
-            (
-                "warning /plant/joint_states: states of a, x2; expected the coordinates x1, x2"
-                " of the model two_mass; compare cannot use them; name the model's coordinates"
-                " alike"
-            ),
+            ("warning", "/plant/joint_states"),
+            "a, x2",
         ),
         (
             {"truth": [*(state(k * S) for k in range(1, 7)), state(7 * S, ("x1", "y"))]},
             None,
             False,
-            (
-                "error /plant/joint_states: 1 message has other coordinates, the first is"
-                " message 6: x1, y; expected one finite position and velocity for every"
-                " coordinate, the same throughout; observe and compare refuse it; record again,"
-                " or leave the topic out"
-            ),
+            ("error", "/plant/joint_states"),
+            "message 6: x1, y",
         ),
         (
             {"truth": [*(state(k * S) for k in range(1, 8)), BAD, BAD]},
             None,
             False,
-            (
-                "error /plant/joint_states: 2 messages have no state, the first is message 7:"
-                " JointState.position[1] is nan; expected finite numbers; expected one finite"
-                " position and velocity for every coordinate, the same throughout; observe and"
-                " compare refuse it; record again, or leave the topic out"
-            ),
+            ("error", "/plant/joint_states"),
+            "message 7: JointState.position[1] is nan",
         ),
         (
             {"truth": [state(k * S) for k in range(1, 5)]},
             None,
             True,
-            (
-                "note /plant/joint_states: the truth is from 1.000000000 to 4.000000000 s, the"
-                " impacts are from 2.000000000 to 6.000000000 s; only what is common can be"
-                " compared"
-            ),
+            ("note", "/plant/joint_states"),
+            "1.000000000 to 4.000000000 s",
         ),
         (
             {"truth": [state(k * S) for k in range(50, 58)]},
             None,
             True,
-            (
-                "warning /plant/joint_states: the truth is from 50.000000000 to 57.000000000 s,"
-                " the impacts are from 2.000000000 to 6.000000000 s; nothing can be compared;"
-                " are both stamped by one clock?"
-            ),
+            ("warning", "/plant/joint_states"),
+            "50.000000000 to 57.000000000 s",
         ),
     ],
 )
-def test_every_fault_of_model_and_truth_has_its_line(
+def test_every_fault_of_model_and_truth_is_found(
     changes: dict[str, object],
     name: str | None,
     usable: bool,
-    expected: str,
+    expected: tuple[str, str],
+    words: str,
 ) -> None:
-    """The check prints one line for each fault, and no other line."""
+    """Each bag has one fault and one finding, with the value that was found."""
     write(**changes)  # type: ignore[arg-type]
-    assert lines(usable=usable, name=name) == [expected]
+    (finding,) = findings(usable=usable, name=name)
+    assert (finding.severity, finding.thing) == expected
+    assert words in finding.found
 
 
 def test_a_contact_that_is_never_reported_is_a_warning() -> None:
     """The left stop of three_mass has no event."""
     events = [ImpactEvent(e.stamp, (Switch("right"),), e.sequence, 1, S) for e in GOOD]
-    write(events, text=model("three_mass"), truth=[])
-    assert lines(usable=True) == [
-        (
-            "warning /impacts left: this contact of the model three_mass is never reported; if it"
-            " was hit, its sensor is silent or has another name"
-        ),
-        (
-            "note bag: carries no truth (/plant/joint_states); observe needs --rate, and there"
-            " is nothing to compare with"
-        ),
-    ]
+    write(events, text=model("three_mass"), truth=[three(k * S) for k in range(1, 8)])
+    (finding,) = findings(usable=True)
+    assert (finding.severity, finding.thing) == ("warning", "/impacts")
+    assert finding.found.endswith("left")
 
 
-def test_the_first_fault_among_many_states_is_named() -> None:
-    """Messages have two layouts, since the frame is part of a message."""
-    truth = [state(S + k * 20_000_000) for k in range(500)]
-    for k in (340, 300, 480):
-        truth[k].velocity = cast("Sequence[float]", np.array([np.inf, 1]))
-    for each in truth[::3]:
-        each.header.frame_id = "rig"
-    write(truth=truth)
-    (line,) = lines(usable=False)
-    assert line.startswith(
-        "error /plant/joint_states: 3 messages have no state, the first is message 300:"
-        " JointState.velocity[0] is inf; expected finite numbers; expected one finite"
-    )
+CASES: dict[str, tuple[list[ImpactEvent], bool, str]] = {
+    "unsorted stamps": ([GOOD[0], GOOD[2], GOOD[1], GOOD[3], GOOD[4]], True, ""),
+    "a message twice": ([*GOOD, GOOD[4]], True, "message 5 at 6.000000000 s"),
+    "a number twice": (
+        [*GOOD, ImpactEvent(7 * S, STOP, 5, 1, S)],
+        True,
+        "message 5 at 7.000000000 s",
+    ),
+    "a gap": (
+        [GOOD[0], GOOD[3], GOOD[4]],
+        True,
+        "2 events missing, the first is number 2, before 5.000000000 s",
+    ),
+    "no numbers": ([ImpactEvent(event.stamp, STOP, 0, 1, S) for event in GOOD], True, ""),
+    "episodes": (
+        [*GOOD[:2], *(ImpactEvent(k * S, STOP, k - 3, 2, S) for k in (4, 5, 6))],
+        True,
+        "",
+    ),
+    "no epoch": (
+        [ImpactEvent(event.stamp, STOP, event.sequence, 1) for event in GOOD],
+        True,
+        "5 events without an epoch",
+    ),
+    "epoch after events": (
+        [ImpactEvent(event.stamp, STOP, event.sequence, 1, 3 * S) for event in GOOD],
+        True,
+        "message 0 at 2.000000000 s",
+    ),
+    "an unknown contact": (
+        [*GOOD[:4], ImpactEvent(6 * S, (Switch("wall"),), 5, 1, S)],
+        True,
+        "wall",
+    ),
+    "none but unknown contacts": (
+        [ImpactEvent(event.stamp, (Switch("wall"),), event.sequence, 1, S) for event in GOOD],
+        False,
+        "wall",
+    ),
+    "OPEN without CLOSE": (
+        [*GOOD[:4], ImpactEvent(6 * S, (Switch("stop", Kind.OPEN),), 5, 1, S)],
+        True,
+        "stop, message 4 at 6.000000000 s",
+    ),
+    "CLOSE twice": (
+        [ImpactEvent(k * S, (Switch("stop", Kind.CLOSE),), k - 1, 1, S) for k in (2, 3)],
+        True,
+        "stop, message 1 at 3.000000000 s",
+    ),
+    "IMPACT of a closed contact": (
+        [ImpactEvent(2 * S, (Switch("stop", Kind.CLOSE),), 1, 1, S), GOOD[1]],
+        True,
+        "stop, message 1 at 3.000000000 s",
+    ),
+}
+"""Events, whether an observer applies any of them, and words of the one finding."""
 
 
-@pytest.mark.long
-def test_a_true_state_of_another_day_is_named_before_estimates_fill_the_disk(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The check warns of it; observe refuses by the limit that would be exceeded."""
-    write(truth=[*(state(k * S) for k in range(1, 7)), state(30 * 86400 * S)])
-    (far,) = lines(usable=True)
-    assert far.startswith(
-        "warning /plant/joint_states: 1 jump of the stamps, the first is message 6, 720 h after"
-    )
-    command = ["observe", "bag", "--law", "geometric", "-o", "out"]
-    assert main([*command, "--rate", "20"]) == 2
-    found = capsys.readouterr().err
-    assert "51839981 estimates; --most-estimates allows 10000000" in found
-    assert "they would go on until 2592000.000000000 s" in found
-    assert main([*command, "--rate", "1", "--most-estimates", "1000"]) == 2
-    assert not Path("out").exists()
-    assert main([*command, "--rate", "0.001"]) == 0
+def recorded(events: list[ImpactEvent]) -> None:
+    """Record a bag of a plant with these events in this order."""
+    with BagWriter(Path("bag")) as writer:
+        writer.write("/plant/model", S, MAKE.model(model()))
+        for k in range(1, 8):
+            writer.write("/plant/joint_states", k * S, state(k * S))
+        for k, event in enumerate(events):
+            writer.write("/impacts", 2 * S + k, MAKE.event(event))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_every_fault_of_events_is_found(case: str) -> None:
+    """The finding names the first message that has the fault."""
+    events, usable, words = CASES[case]
+    recorded(events)
+    seen = findings(usable=usable)
+    assert len(seen) == bool(words)
+    for each in seen:
+        assert (each.severity, each.thing) == ("warning" if usable else "error", "/impacts")
+        assert words in each.found
+
+
+def observed() -> bool:
+    """Whether an observer applies any event of ``bag``.
+
+    The epoch is given to the observer if no event has one.
+    """
+    with BagReader(Path("bag")) as reader:
+        epoch = 0 if any(event.epoch for event in reader.events()) else S
+        observer = make_observer(
+            model_of(reader).system, Options("kinematic", epoch=epoch, ensemble=1)
+        )
+        try:
+            _, rulings = observe_bag(reader, observer, Path("out"), epoch=epoch)
+        except BagError:
+            return False
+    return rulings[Ruling.APPLIED] > 0
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(
+            case, marks=() if case in {"a gap", "none but unknown contacts"} else pytest.mark.slow
+        )
+        for case in CASES
+    ],
+)
+def test_an_observer_applies_events_of_a_bag_exactly_where_it_is_usable(case: str) -> None:
+    """An observer applies no event of a bag with an error."""
+    events, usable, _ = CASES[case]
+    recorded(events)
+    assert observed() is usable
+
+
+def test_messages_without_a_valid_event_are_errors() -> None:
+    """A stamp of zero, too many nanoseconds, an unknown kind and foreign bytes are counted."""
+    unknown = event_message(GOOD[0])
+    unknown.switches[0].kind = 7
+    with BagWriter(Path("bag")) as writer:
+        writer.write("/plant/model", S, MAKE.model(model()))
+        writer.write("/impacts", 2 * S, event_message(GOOD[0], sec=0))
+        writer.write("/impacts", 3 * S, event_message(GOOD[0], nanosec=4_000_000_000))
+        writer.write("/impacts", 4 * S, unknown)
+        writer.write_raw("/impacts", 5 * S, b"\x00\x01\x00\x00\x01")
+    none, invalid, *_ = findings(usable=False)
+    assert none.thing == invalid.thing == "/impacts"
+    assert invalid.found.startswith("4 not valid, the first is message 0: ImpactEvent.header")

@@ -111,14 +111,13 @@ FOREIGN: dict[str, tuple[Callable[[Path], Path], str]] = {
 def test_every_command_names_what_a_file_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    """``check`` names it too, and promises no salvage; ``--salvage`` says the same."""
+    """``check`` names the encoding and the converter, too."""
     make, line = FOREIGN[name]
     path, output = make(tmp_path / name), str(tmp_path / "out")
     for command in (
         ["export", str(path), "-o", f"{output}.csv"],
         ["detect", str(path), "--contact", "stop", "--topic", "/switch", "-o", output],
         ["observe", str(path), "--model", "two_mass", "--rate", "10", "-o", output],
-        ["check", str(path), "--salvage", "-o", output],
     ):
         assert main(command) == 2
         assert line in said_by(capsys)
@@ -126,7 +125,6 @@ def test_every_command_names_what_a_file_is(
     said = said_by(capsys)
     assert line in said
     assert "1 error)" in said
-    assert "--salvage" not in said
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "bag.bag", "bag/bag_0.db3", "bag/metadata.yaml"])
@@ -158,25 +156,19 @@ def test_a_definition_as_idl_is_that_of_the_message(tmp_path: Path, encoding: st
         assert [each.stamp for each in events_in(reader)] == [START + hit * MS for hit in HITS]
 
 
-def test_salvage_keeps_the_messages_of_ros_2_beside_others(
+def test_messages_beside_those_of_ros_2_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is left out is named, once."""
+    """Such a file is refused."""
     bool_schema = ("std_msgs/msg/Bool", "ros2msg", "bool data\n")
     topics = (
         ("/switch", bool_schema, "cdr", cdr),
         ("/log", ("Switch", "jsonschema", JSON_SCHEMA), "json", as_json),
         ("/bare", None, "cdr", cdr),
     )
-    path, output = mcap(tmp_path / "mixed.mcap", "ros2", *topics), tmp_path / "out"
+    path = mcap(tmp_path / "mixed.mcap", "ros2", *topics)
     assert main(["export", str(path), "-o", str(tmp_path / "out.csv")]) == 1
     assert "has json messages beside those of ROS 2 (cdr)" in said_by(capsys)
-    assert main(["check", str(path), "--salvage", "-o", str(output)]) == 0
-    said = said_by(capsys)
-    assert said.count("/log: json messages, which are not of ROS 2") == 1
-    assert said.count("/bare: messages without a schema, whose type is unknown") == 1
-    with BagReader(output) as reader:
-        assert {each.name: each.count for each in reader.topics.values()} == {"/switch": 2000}
 
 
 def test_the_converter_that_is_named_makes_a_bag_that_is_read(tmp_path: Path) -> None:
@@ -204,26 +196,23 @@ def reencoded(bag: Path, *, files: bool) -> Path:
 def test_sqlite_messages_of_another_encoding_are_named(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No salvage is promised, which could not read them either."""
+    """Every command names the encoding."""
     bag = reencoded(humble_sqlite(sample_bag, tmp_path / "humble"), files=True)
     for command in (["export", str(bag), "-o", str(tmp_path / "out.csv")], ["check", str(bag)]):
         assert main(command) != 0
         said = said_by(capsys)
         assert "holds wrong_format messages, expected those of ROS 2 (cdr)" in said
-        assert "salvage" not in said
 
 
-def test_an_encoding_that_metadata_alone_has_wrong_is_salvaged(
+def test_an_encoding_that_metadata_alone_has_wrong_names_reindexing(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The files have messages of ROS 2; the salvaged bag reads as the first one."""
+    """The files have messages of ROS 2."""
     bag = reencoded(humble_sqlite(sample_bag, tmp_path / "humble"), files=False)
     assert main(["export", str(bag), "-o", str(tmp_path / "out.csv")]) == 1
-    assert "metadata.yaml has other messages than its files, which have cdr" in said_by(capsys)
-    saved = tmp_path / "saved"
-    main(["check", str(bag), "--salvage", "-o", str(saved)])
-    with BagReader(saved) as reader, BagReader(sample_bag) as first:
-        assert reader.message_count == first.message_count
+    said = said_by(capsys)
+    assert "metadata.yaml has other messages than its files, which have cdr" in said
+    assert f"`ros2 bag reindex {bag}`" in said
 
 
 def test_the_largest_time_of_sqlite_is_a_time(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag whose writer never ended: what is on the disk, as another library reads the file."""
+"""A bag whose writer never ended: what is on the disk, and who can read it."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from mcap.stream_reader import StreamReader
 
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.io import BagWriter
+from impact_observer.io import BagReader, BagWriter, interfaces
 from impact_observer.io.messages import bag_messages
 
 MAKE = bag_messages()
@@ -109,3 +109,56 @@ def test_a_disk_that_fills_up_is_reported_in_one_line(
     for last in (writer.flush, writer.close):
         with pytest.raises(BagError, match="bag: cannot be written: No space left on device"):
             last()
+
+
+def flushed(bag: Path, count: int) -> bytes:
+    """Write a bag of events in a chunk each; the bytes of its file."""
+    with BagWriter(bag) as writer:
+        for stamp in range(1, count + 1):
+            writer.write("/impacts", stamp, event(stamp))
+            writer.flush()
+    return (bag / "bag_0.mcap").read_bytes()
+
+
+def test_a_file_without_an_end_is_read_with_one_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wherever the file ends, also with zeros behind, the events are those of its whole chunks."""
+    bag = tmp_path / "bag"
+    data = flushed(bag, 10)
+    (bag / "metadata.yaml").unlink()
+    for cut in range(data.index(b"stop") + 600, len(data) - 8, 501):
+        for zeros in (0, 4096):
+            (bag / "bag_0.mcap").write_bytes(data[:cut] + bytes(zeros))
+            with BagReader(bag) as reader:
+                assert not reader.is_whole
+                assert reader.topics["/impacts"].quality == interfaces.EVENTS
+                assert [each.stamp for each in reader.events()] == log_times(data[:cut])
+            (line,) = capsys.readouterr().err.splitlines()
+            assert line.startswith(f"warning: {bag}: ")
+
+
+def test_a_whole_file_without_metadata_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is lost, and there is no warning."""
+    bag = tmp_path / "bag"
+    flushed(bag, 10)
+    (bag / "metadata.yaml").unlink()
+    with BagReader(bag) as reader:
+        assert [each.stamp for each in reader.events()] == [*range(1, 11)]
+    assert not capsys.readouterr().err
+
+
+def test_a_damaged_chunk_names_the_command_that_recovers(tmp_path: Path) -> None:
+    """A flipped bit in a chunk is found by its checksum, in a file with and without an end."""
+    bag = tmp_path / "bag"
+    data = bytearray(flushed(bag, 10))
+    data[data.rindex(b"stop", 0, len(data) // 3)] ^= 1
+    for size in (len(data), len(data) // 2):
+        (bag / "bag_0.mcap").write_bytes(data[:size])
+        with (
+            pytest.raises(BagError, match=r"`mcap recover .*bag_0\.mcap"),
+            BagReader(bag) as reader,
+        ):
+            list(reader.events())

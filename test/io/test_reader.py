@@ -173,12 +173,6 @@ def break_name(path: Path) -> Path:
     return path / "notes.txt"
 
 
-def break_metadata(path: Path) -> Path:
-    """A recording that was cut short before its metadata."""
-    (path / "metadata.yaml").unlink()
-    return path
-
-
 def break_folder(path: Path) -> Path:
     """An empty folder."""
     shutil.rmtree(path)
@@ -221,17 +215,13 @@ def break_empty(path: Path) -> Path:
     ("damage", "expected"),
     [
         (break_name, r"notes\.txt: not a bag; expected a folder with metadata\.yaml"),
-        (
-            break_metadata,
-            r"bag: no metadata\.yaml; if .*--salvage.* read .*bag_0\.mcap itself, or",
-        ),
         (break_folder, r"bag: no metadata\.yaml; expected a bag"),
         (break_yaml, r"bag: cannot be read as a bag: Could not load YAML"),
         (
             break_file,
             r"bag: cannot be read as a bag: Some database files are missing: .*; move them",
         ),
-        (break_end, r"bag: cannot be read as a bag: File end magic .*check --salvage"),
+        (break_end, r"bag: has no end and no whole chunk; `mcap recover .*bag_0\.mcap"),
         (break_sqlite, r"bag\.db3: cannot be read as a bag: Cannot open database"),
         (break_empty, r"bag_0\.mcap: cannot be read as a bag: File .* seems to be empty"),
     ],
