@@ -127,7 +127,8 @@ setup(
     extras_require={
         "parquet": ["pyarrow>=14"],
         "robots": requirements("robots"),
-        "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
+        "sweep": ["joblib>=1.4", "pyarrow>=14"],
+        "dask": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
         "test": requirements("test"),
         "docs": requirements("docs"),
         "dev": [*requirements("test"), *requirements("lint"), *requirements("docs")],

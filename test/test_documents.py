@@ -50,13 +50,13 @@ def test_every_page_is_in_the_reading_order() -> None:
 
 
 def test_the_example_of_the_page_of_sweeps_runs() -> None:
-    """It makes outcomes that have figures."""
+    """It makes rows that have figures."""
     code = blocks((ROOT / "docs" / "sweep.md").read_text(), "python")[1]
     space: dict[str, object] = {}
     exec(compile(code, "sweep.md", "exec"), space)
-    outcomes = space["outcomes"]
-    assert isinstance(outcomes, list)
-    assert [each.error for each in outcomes] == [""] * 8
+    rows = space["rows"]
+    assert isinstance(rows, list)
+    assert [row["error"] for row in rows] == [""] * 8
 
 
 def test_the_law_of_the_docs_is_a_law() -> None:

@@ -3,14 +3,13 @@
 
 Every law is run with every combination of the given values, --runs times each. Run k has the seed
 SEED + k: the observer begins at random:SEED+k, and the sensor draws from the seed, whatever else
-is swept. The plant is the same in all runs. The results go into one Parquet file; the same command
-continues an interrupted sweep. Needs impact_observer[sweep].
+is swept. The plant is the same in all runs. The results go into one Parquet file, written at the
+end. Needs impact_observer[sweep], and --dask impact_observer[dask].
 """
 
 import argparse
 import json
-import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,8 +34,7 @@ from impact_observer.plain_text import say
 from impact_observer.sensor_faults import SENSOR_FAULTS
 
 if TYPE_CHECKING:
-    from impact_observer.sweep.case_runs import Outcome
-    from impact_observer.sweep.plan import Sweep
+    from impact_observer.sweep.cases import Sweep
 
 EPOCH = 1_000_000_000
 """Default stamp of ``t = 0``, ns."""
@@ -54,8 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
-    output = "a .parquet file: new, or of an interrupted sweep to continue"
-    add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
+    add("-o", "--output", metavar="FILE", type=Path, required=True, help="a .parquet file to make")
     laws = "of the observers, or all that are installed (default geometric)"
     add("--laws", metavar="LAW,...", default="geometric", help=laws)
     add(
@@ -73,11 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", metavar="N", type=count, help="processes (default: all cores)")
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
-    where.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
+    where.add_argument("--dask", metavar="ADDRESS", help=scheduler)
     add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
-    add_force(parser, "plot")
-    against = "the swept quantity on the axis of the picture (default: the first)"
-    add("--against", metavar="NAME", help=against)
+    add_force(parser, "output", "plot")
     add("--json", action="store_true", help="print the metrics as JSON")
     add_measurements(parser)
     _add_swept_arguments(parser)
@@ -138,55 +133,53 @@ def _off(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the cases that are not in the file yet, and print a summary of all.
+    """Run all cases, write their rows, and print a summary.
 
     Raises:
         SweepError: the sweep could not go on, or some cases have failed; the file has the others.
-        KeyboardInterrupt: the file has the cases that are done.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.output_files import check_output
-    from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
-    from impact_observer.sweep.plan import plant_run
-    from impact_observer.sweep.summary import document, groups_of, print_groups
+    from impact_observer.sweep.engine import run_cases
+    from impact_observer.sweep.summary import (
+        groups_of,
+        print_groups,
+        save_picture,
+        table_of,
+        write_table,
+    )
 
     wanted = sweep_in(args)
     check_output(args.output, (".parquet",))
     if args.plot is not None:
-        from impact_observer.sweep.summary_picture import against_of
-
         check_output(args.plot)
-        against_of(wanted, args.against)
-    elif args.against is not None:
-        raise UsageError(f"--against {args.against}: there is no picture; add --plot FILE")
-    outcomes = read_outcomes(args.output, wanted)
     with Progress() as progress:
         progress.show(f"{args.output}: simulating")
-        impacts = len(plant_run(wanted.plant).impacts)
-        if outcomes:
-            kept = f"{args.output}: has {len(outcomes)} of {wanted.size} cases already"
-            say(kept, file=sys.stderr if args.json else None)
-        run_missing(
-            wanted,
-            args.output,
-            outcomes,
-            jobs=args.jobs,
-            scheduler=args.scheduler,
-            progress=lambda done: progress.step(f"{args.output}: cases", done, wanted.size),
-        )
-    groups = groups_of(wanted, outcomes.values())
+        impacts, rows = len(wanted.plant_run.impacts), []
+        for row in run_cases(wanted, jobs=args.jobs, dask=args.dask):
+            rows.append(row)
+            progress.step(f"{args.output}: cases", len(rows), wanted.size)
+    table = table_of(rows)
+    write_table(table, args.output)
+    groups = groups_of(table, wanted.swept)
     if args.plot is not None:
-        from impact_observer.sweep.summary_picture import save_picture
-
-        save_picture(wanted, groups, args.plot, against=args.against)
+        save_picture(wanted, groups, args.plot)
     if args.json:
-        say(json.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))
+        failures = sum(group["failed"] for group in groups)
+        counts = {"cases": wanted.size, "failed": failures, "impacts": impacts}
+        found = {**counts, "settled": wanted.settled, "groups": groups}
+        say(json.dumps(found, indent=2, allow_nan=False))
     else:
         print_groups(wanted, groups)
-        say(f"{args.output}: {wanted.size} cases, {impacts} impacts of the plant in each")
+        say(f"\n{args.output}: {wanted.size} cases, {impacts} impacts of the plant in each")
         if args.plot is not None:
             say(f"picture: {args.plot}")
-    _raise_failed(outcomes.values(), wanted.size)
+    failed = [row for row in table.itertuples() if row.error]
+    if failed:
+        raise SweepError(
+            f"{len(failed)} of {wanted.size} cases failed, such as case {failed[0].case}:"
+            f" {failed[0].error}"
+        )
     return 0
 
 
@@ -198,26 +191,28 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     """
     from impact_observer.model import read_model
     from impact_observer.model.measurements_file import read_measurements
-    from impact_observer.sweep.model_variants import model_variants
-    from impact_observer.sweep.plan import RANDOM, PlantSetup, Sweep, sensors_of
+    from impact_observer.sweep.cases import RANDOM, Sweep, models_of, sensors_of
 
     model = read_model(args.model)
     model.initial_state()
     faults = {each.name: getattr(args, _SENSOR + each.name) for each in SWEPT}
     options, laws = observer_options(args, ""), installed_laws(args.laws)
-    return Sweep(
-        plant=PlantSetup(
-            replace(model, provenance={}).text(), args.duration, args.rate, args.epoch
-        ),
+    sweep = Sweep(
+        model=replace(model, provenance={}).text(),
         laws=laws,
         sensors=sensors_of({name: values for name, values in faults.items() if values}),
-        variants=model_variants(model, _by_name(args.off)),
+        models=models_of(model, _by_name(args.off)),
+        duration=args.duration,
+        rate=args.rate,
+        epoch=args.epoch,
         runs=args.runs,
         seed=args.seed,
         options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
         settled=args.settled,
         measurements=read_measurements(args.measurements),
     )
+    sweep.check()
+    return sweep
 
 
 def _by_name(off: Sequence[tuple[str, tuple[float, ...]]]) -> dict[str, tuple[float, ...]]:
@@ -232,12 +227,3 @@ def _by_name(off: Sequence[tuple[str, tuple[float, ...]]]) -> dict[str, tuple[fl
             raise UsageError(f"off: {name} found twice; give all its values at once, with commas")
         by_name[name] = values
     return by_name
-
-
-def _raise_failed(outcomes: "Iterable[Outcome]", size: int) -> None:
-    failed = sorted((each for each in outcomes if each.error), key=lambda each: each.case)
-    if failed:
-        raise SweepError(
-            f"{len(failed)} of {size} cases failed, such as case {failed[0].case}:"
-            f" {failed[0].error}"
-        )

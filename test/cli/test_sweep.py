@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""sweep: equal outcomes from one process, several processes and a cluster; resuming."""
+"""sweep: equal rows from one process, several processes and a cluster."""
 
 import json
 import re
+import statistics
 import sys
-from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -17,9 +17,8 @@ import pyarrow.parquet as pq
 
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
-from impact_observer.sweep import case_runs, engines, outcomes_file
-from impact_observer.sweep.case_runs import Outcome
-from impact_observer.sweep.plan import Case
+from impact_observer.model import Model
+from impact_observer.observer import Observer, Options, make_observer
 
 SMALL = (
     *(
@@ -98,137 +97,30 @@ def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Pa
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
     ) as cluster:
         address = cluster.scheduler_address
-        assert main(["sweep", *SMALL, "--scheduler", address, "-o", str(path)]) == 0
+        assert main(["sweep", *SMALL, "--dask", address, "-o", str(path)]) == 0
     assert path.read_bytes() == serial.read_bytes()
-
-
-@pytest.mark.slow
-def test_a_cluster_without_workers_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The exit code is 2, and no file is written."""
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(engines, "_PATIENCE", 0.5)
-    with distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs=50) as cluster:
-        address = cluster.scheduler_address
-        words = ["sweep", *SMALL, "--scheduler", address, "-o", str(tmp_path / "sweep.parquet")]
-        assert main(words) == 2
-    line = f"impact-observer: --scheduler {address}: has no workers; start some\n"
-    assert capsys.readouterr().err == line
-    assert [*tmp_path.iterdir()] == []
-
-
-class Engine:
-    """Runs and counts cases in this process, in another order."""
-
-    def __init__(self, stop_after: int | None = None) -> None:
-        self.numbers: list[int] = []
-        self.stop_after = stop_after
-
-    def __call__(
-        self, batches: Sequence[tuple[Case, ...]], *, jobs: int | None, scheduler: str | None
-    ) -> Iterator[Outcome]:
-        """Run batches, as ``run_batches`` does."""
-        del jobs, scheduler
-        for batch in reversed(batches):
-            for outcome in case_runs.run_batch(batch)[::-1]:
-                if len(self.numbers) == self.stop_after:
-                    raise KeyboardInterrupt
-                self.numbers.append(outcome.case)
-                yield outcome
-
-
-@pytest.mark.slow
-def test_finished_cases_are_kept_and_not_run_again(
-    serial: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """After Ctrl-C the same command goes on, in any order, and ends with the same file."""
-    path = tmp_path / "sweep.parquet"
-    first, second, third = Engine(5), Engine(), Engine()
-    monkeypatch.setattr(outcomes_file, "run_batches", first)
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 1
-    line = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
-    assert capsys.readouterr().err == line
-    assert table_of(path)["case"] == sorted(first.numbers) == [11, 12, 13, 14, 15]
-    monkeypatch.setattr(outcomes_file, "run_batches", second)
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
-    assert "has 5 of 16 cases already" in capsys.readouterr().out
-    assert sorted(first.numbers + second.numbers) == [*range(SIZE)]
-    assert path.read_bytes() == serial.read_bytes()
-    monkeypatch.setattr(outcomes_file, "run_batches", third)
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
-    assert third.numbers == []
-    assert [each.name for each in tmp_path.iterdir()] == [path.name]
-
-
-def test_the_file_is_written_from_time_to_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process that is killed loses the results of seconds only."""
-    path, seen = tmp_path / "sweep.parquet", []
-    monkeypatch.setattr(outcomes_file, "PERIOD", 0.0)
-    monkeypatch.setattr(outcomes_file, "LOAD", 0.0)
-
-    def looking(batches: Sequence[tuple[Case, ...]], **_: object) -> Iterator[Outcome]:
-        for case in chain.from_iterable(batches):
-            yield Outcome(case.number, V_ratio=1.0)
-            seen.append(len(table_of(path)["case"]))
-
-    monkeypatch.setattr(outcomes_file, "run_batches", looking)
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
-    assert seen == [*range(1, SIZE + 1)]
-
-
-def test_the_file_of_another_sweep_is_never_overwritten(
-    serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """No other file is overwritten, either."""
-    path = tmp_path / "sweep.parquet"
-    path.write_bytes(serial.read_bytes())
-    assert main(["sweep", *SMALL, "--seed", "1", "-o", str(path)]) == 2
-    line = f"{path}: holds another sweep: seed is 0 there and 1 here; name another file"
-    assert capsys.readouterr().err == f"impact-observer: {line}\n"
-    assert path.read_bytes() == serial.read_bytes()
-    path.write_text("a letter")
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert "is no sweep" in error
-    assert len(error.splitlines()) == 1
-    assert path.read_text() == "a letter"
-    table = pq.read_table(serial)
-    pq.write_table(table.replace_schema_metadata(None), path)
-    assert main(["sweep", *SMALL, "-o", str(path)]) == 2
-    assert f"{path}: exists and is no sweep; name another file" in capsys.readouterr().err
 
 
 def test_a_case_that_fails_is_a_row_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The other cases have results; running the command again does not change the row."""
-    whole, path = case_runs.outcome_alone, tmp_path / "sweep.parquet"
+    path = tmp_path / "sweep.parquet"
 
-    def broken(case: Case) -> Outcome:
-        if case.number == 3:
+    def broken(model: Model, options: Options, **given: object) -> Observer:
+        if options.initial_state == "random:3":
             raise DynamicsError("no solution")
-        return whole(case)
+        return make_observer(model, options, **given)  # type: ignore[arg-type]
 
-    def all_broken(_: Sequence[Case]) -> list[Outcome]:
-        raise DynamicsError("one of them has no solution")
-
-    monkeypatch.setattr(case_runs, "outcome_alone", broken)
-    monkeypatch.setattr(case_runs, "outcomes_together", all_broken)
+    monkeypatch.setattr("impact_observer.sweep.cases.make_observer", broken)
     words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
-    for _ in range(2):
-        assert main([*words, "-o", str(path)]) == 1
-        printed = capsys.readouterr()
-        line = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
-        assert printed.err.splitlines()[-1] == line
-        metrics = json.loads(printed.out)
-        assert metrics["failed"] == metrics["groups"][0]["failed"] == 1
-        assert metrics["groups"][0]["runs"] == 5
+    assert main([*words, "-o", str(path)]) == 1
+    printed = capsys.readouterr()
+    line = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
+    assert printed.err.splitlines()[-1] == line
+    metrics = json.loads(printed.out)
+    assert metrics["failed"] == metrics["groups"][0]["failed"] == 1
+    assert metrics["groups"][0]["runs"] == 5
     table = table_of(path)
     assert table["error"] == ["", "", "", "no solution", ""]
     assert [value is None for value in table["V_end"]] == [False, False, False, True, False]
@@ -257,27 +149,59 @@ def test_a_row_has_the_results_of_simulate_observe_and_compare(
 
 
 @pytest.mark.slow
-def test_the_summary_is_a_table_and_a_picture(
-    serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_summary_has_a_row_for_each_combination(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The summary of a finished file is made without running a case."""
+    """Medians are those of the rows; a picture is drawn beside the file."""
     path, plot = tmp_path / "sweep.parquet", tmp_path / "sweep.svg"
-    path.write_bytes(serial.read_bytes())
-    words = ["--plot", str(plot), "--against", "stiffness-scale"]
-    assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 0
+    words = ["--jobs", "1", "--plot", str(plot), "-o", str(path)]
+    assert main(["sweep", *SMALL, *words]) == 0
     printed = capsys.readouterr().out
     for word in ("jitter [s]", "observer's stiffness-scale", "not settled", "minimum-variance"):
         assert word in printed
     assert f"picture: {plot}" in printed
     assert plot.stat().st_size > 0
+    assert main(["sweep", *SMALL, *words, "--json"]) == 2
+    assert f"{path}: exists already; --force replaces it" in capsys.readouterr().err
+    assert main(["sweep", *SMALL, *words, "--json", "--force"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    assert [(g["law"], g["sensor_jitter"], g["off_stiffness-scale"]) for g in groups] == [
+        *product(("geometric", "minimum-variance"), (0.0, 0.001), (1.0, 1.02))
+    ]
+    ratios = table_of(path)["V_ratio"]
+    for group, pair in zip(groups, batched(ratios), strict=True):
+        assert group["V_ratio"]["median"] == pytest.approx(statistics.median(pair), rel=1e-12)
+
+
+def batched(values: list[object]) -> list[tuple[float, float]]:
+    """Neighbours in pairs: the two runs of each group."""
+    return list(zip(map(float, values[::2]), map(float, values[1::2]), strict=True))  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_runs_that_never_settle_are_not_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their settling time is never in the table, null in JSON and missing in the file."""
+    path = tmp_path / "sweep.parquet"
+    words = ["sweep", "two_mass", "--runs", "2", "--duration", "1", "--jobs", "1"]
+    words += ["-o", str(path), "--force"]
+    assert main(words) == 0
+    row = capsys.readouterr().out.splitlines()[2].split()
+    assert row[:4] == ["geometric", "2", "never", "100%"]
+    assert main([*words, "--json", "--plot", str(tmp_path / "sweep.png")]) == 0
+    (group,) = json.loads(capsys.readouterr().out)["groups"]
+    assert group["settling_time"] == {"low": None, "median": None, "high": None}
+    assert group["not_settled"] == 1.0
+    assert table_of(path)["settling_time"] == [None, None]
 
 
 @pytest.mark.parametrize(
     ("package", "problem"),
     [
-        ("joblib", "sweep needs joblib"),
-        ("distributed", "--scheduler needs Dask"),
-        ("pyarrow", "sweep needs pyarrow"),
+        ("joblib", "sweep needs joblib, pyarrow"),
+        ("distributed", "--dask needs Dask"),
+        ("pyarrow", "sweep needs joblib, pyarrow"),
     ],
 )
 def test_a_missing_package_is_named_with_its_extra(
@@ -291,14 +215,15 @@ def test_a_missing_package_is_named_with_its_extra(
     import impact_observer.sweep
 
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "impact_observer.sweep.outcomes_file", raising=False)
-    monkeypatch.delattr(impact_observer.sweep, "outcomes_file", raising=False)
+    for name in ("engine", "cases", "summary"):
+        monkeypatch.delitem(sys.modules, f"impact_observer.sweep.{name}", raising=False)
+        monkeypatch.delattr(impact_observer.sweep, name, raising=False)
     path = tmp_path / "sweep.parquet"
-    words = ["--scheduler", "tcp://127.0.0.1:1"] if package == "distributed" else []
+    words = ["--dask", "tcp://127.0.0.1:1"] if package == "distributed" else []
     assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"impact-observer: {problem}")
-    assert re.search(r"; pip install .*pyarrow\n$", error)
+    assert re.search(rf"; pip install .*{package}.*\n$", error)
     assert len(error.splitlines()) == 1
     assert not path.exists()
 
@@ -309,13 +234,11 @@ def test_a_missing_package_is_named_with_its_extra(
         (["-o", "sweep.csv"], "sweep.csv: expected a name that ends in .parquet"),
         (["--laws", "magic"], "law 'magic': not installed"),
         (["--off", "gap=0.4", "--off", "gap=0.5"], "off: gap found twice"),
-        (["--against", "jitter"], "there is no picture"),
         (["--plot", "v.gif"], "v.gif: expected a name"),
-        (["--plot", "v.png", "--against", "jitter"], "has not several values"),
         (["--mislabelled", "0.1"], "sensor mislabelled"),
         pytest.param(
-            ["--scheduler", "nowhere"],
-            "--scheduler nowhere: cannot be reached: missing port",
+            ["--dask", "nowhere"],
+            "--dask nowhere: cannot be used: missing port",
             marks=pytest.mark.slow,  # imports distributed
         ),
     ],
@@ -328,7 +251,7 @@ def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
     problem: str,
 ) -> None:
     """The error comes before anything runs."""
-    if "--scheduler" in words:
+    if "--dask" in words:
         pytest.importorskip("distributed")
     monkeypatch.chdir(tmp_path)
     assert main(["sweep", "two_mass", "-o", "sweep.parquet", *words]) == 2
@@ -345,7 +268,7 @@ def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
         (["--jitter", "0,2"], "each 0 to 1 s"),
         (["--impacts-only", "perhaps"], "each true | false"),
         (["--off", "gap"], "expected NAME=V,V"),
-        (["--jobs", "2", "--scheduler", "tcp://a:1"], "not allowed with"),
+        (["--jobs", "2", "--dask", "tcp://a:1"], "not allowed with"),
         (["--runs", "0"], "1 or more"),
     ],
 )
