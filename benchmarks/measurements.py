@@ -344,8 +344,6 @@ def print_cost(seconds: float = 3.0, rounds: int = 3) -> None:
         "minimum-variance, all declared": TRUSTED,
         "minimum-variance, clock declared": OPTIONS,
         "minimum-variance, defaults": Options(law="minimum-variance"),
-        "geometric": Options(law="geometric"),
-        "kinematic": Options(law="kinematic"),
     }
     for label, options in cases.items():
         taken, followed_ = np.inf, 0

@@ -52,9 +52,9 @@ _MODELS = ("two_mass", "three_mass", "bouncing_ball")
 _TABLE = b"time,x1,x2\n0,0,1\n0.5,1e-3,-2\n1,0,4\n"
 _IMPACTS = b"time,contact,kind,sequence\n0.5,stop,impact,1\n0.9,stop,close,2\n1.25,stop,open,3\n"
 _MEASURED = b"""measurements:
-  - {name: laser, topic: /range, field: a.b[3], position: {x2: -1}, offset: 0.5, deviation: learn}
+  - {name: laser, topic: /range, field: a.b[3], position: {x2: -1}, offset: 0.5, deviation: 0.1}
   - {name: probe, topic: /probe, joint: x, quantity: velocity, gap: stop, deviation: 1.0e-4,
-     gain: 1, delay: 0.01, blanking: 0.004, gate: 5.0, timeout: 0.5, stamp: receive}
+     delay: 0.01, blanking: 0.004, gate: 5.0, timeout: 0.5, stamp: receive}
 """
 _EDGES = (0, 1, 2, 5, 999, 2**31, 2**32 - 1)
 _LONG = (0, 1, 7, 1007, 2**32, 2**63, 2**64 - 1)

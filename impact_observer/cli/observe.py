@@ -261,12 +261,10 @@ def far_start(system: "System", options: "Options") -> "Iterator[str]":
 
 
 def sample_lines(observer: "Observer") -> "Iterator[str]":
-    """Counts of accepted and other samples of each sensor, and learned deviations."""
-    from impact_observer.model.system import unit_of
+    """Counts of accepted and other samples of each sensor."""
     from impact_observer.observer.samples import MOST_KEPT
     from impact_observer.plain_text import part_left_out
 
-    learned = observer.learned_deviations
     for sensor, counts in zip(observer.samples.sensors, observer.samples.counts, strict=True):
         kinds = ("accepted", "rejected", "unused", "invalid", "dropped")
         used = ", ".join(f"{counts[kind]} {kind}" for kind in kinds if counts[kind])
@@ -274,18 +272,8 @@ def sample_lines(observer: "Observer") -> "Iterator[str]":
             why = f"more than {MOST_KEPT} waited to be used"
             part = part_left_out(dropped, counts["samples"], "samples", why)
             yield f"warning: {sensor.name}: {part}"
-        line = f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
-        if sensor.name in learned:
-            declared = sensor.measurement.deviation
-            unit = unit_of(sensor.measurement.unit, observer.system.unit)
-            line += f"; learned: deviation {learned[sensor.name]:.3g} {unit}"
-            if declared is not None:
-                line += f", much larger than the declared {declared:g} {unit}"
-                if observer.robot is not None:
-                    line = f"warning: {line}: {observer.robot.description.larger_errors}"
-        yield line
-        deviation = learned.get(sensor.name, sensor.measurement.deviation or 0.0)
-        doubt = sensor.measurement.doubt(counts["samples"], counts["rejected"], deviation)
+        yield f"{sensor.name}: {counts['samples']} samples: {used or 'none used yet'}"
+        doubt = sensor.measurement.doubt(counts["samples"], counts["rejected"])
         if doubt and observer.robot is None:
             yield f"warning: {doubt}"
 

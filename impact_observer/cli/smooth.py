@@ -7,7 +7,6 @@ owner /smoother: state, joint_states, verdicts, impacts.
 """
 
 import argparse
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,9 +115,9 @@ def _about_run(model: "Model", law: "Law", run: "SmoothedMotion") -> "Iterator[s
     for sensor in run.sensors:
         yield sensor.text
     yield from contradiction_lines(run.contradictions, unit)
-    warned = chain.from_iterable(sensor.warnings for sensor in run.sensors)
+    doubts = (sensor.doubt for sensor in run.sensors)
     far = run.misfit if run.is_unexplained else ""
-    for line in filter(None, (*warned, run.fallback, far, run.model_doubt, run.early_doubt[0])):
+    for line in filter(None, (*doubts, run.fallback, far, run.model_doubt, run.early_doubt[0])):
         yield f"warning: {line}"
 
 

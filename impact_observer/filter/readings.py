@@ -4,7 +4,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from impact_observer.events import Contacts
 from impact_observer.filter.members import Members
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.saltation import ROUNDING
-from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model import System
 from impact_observer.model.measurement import Coefficients, Measurement
@@ -116,6 +115,11 @@ class DeclaredSensor:
         """Of the sensor."""
         return self.measurement.name
 
+    @property
+    def variance(self) -> float:
+        """Of its noise, in the square of its unit."""
+        return self.measurement.deviation**2
+
     def row(self, moving: MovingSystem, at: Place) -> Row:
         """The measured function of states near a place; ``moving`` between impacts."""
         if not self.is_dynamic and (self._system.frame is None or self._contact is not None):
@@ -175,64 +179,6 @@ class DeclaredSensor:
         return np.asarray(sum(motion @ (row @ frame.shift) for row, motion in rows))
 
 
-class SensorState(NamedTuple):
-    """What is known of a sensor from its samples.
-
-    Attributes:
-        variance: of its noise, as it was declared or learned; negative before the first sample.
-        samples: how many have taught it.
-        rejected: samples in a row that were rejected.
-        shown: variance that its errors have shown, where one is declared: no less than that.
-    """
-
-    variance: float = -1.0
-    samples: int = 0
-    rejected: int = 0
-    shown: float = 0.0
-
-    def after(
-        self, *, accepted: bool, residual: float, deviation: float | None = None
-    ) -> "SensorState":
-        """After a sample whose noise has had the square ``residual``, in the mean.
-
-        The ``deviation`` is the declared one; None where it is ``learned``. A ``residual`` below
-        zero says nothing.
-        """
-        known = self
-        if residual >= 0:
-            known = (
-                self.learned(residual)
-                if deviation is None
-                else self._compared(residual, deviation)
-            )
-        rejected = 0 if accepted else self.rejected + 1
-        return known if known.rejected == rejected else known._replace(rejected=rejected)
-
-    def exceeds(self, deviation: float) -> bool:
-        """Whether its errors are much larger than the declared ``deviation``."""
-        return self.shown > TUNING.as_declared * deviation * deviation
-
-    def _compared(self, residual: float, deviation: float) -> "SensorState":
-        """The declared ``deviation`` is used unless errors are much larger."""
-        if not (declared := deviation * deviation):
-            return self
-        before = max(self.shown, declared)
-        change = min(residual, TUNING.clipping**2 * before) - before
-        shown = max(before + TUNING.shown_weight * change, declared)
-        variance = shown if shown > TUNING.as_declared * declared else declared
-        return self._replace(variance=variance, shown=shown)
-
-    def learned(self, residual: float) -> "SensorState":
-        """After a sample whose noise has had the square ``residual``, in the mean.
-
-        The weight of older samples fades as a power of their number: what was assumed at first
-        is soon forgotten, and in the end a thousand samples count.
-        """
-        samples = self.samples + 1
-        weight = max(TUNING.fading / (samples + TUNING.fading), 1.0 / TUNING.memory)
-        return SensorState(self.variance + weight * (residual - self.variance), samples)
-
-
 class Reading(NamedTuple):
     """A sample at its instant.
 
@@ -243,7 +189,7 @@ class Reading(NamedTuple):
         instant: the same, ns.
         since_impact: s since the last impact that was reported; infinite before any.
         closed: contacts with ``chi = 1``.
-        known: what is known of its sensor.
+        rejected: how many samples of its sensor in a row were rejected before it.
     """
 
     sensor: DeclaredSensor
@@ -252,7 +198,7 @@ class Reading(NamedTuple):
     instant: int
     since_impact: float = math.inf
     closed: Contacts = ()
-    known: SensorState = SensorState()
+    rejected: int = 0
 
     @property
     def is_blanked(self) -> bool:
@@ -274,10 +220,6 @@ class SampleOutcome(NamedTuple):
     normalized: float = -1.0
     accepted: bool = True
     reason: str = ""
-
-
-UsedSample: TypeAlias = tuple[SampleOutcome, SensorState]
-"""What became of a sample, and what is known of its sensor then."""
 
 
 class RobotSensor(DeclaredSensor):

@@ -27,8 +27,6 @@ from impact_observer.filter.readings import (
     Reading,
     Row,
     SampleOutcome,
-    SensorState,
-    UsedSample,
 )
 from impact_observer.filter.settling import rest_after
 from impact_observer.filter.tuning import TUNING
@@ -48,13 +46,11 @@ class SampleResult(NamedTuple):
         state: the state.
         outcome: what became of the sample.
         density: logarithm of the density of the sample, but for a constant.
-        residual: the expected square of its noise; negative where it says nothing about that.
     """
 
     state: GaussianState
     outcome: SampleOutcome
     density: float
-    residual: float = -1.0
 
 
 class _Weighed(NamedTuple):
@@ -63,12 +59,10 @@ class _Weighed(NamedTuple):
     Attributes:
         hypothesis: after it, with its weight.
         outcome: what became of the sample.
-        residual: see ``SampleResult``.
     """
 
     hypothesis: Hypothesis
     outcome: SampleOutcome
-    residual: float
 
     @property
     def is_finite(self) -> bool:
@@ -129,35 +123,21 @@ class SampleFilter:
         rounded = row.rounding(self._sizes(state.x))
         return max(variance, 0.0) + rounded * rounded
 
-    def first(self, reading: Reading, state: GaussianState, known: SensorState) -> SensorState:
-        """``known`` with a variance: of a sensor that is to be learned, that of the prediction."""
-        if known.variance >= 0:
-            return known
-        declared = reading.sensor.measurement.deviation
-        if declared is not None:
-            return known._replace(variance=declared * declared)
-        row = self.row(reading, state)
-        innovation = reading.value - row.value(state.x)
-        variance = max(row.variance(state.root), innovation * innovation)
-        return known._replace(variance=variance)
-
-    def after(
-        self, reading: Reading, state: GaussianState, known: SensorState, jump: float = 0.0
-    ) -> "SampleResult":
+    def after(self, reading: Reading, state: GaussianState, jump: float = 0.0) -> "SampleResult":
         """A state after a sample, unless its gate rejects that.
 
         An impact that may have happened already, or not yet, would change the measured function by
         ``jump``.
         """
         row, gate = self.row(reading, state), reading.sensor.measurement.gate
-        noise = self.noise(row, state, known.variance)
+        noise = self.noise(row, state, reading.sensor.variance)
         if not jump:
             about = row.whole, row.rest, reading.value
             found = measured(*state[:4], *about, noise, gate, self._parameters)
             outcome = _judged(found[4], found[5], gate)
             if outcome.accepted:
                 state = self._corrected(state, *found[:4])
-            return SampleResult(state, outcome, *found[6:])
+            return SampleResult(state, outcome, found[6])
         innovation, variance = reading.value - row.value(state.x), row.variance(state.root) + noise
         size = min(abs(innovation), abs(innovation - jump))
         square = min(size * size / variance, gate * gate)
@@ -173,19 +153,19 @@ class SampleFilter:
         return SampleResult(self._corrected(state, *found[:4]), outcome, density)
 
     def after_together(
-        self, readings: Sequence[Reading], state: GaussianState, known: Sequence[SensorState]
-    ) -> tuple[GaussianState, list[tuple[float, float, float, float]]]:
+        self, readings: Sequence[Reading], state: GaussianState
+    ) -> tuple[GaussianState, list[tuple[float, float, float]]]:
         """A state after samples of one instant, unless their gates reject them.
 
         Returns:
             The state; and of each sample the innovation, its magnitude in standard deviations,
-            the density, and the residual.
+            and the density.
         """
         x, constants, root, others = state[:4]
         numbers = []
-        for reading, sensor in zip(readings, known, strict=True):
+        for reading in readings:
             row, gate = self.row(reading, state), reading.sensor.measurement.gate
-            about = row.whole, row.rest, reading.value, sensor.variance, gate
+            about = row.whole, row.rest, reading.value, reading.sensor.variance, gate
             found = measured(x, constants, root, others, *about, self._parameters)
             x, constants, root, others = found[:4]
             numbers.append(found[4:])
@@ -216,22 +196,18 @@ class SampleUpdate:
         hypotheses: Sequence[Hypothesis],
         largest: Vector | None = None,
         restart: Callable[[], GaussianState] | None = None,
-    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome]:
         """``hypotheses`` after a sample, the likeliest first; the outcome is that of this one.
 
         Where a sensor contradicts the estimate for long, a covariance is tried that is wider, as
         far as the motion has been ``largest``, and the state of a ``restart``.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            known = self.one.first(reading, hypotheses[0].state, reading.known)
-        if not math.isfinite(known.variance):
-            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
-        doubt, before = known.rejected >= TUNING.rejected_samples, len(hypotheses)
+        doubt, before = reading.rejected >= TUNING.rejected_samples, len(hypotheses)
         if doubt or any(h.survival for h in hypotheses):
             hypotheses = [
                 branch
                 for h in hypotheses
-                for branch in self._branches(reading, h, known, largest if doubt else None)
+                for branch in self._branches(reading, h, largest if doubt else None)
             ]
             if doubt and restart is not None and not self.bank.trusts_estimate:
                 best = max(hypotheses, key=attrgetter("weight"))
@@ -247,22 +223,22 @@ class SampleUpdate:
                 hypotheses = [*hypotheses, begun]
         with np.errstate(over="ignore", invalid="ignore"):
             finite = [h for h in hypotheses if _is_finite(h.state)]
-            weighed = [self._weighed(reading, h, known) for h in finite]
+            weighed = [self._weighed(reading, h) for h in finite]
         weighed = [each for each in weighed if each.is_finite]
         if not weighed:
-            return tuple(hypotheses), _TOO_UNCERTAIN, reading.known
-        return self._kept(reading, weighed, known, new=len(weighed) > before)
+            return tuple(hypotheses), _TOO_UNCERTAIN
+        return self._kept(weighed, new=len(weighed) > before)
 
     def followed(
         self, readings: Sequence[Reading], hypotheses: Sequence[Hypothesis], since: float, s: float
-    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+    ) -> tuple[tuple[Hypothesis, ...], list[SampleOutcome]] | None:
         """``after`` samples of one instant of hypotheses that hold ``s`` seconds before it.
 
         They hold ``since`` the epoch, s. By one call of the kernel where the system is linear.
         None where anything is in doubt, or not for the kernel: then they are to be predicted
         first, and to be corrected by one sample at a time.
         """
-        is_doubted = any(each.known.rejected >= TUNING.rejected_samples for each in readings)
+        is_doubted = any(each.rejected >= TUNING.rejected_samples for each in readings)
         if readings[0].closed or is_doubted or not all(h.is_undisturbed for h in hypotheses):
             return None
         if self.bank.filter.is_of_robot:
@@ -271,10 +247,9 @@ class SampleUpdate:
 
     def _followed(
         self, reading: Reading, hypotheses: Sequence[Hypothesis], since: float, s: float
-    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+    ) -> tuple[tuple[Hypothesis, ...], list[SampleOutcome]] | None:
         """The same of a sample of a linear system, by the kernel."""
-        known = self._sure(reading, s)
-        if known is None:
+        if not self._is_for_kernel(reading, s):
             return None
         row, gate = self.one.row(reading, hypotheses[0].state), reading.sensor.measurement.gate
         noise = self.bank.filter.noise
@@ -287,7 +262,7 @@ class SampleUpdate:
             row.h,
             row.rest,
             reading.value,
-            known.variance,
+            reading.sensor.variance,
             gate,
             not self.bank.trusts_events,
         )
@@ -295,28 +270,27 @@ class SampleUpdate:
             return None
         weighed = []
         for h, found in zip(hypotheses, made, strict=True):
-            _, _, _, _, innovation, normalized, density, residual = found
+            _, _, _, _, innovation, normalized, density = found
             after, weight = GaussianState(*found[:4]), h.weight + density
             followed = h._replace(state=after, weight=weight, jump=h.jump.later(s))
-            weighed.append(_Weighed(followed, _judged(innovation, normalized, gate), residual))
+            weighed.append(_Weighed(followed, _judged(innovation, normalized, gate)))
         goes_on = len(weighed) == 1 and not weighed[0].outcome.accepted  # the state before it
         if goes_on or not all(each.is_finite for each in weighed):
             return None
-        kept, outcome, known = self._kept(reading, weighed, known, new=False)
-        return kept, [(outcome, known)]
+        kept, outcome = self._kept(weighed, new=False)
+        return kept, [outcome]
 
     def _followed_together(
         self, readings: Sequence[Reading], hypotheses: Sequence[Hypothesis], since: float, s: float
-    ) -> tuple[tuple[Hypothesis, ...], list[UsedSample]] | None:
+    ) -> tuple[tuple[Hypothesis, ...], list[SampleOutcome]] | None:
         """The same of a robot: one motion, and one step of the bank, for all its encoders."""
-        known = [self.one.first(each, hypotheses[0].state, each.known) for each in readings]
         longest = _STEPS * self.bank.filter.members.given.moving.first_window
-        if not (all(0 < each.variance < math.inf for each in known) and 0 <= s <= longest):
+        if not (all(each.sensor.variance > 0 for each in readings) and 0 <= s <= longest):
             return None
         predicted = self.bank.between.undisturbed(hypotheses, since, s)
         if predicted is None:
             return None
-        made = [self.one.after_together(readings, h.state, known) for h in predicted]
+        made = [self.one.after_together(readings, h.state) for h in predicted]
         found = [
             h._replace(state=state, weight=h.weight + sum(each[2] for each in numbers))
             for h, (state, numbers) in zip(predicted, made, strict=True)
@@ -324,40 +298,25 @@ class SampleUpdate:
         if not all(math.isfinite(h.weight) for h in found):
             return None
         numbers = made[max(range(len(found)), key=lambda k: found[k].weight)][1]
-        used = list[UsedSample]()
-        for reading, sensor, (innovation, normalized, _, residual) in zip(
-            readings, known, numbers, strict=True
-        ):
-            given = reading.sensor.measurement
-            outcome = _judged(innovation, normalized, given.gate)
-            accepted, deviation = outcome.accepted, given.deviation
-            now = sensor.after(accepted=accepted, residual=residual, deviation=deviation)
-            used.append((outcome, now))
-        return self._kept_of(found, new=False), used
+        outcomes = [
+            _judged(innovation, normalized, each.sensor.measurement.gate)
+            for each, (innovation, normalized, _) in zip(readings, numbers, strict=True)
+        ]
+        return self._kept_of(found, new=False), outcomes
 
-    def _sure(self, reading: Reading, s: float) -> SensorState | None:
-        """What is known of a sensor where the kernel can follow for ``s`` seconds."""
-        known, declared = reading.known, reading.sensor.measurement.deviation
-        if known.variance < 0 and declared is not None:
-            known = known._replace(variance=declared * declared)
+    def _is_for_kernel(self, reading: Reading, s: float) -> bool:
+        """Whether the kernel can follow a sensor for ``s`` seconds."""
         filter_ = self.bank.filter
-        if known.variance <= 0 or filter_.members.family.size:
-            return None
-        if not filter_.members.given.moving.is_short(s) or filter_.gaps((), s) is None:
-            return None
-        return known
+        if reading.sensor.variance <= 0 or filter_.members.family.size:
+            return False
+        return filter_.members.given.moving.is_short(s) and filter_.gaps((), s) is not None
 
     def _kept(
-        self, reading: Reading, weighed: Sequence[_Weighed], known: SensorState, *, new: bool
-    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome, SensorState]:
+        self, weighed: Sequence[_Weighed], *, new: bool
+    ) -> tuple[tuple[Hypothesis, ...], SampleOutcome]:
         """The likely ones; where some are ``new`` they may have become alike."""
         first = max(weighed, key=lambda each: each.hypothesis.weight)
-        known = known.after(
-            accepted=first.outcome.accepted,
-            residual=first.residual,
-            deviation=reading.sensor.measurement.deviation,
-        )
-        return self._kept_of([each.hypothesis for each in weighed], new=new), first.outcome, known
+        return self._kept_of([each.hypothesis for each in weighed], new=new), first.outcome
 
     def _kept_of(self, found: Sequence[Hypothesis], *, new: bool) -> tuple[Hypothesis, ...]:
         """The likely ones of hypotheses that are weighed."""
@@ -368,13 +327,13 @@ class SampleUpdate:
         return normalised(self.bank.pruning.settled_jumps(kept))
 
     def _branches(
-        self, reading: Reading, h: Hypothesis, known: SensorState, largest: Vector | None
+        self, reading: Reading, h: Hypothesis, largest: Vector | None
     ) -> Iterator[Hypothesis]:
         """What may have happened before a sample, under one hypothesis."""
         yield from self._settled(reading, h)
         if largest is not None and not self.bank.trusts_estimate:
             row = self.one.row(reading, h.state)
-            noise = self.one.noise(row, h.state, known.variance)
+            noise = self.one.noise(row, h.state, reading.sensor.variance)
             variance = row.variance(h.state.root) + noise
             depth = abs(reading.value - row.value(h.state.x)) / math.sqrt(variance)
             if depth > reading.sensor.measurement.gate:
@@ -415,17 +374,17 @@ class SampleUpdate:
                 jump=Jump(),
             )
 
-    def _weighed(self, reading: Reading, h: Hypothesis, known: SensorState) -> _Weighed:
-        result = self.one.after(reading, h.state, known, self._jump_in_doubt(reading, h))
-        state, outcome, density, residual = result
+    def _weighed(self, reading: Reading, h: Hypothesis) -> _Weighed:
+        result = self.one.after(reading, h.state, self._jump_in_doubt(reading, h))
+        state, outcome, density = result
         blanking = reading.sensor.measurement.blanking
         if h.ledger.missed and min(each.ago for each in h.ledger.missed) < blanking:
             # What is not used does not judge: as likely as any sample that is expected.
             density += (min(outcome.normalized, reading.sensor.measurement.gate) ** 2 - 1) / 2
             reason = f"blanking: an impact that was missed is less than {blanking:g} s ago"
             outcome = SampleOutcome(outcome.innovation, outcome.normalized, False, reason)
-            return _Weighed(h._replace(weight=h.weight + density), outcome, -1.0)
-        return _Weighed(h._replace(state=state, weight=h.weight + density), outcome, residual)
+            return _Weighed(h._replace(weight=h.weight + density), outcome)
+        return _Weighed(h._replace(state=state, weight=h.weight + density), outcome)
 
     def _jump_in_doubt(self, reading: Reading, h: Hypothesis) -> float:
         """By how much an impact changes a sample that may be before it, or after it.

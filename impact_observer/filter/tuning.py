@@ -225,7 +225,7 @@ class Tuning:
     """Information about the logarithm of a variance that a new level counts as having."""
     clipping: float = 3.0
     """Deviations beyond which an innovation counts as this, in levels of errors, in the test of a
-    misfit and in the deviations of sensors: an outlier is none of them (Huber, 1964).
+    misfit: an outlier is none of them (Huber, 1964).
     """
     largest_restitution_error: float = 0.1
     """Most that the deviation of a restitution may be."""
@@ -388,18 +388,6 @@ class Tuning:
     """Largest speed of an open contact of a robot since the sample before, over that now."""
     rejected_samples: int = 3
     """Samples of a sensor rejected in a row from which on the covariance is doubted."""
-    fading: float = 4.0
-    """Power by which samples, from which a deviation is learned, fade with their number: what was
-    assumed at first is soon forgotten.
-    """
-    memory: float = 1000.0
-    """How many of them count in the end."""
-    shown_weight: float = 0.005
-    """Weight of a sample in the variance of a sensor whose deviation is declared."""
-    as_declared: float = 2.25
-    """That variance, over the declared one, up to which the declared one is used. With a third of
-    the samples beyond the gate the filter restarted again and again.
-    """
 
 
 TUNING = Tuning()

@@ -31,7 +31,7 @@ class FitCheck:
         lags: of the autocorrelations.
         by_contact: by name: impacts, mean and rms of their shifts, s.
         worst: the contact of the largest rms.
-        odd: names of the sensors whose errors are too large, or correlated.
+        odd: names of the sensors whose errors are too large.
         missed: names of parameters that were not free and explain more than chance does.
         shift: by how much the motion may be early or late; none where there is no motion, or
             white errors of the clock explain the shifts.

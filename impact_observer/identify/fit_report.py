@@ -490,8 +490,8 @@ def _about_fit(fitted: Identification) -> Iterator[ReportLine]:
     yield from _about_search(fitted)
     for each in fitted.sensors:
         yield _about_sensor(each)
-        for warning in filter(None, (each.doubt, each.correlation.warning(each.name))):
-            yield ReportLine("warning", f"{warning[0].upper()}{warning[1:]}.")
+        if each.doubt:
+            yield ReportLine("warning", f"{each.doubt[0].upper()}{each.doubt[1:]}.")
     unknowns = 2 * fitted.family.system.n + fitted.family.size
     is_short = not fitted.sensors and len(fitted.shifts) < unknowns + _SPARE
     if is_short:
@@ -575,10 +575,9 @@ def _about_time(family: ParametricFamily) -> str:
 
 def _about_sensor(fit: SensorFit) -> ReportLine:
     """How well the samples of a sensor fit."""
-    known = "was declared" if fit.is_declared else "is learned"
     samples = f"{counted(fit.samples, 'sample')} of {fit.name}"
     words = [f"{samples} differ from the motion by {figure(fit.rms)} rms"]
-    words.append(f"{figure(fit.deviation)} {known}")
+    words.append(f"{figure(fit.deviation)} was declared")
     words += [f"{fit.near} near impacts are left out"] * (fit.near > 0)
     words += [f"{fit.rejected} are rejected by the gate"] * (fit.rejected > 0)
     return ReportLine("note", "; ".join(words) + ".")
@@ -622,8 +621,6 @@ def _reasons(fitted: Identification, check: FitCheck) -> Iterator[str]:
         if fit.size < DOUBTED:
             ratio = fit.rms / fit.deviation
             yield f"errors of {fit.name} are {ratio:.3g} times the declared deviation"
-        if fit.correlation.warning(fit.name) or not fit.fits:
-            yield f"errors of {fit.name} are correlated"
     if not (fitted.declared or check.large):
         yield "without --clock-error an error of the model looks like one of the clock"
 

@@ -62,7 +62,7 @@ _STEEPEST = 12.0
 _CAUCHY = 2.0
 """Scale of the Cauchy weights, over the usual shift."""
 _WEIGHINGS = 8
-"""Most fits, each with the deviations of clock and sensors that the one before has shown."""
+"""Most fits, each with the error of the clock that the one before has shown."""
 _SHARPER = 0.25
 """Clock error that is tried next, over the one that the shifts show."""
 _SMALLER = 0.5
@@ -70,9 +70,9 @@ _SMALLER = 0.5
 
 
 def weighed(problem: Problem, y: Vector, *, robust: bool = False) -> tuple[Problem, Solution]:
-    """The most likely motion, with the deviations of clock and sensors that the motion shows.
+    """The most likely motion, with the error of the clock that the motion shows.
 
-    Declared deviations stay, and all deviations stay if no samples and no prior are to be weighed.
+    A declared error stays, and any error stays if no samples and no prior are to be weighed.
     A prior may hold a motion whose shifts are large, and large shifts give the prior its weight:
     smaller clock errors are tried for as long as the shifts become smaller, too.
 

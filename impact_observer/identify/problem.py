@@ -179,15 +179,11 @@ class Problem(NamedTuple):
         return self._replace(prior=prior, clock=clock, is_declared=False, least_clock=least)
 
     def weighed_by(self, solution: "Solution") -> "Problem":
-        """The problem with the deviations of clock and sensors that a solution has shown."""
+        """The problem with the error of the clock, or of impulses, that a solution has shown."""
         if solution.scattered is not None:
             return self.scattering(solution.scattered.shown)
-        sensors = tuple(
-            each._replace(deviation=rms) if each.is_learned and rms > 0 else each
-            for each, rms in zip(self.sensors, solution.errors, strict=True)
-        )
         clock = self.clock if self.is_declared else max(solution.rms, self.least_clock)
-        return self._replace(sensors=sensors, clock=clock)
+        return self._replace(clock=clock)
 
     def scattering(self, shown: Deviations) -> "Problem":
         """The problem with the deviations that gaps have shown."""
@@ -195,10 +191,7 @@ class Problem(NamedTuple):
 
     def is_like(self, other: "Problem") -> bool:
         """Whether the deviations are nearly those of another problem."""
-        mine, theirs = (
-            np.array([p.clock, p.scatter, *(each.deviation for each in p.sensors)])
-            for p in (self, other)
-        )
+        mine, theirs = (np.array([p.clock, p.scatter]) for p in (self, other))
         return bool(np.all(np.abs(mine - theirs) <= _KNOWN * theirs))
 
 

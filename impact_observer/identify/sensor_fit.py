@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from impact_observer.filter.error_correlation import ErrorCorrelation
 from impact_observer.identify.problem import Problem, Solution
-from impact_observer.identify.residuals import DOUBTED, REJECTED, whiteness
+from impact_observer.identify.residuals import DOUBTED, REJECTED
 from impact_observer.model.measurement import Measurement
 
 
@@ -21,12 +20,9 @@ class SensorFit:
         samples: how many were compared.
         near: how many were left out near impacts.
         rejected: how many its gate rejected.
-        deviation: of its noise, declared or learned, in its unit.
-        is_declared: whether ``deviation`` is declared.
+        deviation: of its noise, as declared, in its unit.
         rms: of the errors over their degrees of freedom, in its unit.
-        size: probability of errors this large under the declared deviation; 1 without one.
-        white: probability of autocorrelations this large of independent errors (Ljung and Box).
-        correlation: of the errors, and what it does to the standard errors.
+        size: probability of errors this large under the declared deviation.
     """
 
     sensor: Measurement
@@ -34,11 +30,8 @@ class SensorFit:
     near: int
     rejected: int
     deviation: float
-    is_declared: bool
     rms: float
     size: float
-    white: float
-    correlation: ErrorCorrelation
 
     @property
     def name(self) -> str:
@@ -49,19 +42,17 @@ class SensorFit:
     def doubt(self) -> str:
         """The warning that the sensor contradicts impacts and model; empty if it does not."""
         every = self.samples + self.near + self.rejected
-        return self.sensor.doubt(every, self.rejected, self.rms)
+        return self.sensor.doubt(every, self.rejected)
 
     @property
     def fits(self) -> bool:
-        """Whether neither test rejects the model; errors of counts need not be independent."""
-        is_explained = self.white >= REJECTED or self.correlation.count > 0.0
-        return self.size >= REJECTED and is_explained
+        """Whether the size of the errors does not reject the model."""
+        return self.size >= REJECTED
 
     @property
     def widening(self) -> float:
         """Factor of the standard errors: 1 where white noise of its size explains the errors."""
-        larger = self.rms / self.deviation if self.size < DOUBTED else 1.0
-        return larger * self.correlation.factor
+        return self.rms / self.deviation if self.size < DOUBTED else 1.0
 
 
 def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
@@ -70,7 +61,7 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
     rows = zip(problem.sensors, solution.shot.sensors, solution.errors, strict=True)
     for each, own, rms in rows:
         errors, size = own.errors, 1.0
-        if not each.is_learned and errors.size:
+        if errors.size:
             squares = float(np.sum((errors / each.deviation) ** 2))
             freedom = squares * (each.deviation / rms) ** 2 if rms else 1.0
             size = float(stats.chi2.sf(squares, max(freedom, 1.0)))
@@ -81,11 +72,8 @@ def sensor_fits(problem: Problem, solution: Solution) -> tuple[SensorFit, ...]:
                 each.near,
                 each.rejected,
                 each.deviation,
-                not each.is_learned,
                 rms,
                 size,
-                whiteness(errors),
-                ErrorCorrelation.of_errors(each.t, errors, each.values),
             )
         )
     return tuple(fits)

@@ -34,7 +34,6 @@ class CountedSamples(NamedTuple):
         sensor: its declaration.
         t: s since the epoch, ascending, shape (samples,).
         values: as measured, less what moving grounds add, shape (samples,).
-        deviation: of its noise, in the unit of the values; where it is learned, as it is known.
         near: how many were left out near impacts.
         rejected: how many were left out by the gate.
     """
@@ -42,14 +41,13 @@ class CountedSamples(NamedTuple):
     sensor: Measurement
     t: Vector
     values: Vector
-    deviation: float
     near: int = 0
     rejected: int = 0
 
     @property
-    def is_learned(self) -> bool:
-        """Whether the deviation is to be learned."""
-        return self.sensor.deviation is None
+    def deviation(self) -> float:
+        """Of its noise, in the unit of the values."""
+        return self.sensor.deviation
 
     def which(self, kept: NDArray[np.bool_]) -> "CountedSamples":
         """The samples that ``kept`` selects."""
@@ -122,16 +120,14 @@ def used_samples(
         values = np.array([s.value for s in own], dtype=float)
         finite = np.isfinite(values)
         values = values[finite] - sensor.shifts(instants[finite])
-        spread = float(np.std(values)) if values.size else 0.0
-        deviation = given.deviation or max(spread, np.finfo(float).tiny)
-        counted.append(CountedSamples(given, instants[finite] / NS_PER_S, values, deviation))
+        counted.append(CountedSamples(given, instants[finite] / NS_PER_S, values))
     return tuple(counted)
 
 
 def _check(family: ParametricFamily, sensor: DeclaredSensor) -> None:
     given = sensor.measurement
-    if given.is_exact:
-        raise given.wrong("deviation", "0 found; identify needs a positive number, or learn")
+    if not given.deviation:
+        raise given.wrong("deviation", "0 found; identify needs a positive number")
     if sensor.is_dynamic and family.system.guides:
         problem = "cannot be used by identify where guides rub; leave this sensor out"
         raise given.wrong("acceleration", problem)

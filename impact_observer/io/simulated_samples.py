@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from rosbags.interfaces import Nodetype
 
-from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.readings import Place, sensors_of
@@ -183,11 +182,6 @@ class SampleSimulation:
             if self.types.setdefault(topic, kind) != kind:
                 both = f"{self.types[topic]} and {kind}"
                 raise each.wrong("topic", f"{topic} would have the types {both}; expected one")
-            if each.deviation is None and faults.noise < 0:
-                raise UsageError(
-                    f"measurement_noise: not given, and {each.name} has no deviation to simulate"
-                    " (learn); expected a number"
-                )
 
     def stamps(self, epoch: int, last: int) -> Stamps:
         """Stamps of the samples from the epoch to ``last``, ns."""
@@ -229,7 +223,7 @@ class SampleSimulation:
         for index, (declared, true) in enumerate(zip(self._declared, values, strict=True)):
             noise = float(self._random.normal())
             lost, transport = self._random.random(2).tolist()
-            deviation = faults.noise if faults.noise >= 0 else declared.deviation or 0.0
+            deviation = faults.noise if faults.noise >= 0 else declared.deviation
             value = true + deviation * noise
             if faults.quantisation:
                 value = faults.quantisation * round(value / faults.quantisation)

@@ -23,7 +23,7 @@ MOST_SAMPLES: int
 
 StateArrays: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
 NegativeInterval: TypeAlias = tuple[int, float, float, float, float, float, bool, float]
-CorrectedState: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float, float]
+CorrectedState: TypeAlias = tuple[Vector, Vector, Matrix, Matrix, float, float, float]
 
 def product(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]: ...
 def dots(X: Matrix, Y: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]: ...

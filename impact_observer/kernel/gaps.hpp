@@ -44,12 +44,10 @@ struct LinearMeasurement {
 struct CorrectedState {
     Posterior state;
     double innovation, normalised;
-    double density;   // logarithm of that of the sample, but for a constant
-    double residual;  // the expected square of its noise
+    double density;  // logarithm of that of the sample, but for a constant
 
     auto fields() const {
-        const auto rest = std::tie(innovation, normalised, density, residual);
-        return std::tuple_cat(state.fields(), rest);
+        return std::tuple_cat(state.fields(), std::tie(innovation, normalised, density));
     }
 };
 
@@ -294,18 +292,17 @@ class Gaps {
     // Factorization methods for discrete sequential estimation, 1977, chapter II).
     static CorrectedState updated(const LinearMeasurement& sample, Posterior prior,
                                   const Parameters& parameters) {
-        CorrectedState corrected{std::move(prior), 0, 0, 0, 0};
+        CorrectedState corrected{std::move(prior), 0, 0, 0};
         auto& [x, constants, root, differences] = corrected.state;
         const std::size_t size = x.size();
         const Vector columns = product(sample.row, root),
                      others = product(sample.row, differences);
         const double spread = dot(columns, columns);
-        const double variance = spread + sample.noise, share = sample.noise / variance;
+        const double variance = spread + sample.noise;
         corrected.innovation = sample.value - (dot(x, sample.row) + sample.rest);
         corrected.normalised = std::abs(corrected.innovation) / std::sqrt(variance);
         const double least = std::min(corrected.normalised, sample.gate);
         corrected.density = -(least * least + std::log(variance)) / 2;
-        corrected.residual = least * least * variance * share * share + spread * share;
         if (!(corrected.normalised > sample.gate)) {
             const double shrink = variance + std::sqrt(variance * sample.noise);
             const bool considers = parameters.considers();

@@ -17,14 +17,14 @@ QUANTITIES = (POSITION, VELOCITY)
 STAMPS = ("header", "receive")
 LONGEST = 10.0
 """Longest delay and blanking that may be declared, s: the longest ``history`` of an observer."""
-_MANY_REJECTED, _LARGER = 0.1, 3.0
-"""Share of rejected samples, and deviation relative to the declared one, of a doubtful sensor."""
+_MANY_REJECTED = 0.1
+"""Share of rejected samples of a doubtful sensor."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 Coefficients: TypeAlias = tuple[tuple[str, float], ...]
 """Names of coordinates, each with a number."""
 _RANGES = {
+    "deviation": (0.0, LARGEST, "0 (exact), or a positive number"),
     "offset": (-LARGEST, LARGEST, "a finite number"),
-    "gain": (0.0, 2.0, "0 to 2"),
     "delay": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
     "blanking": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
     "gate": (1e-9, 1e9, "a positive number of standard deviations"),
@@ -65,8 +65,7 @@ class Measurement:
         gap: name of the contact whose gap is measured; empty for none.
         offset: constant part of ``y``, in the unit of ``y``.
         deviation: standard deviation of the noise, in the unit of ``y``; 0 for an exact
-            measurement, None for a deviation that is learned.
-        gain: share of the deviation from a sample that laws without a covariance remove.
+            measurement.
         delay: delay of the stamps, s.
         blanking: time after an impact in which samples are not used, s.
         gate: largest normalised innovation of an accepted sample.
@@ -85,8 +84,7 @@ class Measurement:
     acceleration: Coefficients = ()
     gap: str = ""
     offset: float = 0.0
-    deviation: float | None = None
-    gain: float = 0.2
+    deviation: float = dataclasses.field(kw_only=True)
     delay: float = 0.0
     blanking: float = 0.0
     gate: float = 5.0
@@ -151,9 +149,6 @@ class Measurement:
             value = getattr(self, key)
             if not low <= value <= high:
                 raise self.wrong(key, f"{value:g} found; expected {wanted}")
-        if self.deviation is not None and not 0 <= self.deviation <= LARGEST:
-            wanted = "expected 0 (exact), a positive number, or learn"
-            raise self.wrong("deviation", f"{self.deviation:g} found; {wanted}")
 
     def wrong(self, key: str, problem: str) -> UsageError:
         """The error that names the file, the ``key`` and the ``problem``."""
@@ -170,34 +165,19 @@ class Measurement:
         except ValueError as error:
             raise self.wrong("field", str(error)) from None
 
-    @property
-    def is_exact(self) -> bool:
-        """Whether the measurement is declared to have no noise."""
-        return self.deviation == 0
-
-    @property
-    def unit(self) -> str:
-        """The unit of ``y`` for coordinates in m."""
-        orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
-        return ("m", "m/s", "m/s^2")[orders[-1]]
-
-    def doubt(self, samples: int, rejected: int, deviation: float) -> str:
+    def doubt(self, samples: int, rejected: int) -> str:
         """The warning that samples contradict impacts and model; empty where they do not.
 
         Args:
             samples: their number.
             rejected: how many the gate rejects.
-            deviation: of the noise as the samples show it, in the unit of ``y``.
         """
-        larger = deviation / self.deviation if self.deviation else 1.0
-        if not samples or (rejected < _MANY_REJECTED * samples and larger < _LARGER):
+        if not samples or rejected < _MANY_REJECTED * samples:
             return ""
-        counts = f"{rejected} of {samples} samples are rejected"
-        size = f" and the errors are {larger:.2g} times the declared deviation"
         return (
-            f"{self.name} contradicts the impacts and the model: {counts}"
-            f"{size if larger >= _LARGER else ''}; check sign, unit, coordinate, offset and delay"
-            " in the file of measurements, see docs/measurements.md"
+            f"{self.name} contradicts the impacts and the model: {rejected} of {samples} samples"
+            " are rejected; check sign, unit, deviation, coordinate, offset and delay in the file"
+            " of measurements, see docs/measurements.md"
         )
 
     def check(self, system: NamedSystem) -> None:

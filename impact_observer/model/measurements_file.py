@@ -13,8 +13,6 @@ from impact_observer.resources import read_file_or_sample
 
 _KEYS = tuple(each.name for each in fields(Measurement) if each.name != "origin")
 _TEXTS = ("name", "topic", "joint", "quantity", "field", "gap", "stamp")
-LEARN = "learn"
-"""Value of ``deviation`` for a deviation that is learned from the innovations."""
 MOST = 1000
 """Largest number of sensors in a file."""
 
@@ -78,8 +76,7 @@ def _value(section: Section, key: str) -> object:
             wanted = "expected a coefficient by coordinate, such as {x1: 1}"
             raise ModelError(where, f"{value!r:.40} found; {wanted}")
         return tuple((str(k), number(f"{where}.{k}", each)) for k, each in value.items())
-    if key == "deviation" and value == LEARN:
-        return None
-    if key == "deviation" and isinstance(value, str):
-        raise ModelError(section.key(key), f"{value!r:.40} found; expected a number, or {LEARN}")
+    if key == "deviation" and value == "learn":
+        wanted = "learn went in 0.4.0; impact_observer 0.3.0 takes it; expected a number"
+        raise ModelError(section.key(key), wanted)
     return section.number(key)

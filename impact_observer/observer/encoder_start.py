@@ -19,8 +19,6 @@ _SHARE = 0.1
 """Deviation of a velocity whose deviation is not declared, over its limit in the URDF."""
 _UNLIMITED = 1.0
 """The same without a limit, rad/s or m/s."""
-_LEARNED = 0.01
-"""Deviation of a first sample whose sensor declares none, rad or m."""
 
 
 class EncoderStart:
@@ -91,8 +89,7 @@ class EncoderStart:
         Raises:
             UsageError: the deviations of ``options`` are not as expected.
         """
-        known = [each.deviation for each in self._sensors]
-        q = [_LEARNED if each is None else each for each in known]
+        q = [each.deviation for each in self._sensors]
         u = deviation_of(options.initial_deviation, self._robot)[self._robot.n :].tolist()
         if options.initial_deviation == Options.initial_deviation:
             limits = self._robot.fastest.tolist()

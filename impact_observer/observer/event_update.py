@@ -13,8 +13,6 @@ from impact_observer.filter.readings import (
     DeclaredSensor,
     Reading,
     SampleOutcome,
-    SensorState,
-    UsedSample,
 )
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import EventKey, Superseding, disorder, interpret
@@ -98,7 +96,7 @@ class EventUpdate:
             meaning.overruled,
             last,
             stamp if change.hit else previous.impact,
-            known=previous.known,
+            rejected=previous.rejected,
         )
 
     def _corrected(self, previous: Entry, change: ContactChange) -> tuple[Belief, Vector]:
@@ -138,11 +136,11 @@ class EventUpdate:
             return replace(previous, key=event, overruled=(), outcome=outcome)
         s = seconds_between(previous.since, event.stamp)
         prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
-        posterior, outcome, known = self.law.measure(reading, prior)
+        posterior, outcome = self.law.measure(reading, prior)
         if posterior is prior:
-            now = _with_known(previous, [(event.sensor, known)])
-            return replace(previous, key=event, overruled=(), outcome=outcome, known=now)
-        return _entries(previous, [event], posterior, [(outcome, known)])[0]
+            now = _rejected_after(previous, [event], [outcome])
+            return replace(previous, key=event, overruled=(), outcome=outcome, rejected=now)
+        return _entries(previous, [event], posterior, [outcome])[0]
 
     def _since(self, entry: Entry, stamp: int) -> float:
         """When the belief of ``entry`` holds, s since the epoch; by default ``stamp`` (ns)."""
@@ -159,7 +157,7 @@ class EventUpdate:
             ns,
             seconds_between(impact, stamp) if impact else math.inf,
             previous.closed,
-            previous.known.get(index) or SensorState(),
+            previous.rejected.get(index, 0),
         )
 
     def prediction(self, entry: Entry) -> Prediction:
@@ -171,7 +169,10 @@ class EventUpdate:
 
 
 def _entries(
-    previous: Entry, samples: Sequence[EventKey], posterior: Belief, used: Sequence[UsedSample]
+    previous: Entry,
+    samples: Sequence[EventKey],
+    posterior: Belief,
+    outcomes: Sequence[SampleOutcome],
 ) -> list[Entry]:
     """The entries of ``samples`` of one stamp; all have the ``posterior`` after the last one.
 
@@ -181,8 +182,7 @@ def _entries(
     stamp = samples[0].stamp
     if not isfinite(posterior.x.dot(posterior.x)):
         raise DynamicsError(f"at {text(stamp)} s: the estimate is not finite any more")
-    each = zip(samples, used, strict=True)
-    known = _with_known(previous, [(event.sensor, now) for event, (_, now) in each])
+    rejected = _rejected_after(previous, samples, outcomes)
     return [
         Entry(
             event,
@@ -195,19 +195,26 @@ def _entries(
             previous.last,
             previous.impact,
             outcome,
-            known,
+            rejected,
         )
-        for event, (outcome, _) in zip(samples, used, strict=True)
+        for event, outcome in zip(samples, outcomes, strict=True)
     ]
 
 
-def _with_known(
-    previous: Entry, sensors: Sequence[tuple[int, SensorState]]
-) -> Mapping[int, SensorState]:
-    """What is known of all sensors after samples of some, by their indices."""
-    known = previous.known
-    changed = {index: now for index, now in sensors if known.get(index) != now}
-    return {**known, **changed} if changed else known
+def _rejected_after(
+    previous: Entry, samples: Sequence[EventKey], outcomes: Sequence[SampleOutcome]
+) -> Mapping[int, int]:
+    """How many samples in a row of each sensor were rejected, after ``samples``.
+
+    A sample without an innovation in deviations says nothing.
+    """
+    rejected = dict(previous.rejected)
+    for event, outcome in zip(samples, outcomes, strict=True):
+        if outcome.accepted:
+            rejected.pop(event.sensor, None)
+        elif outcome.normalized >= 0:
+            rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
+    return rejected
 
 
 def _silenced(reading: Reading, previous: Entry) -> str:

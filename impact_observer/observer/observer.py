@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
-import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -674,22 +673,6 @@ class Observer:
     def epoch(self) -> int:
         """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
         return self._run.update.epoch
-
-    @property
-    def learned_deviations(self) -> dict[str, float]:
-        """Learned standard deviations of sensors by name, after the latest sample.
-
-        Sensors whose errors are much larger than declared are included.
-        """
-        if (timeline := self._run.timeline) is None:
-            return {}
-        known = timeline.entries[-1].known
-        return {
-            each.name: math.sqrt(max(known[each.index].variance, 0.0))
-            for each in self.samples.sensors
-            if each.index in known
-            and ((least := each.measurement.deviation) is None or known[each.index].exceeds(least))
-        }
 
     @property
     def agreed(self) -> float:

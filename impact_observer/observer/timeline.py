@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Contacts, Kind
-from impact_observer.filter.readings import SampleOutcome, SensorState
+from impact_observer.filter.readings import SampleOutcome
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
     EventKey,
@@ -44,7 +44,7 @@ class Entry:
         last: stamp (ns) and sequence of the last event so far; zeros before the first.
         impact: stamp of the last impact so far, ns; 0 before the first.
         outcome: outcome of a sample; None for an event.
-        known: state of each sensor so far, by its index.
+        rejected: by index of a sensor, how many of its latest samples in a row were rejected.
         prediction: prediction from ``since`` on; None until the first request.
     """
 
@@ -58,7 +58,7 @@ class Entry:
     last: tuple[int, int] = (0, 0)
     impact: int = 0
     outcome: SampleOutcome | None = None
-    known: Mapping[int, SensorState] = field(default_factory=dict)
+    rejected: Mapping[int, int] = field(default_factory=dict)
     prediction: Prediction | None = field(default=None, repr=False)
 
     @property

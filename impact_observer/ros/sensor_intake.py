@@ -14,7 +14,6 @@ from impact_observer.events import Verdict
 from impact_observer.io.interfaces import JOINT_STATE, Quality
 from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, SensorReader
 from impact_observer.io.messages import AnyMessage
-from impact_observer.model.system import unit_of
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
 from impact_observer.options import AUTO, NONE
@@ -298,8 +297,7 @@ class SensorIntake:
         declared, counts, newest = sensor.measurement, samples.counts[index], samples.newest[index]
         topic = self._node.resolve_topic_name(declared.topic)
         age = (now - newest) / NS_PER_S if newest else float("inf")
-        learned = self._observer.learned_deviations
-        fault = self._fault(index, topic, age, learned.get(sensor.name))
+        fault = self._fault(index, topic, age)
         values = {
             "topic": topic,
             **{kind: counts[kind] for kind in ("samples", "accepted", "rejected", "unused")},
@@ -307,8 +305,6 @@ class SensorIntake:
             "rate [Hz]": f"{self.rate(index):.4g}",
             "age [s]": f"{age:.3f}",
         }
-        if sensor.name in learned:
-            values["learned deviation"] = f"{learned[sensor.name]:.4g}"
         return diagnostic_status(
             f"{self._node.get_fully_qualified_name()}: {SENSOR_STATUS}{sensor.name}",
             DiagnosticStatus.WARN if fault else DiagnosticStatus.OK,
@@ -317,14 +313,13 @@ class SensorIntake:
             hardware=sensor.name,
         )
 
-    def _fault(self, index: int, topic: str, age: float, learned: float | None) -> str:
+    def _fault(self, index: int, topic: str, age: float) -> str:
         """The fault of a sensor; empty without a fault.
 
         Args:
             index: of the sensor.
             topic: absolute name of its topic.
             age: of its newest sample, s; infinite without any.
-            learned: deviation that the observer has learned; None for none.
         """
         declared, counts = self._sensors[index].measurement, self._observer.samples.counts[index]
         refused = counts["rejected"] + counts["invalid"]
@@ -344,10 +339,4 @@ class SensorIntake:
         if dropped or shed:
             why = f"{dropped} samples were dropped: more than {MOST_KEPT} waited to be used"
             return why if dropped else f"{shed} samples were shed: the observer cannot keep up"
-        if learned and declared.deviation is not None:
-            given = f"{declared.deviation:g} is declared"
-            unit = unit_of(declared.unit, self._observer.system.unit)
-            robot = self._observer.robot
-            why = f": {robot.description.larger_errors}" if robot is not None else ""
-            return f"samples err by {learned:.3g} {unit}; {given}{why}"
         return f"{new} samples were rejected" if new else ""

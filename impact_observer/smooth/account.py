@@ -15,7 +15,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ledger import Note
 from impact_observer.filter.model_error import NO_ERROR, LearnedError
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
+from impact_observer.filter.readings import Reading, SampleOutcome
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
@@ -135,7 +135,6 @@ class TracedLaw(MinimumVariance):
         traces: by stamp and sequence number of the event.
         last: the belief after the last event.
         rejected: sensor and instant (ns since the epoch) of samples that their gates rejected.
-        variances: of the noise of each sensor, by its index.
         unexplained: events after which the model did not explain the impacts, as ``traces`` has
             them.
     """
@@ -144,33 +143,28 @@ class TracedLaw(MinimumVariance):
     traces: dict[tuple[int, int], _Trace]
     last: Belief | None
     rejected: set[tuple[int, int]]
-    variances: dict[int, float]
     unexplained: set[tuple[int, int]]
 
     def forget(self) -> None:
         """Forget all traces, before a recording begins."""
-        self.traces, self.last, self.rejected, self.variances = {}, None, set(), {}
-        self.unexplained = set()
+        self.traces, self.last, self.rejected, self.unexplained = {}, None, set(), set()
 
-    def measure(
-        self, reading: Reading, prior: Belief
-    ) -> tuple[Belief, SampleOutcome, SensorState]:
+    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """As the law does."""
         result = super().measure(reading, prior)
-        self._note(reading, *result[1:])
+        self._note(reading, result[1])
         return result
 
     def followed(
         self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, list[UsedSample]] | None:
+    ) -> tuple[Belief, list[SampleOutcome]] | None:
         """As the law does."""
         result = super().followed(readings, posterior, since, s)
-        for reading, used in zip(readings, result[1] if result is not None else (), strict=False):
-            self._note(reading, *used)
+        for each in zip(readings, result[1] if result is not None else (), strict=False):
+            self._note(*each)
         return result
 
-    def _note(self, reading: Reading, outcome: SampleOutcome, known: SensorState) -> None:
-        self.variances[reading.sensor.index] = known.variance
+    def _note(self, reading: Reading, outcome: SampleOutcome) -> None:
         if not outcome.accepted:
             self.rejected.add((reading.sensor.index, reading.instant))
 
@@ -243,14 +237,12 @@ def start_of(events: Sequence[ImpactEvent], epoch: int) -> int:
 def _samples(
     observer: Observer, law: TracedLaw, samples: Sequence[SensorSample], epoch: int
 ) -> UsedSamples:
-    """The ``samples`` as readings, with the learned noise of their sensors."""
+    """The ``samples`` as readings."""
     sensors, readings = observer.samples.sensors, list[Reading]()
     for sensor, stamp, value in samples:
-        known = SensorState(law.variances.get(sensor, -1.0))
-        if not abs(value) <= LARGEST_STATE or known.variance < 0:
-            continue
-        at = stamp - epoch
-        readings.append(Reading(sensors[sensor], value, Elapsed(at), at, known=known))
+        if abs(value) <= LARGEST_STATE:
+            at = stamp - epoch
+            readings.append(Reading(sensors[sensor], value, Elapsed(at), at))
     rejected = {
         i for i, each in enumerate(readings) if (each.sensor.index, each.instant) in law.rejected
     }

@@ -165,14 +165,10 @@ class Arc(Linearised):
         samples = self.samples._replace(rejected=frozenset(rejected))
         return Arc(self.filter, self._t, self._state, self.moments, samples)
 
-    def sample_errors(self, path: Path) -> list[tuple[Reading, float]]:
-        """The used samples, each with its error: what is measured, less what a path has there."""
-        errors = list[tuple[Reading, float]]()
-        for k, some in self._flights(*self._places(path)).items():
-            for each in (self.samples.readings[i] for i in some):
-                row, _ = self._row(path, k, each, x := self._state_at(path, k, each.t))
-                errors.append((each, each.value - row.value(x)))
-        return errors
+    def used_samples(self, path: Path) -> list[Reading]:
+        """The samples that a path uses."""
+        flights = self._flights(*self._places(path)).values()
+        return [self.samples.readings[i] for some in flights for i in some]
 
     def left_out(self, path: Path) -> float:
         """Logarithm of the density of the samples that are not used."""
@@ -298,7 +294,7 @@ class Arc(Linearised):
         sensor, theta = reading.sensor, path.constants[: self._p]
         moving = self._members.given.moving
         row = sensor.row_of(self._members, theta, at) if self._p else sensor.row(moving, at)
-        return row, math.hypot(math.sqrt(reading.known.variance), row.rounding(self._sizes(x)))
+        return row, math.hypot(sensor.measurement.deviation, row.rounding(self._sizes(x)))
 
     def _is_far(self, path: Path, k: int, reading: Reading) -> bool:
         """Whether the gate of a sample after the ``k``-th moment rejects it."""
@@ -311,4 +307,4 @@ class Arc(Linearised):
         """The filter's posterior of a sample, from the ``state`` at ``t``, s since the epoch."""
         level = level_of(moment, ErrorKind.ACCELERATION)
         prior = self.filter.predict(t, state, level).prior(reading.t - t)
-        return self._sample_filter.after(reading, prior, reading.known).state
+        return self._sample_filter.after(reading, prior).state

@@ -351,19 +351,14 @@ class SmoothedMotion:
     @cached_property
     def sensors(self) -> tuple[SensorSummary, ...]:
         """What became of the samples of each sensor."""
-        return sensor_summaries(self.smoothed)
-
-    @property
-    def _correlated(self) -> float:
-        """Factor of all deviations for errors of samples that are correlated."""
-        return max((each.correlation.factor for each in self.sensors), default=1.0)
+        return tuple(sensor_summaries(self.smoothed))
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, float, float], ...]:
         """Parameters estimated beside the state: name, value, standard deviation, SI units."""
         names = self._law.filter.members.family.names
         size, theta = 2 * self._law.system.n, self._constants.theta.tolist()
-        deviations = (self._correlated * self.smoothed.first.deviations[size:]).tolist()
+        deviations = self.smoothed.first.deviations[size:].tolist()
         rows = [*zip(names, theta, deviations, strict=False)]
         if len(deviations) > len(names):
             rows.append(("clock_offset", self._constants.offset, deviations[-1]))
@@ -438,16 +433,11 @@ class SmoothedMotion:
 
     @cached_property
     def _widened(self) -> float:
-        """Factor of all deviations.
-
-        It is above 1 if the motion does not explain the stamps, or errors of samples are
-        correlated.
-        """
+        """Factor of all deviations, above 1 if the motion does not explain the stamps."""
         squares = [each * each for each in self._residuals.values()]
         rms = math.sqrt(sum(squares) / len(squares)) if self.unexplained else 1.0
         change = 1.0 if self.smoothed.is_settled else self.smoothed.change
-        factor = max(self._correlated, rms, change)
-        return min(factor, LARGEST_DEVIATION)
+        return min(max(rms, change, 1.0), LARGEST_DEVIATION)
 
     @cached_property
     def _excess(self) -> float:

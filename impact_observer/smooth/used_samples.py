@@ -23,7 +23,7 @@ class UsedSamples(NamedTuple):
     """The samples of a recording.
 
     Attributes:
-        readings: in order of their instants; the noise of each sensor is known.
+        readings: in order of their instants.
         rejected: indices of readings that their gates reject.
     """
 
@@ -78,7 +78,7 @@ NO_SAMPLES = UsedSamples()
 
 
 def _log_variance(reading: Reading) -> float:
-    return math.log(max(reading.known.variance, 1e-300)) + _LOG_2PI
+    return math.log(max(reading.sensor.variance, 1e-300)) + _LOG_2PI
 
 
 def measured(H: Matrix, y: Vector, deviations: Vector) -> Step:

@@ -248,7 +248,7 @@ def test_open_loop_says_that_it_uses_no_measurements(
 def test_what_cannot_be_simulated_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A field of no known type, a deviation to be learned, faults of nothing."""
+    """A field of no known type, a deviation that is no number, faults of nothing."""
     (tmp_path / "a.yaml").write_text(
         "measurements: [{name: a, topic: /a, field: odd.x, gap: stop, deviation: 1}]"
     )
@@ -257,7 +257,7 @@ def test_what_cannot_be_simulated_is_one_line(
     )
     for given, error in (
         (["--measurements", str(tmp_path / "a.yaml")], "a.yaml: measurements[0].field: odd.x"),
-        (["--measurements", str(tmp_path / "b.yaml")], "measurement_noise: not given, and b has"),
+        (["--measurements", str(tmp_path / "b.yaml")], "b.yaml: measurements[0].deviation: learn"),
         (["--measurement-dropouts", "0.1"], "measurement_dropouts: given without --measurements"),
     ):
         output = str(tmp_path / "out")

@@ -92,7 +92,7 @@ def test_a_followed_state_is_predicted_and_corrected_as_in_the_textbook(
         after = P - np.outer(gain, H @ P)
         others = Phi @ each.differences
         others = others - np.outer(gain, H @ others)
-        x_found, constants, root, differences, innovation, normalised, density, _ = found
+        x_found, constants, root, differences, innovation, normalised, density = found
         np.testing.assert_allclose(np.append(x_found, constants), wanted, atol=tolerance)
         np.testing.assert_allclose(root @ root.T, after, atol=tolerance)
         np.testing.assert_allclose(differences, others, atol=tolerance)

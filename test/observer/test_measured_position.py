@@ -146,9 +146,15 @@ def test_samples_that_are_no_position_of_one_joint_are_left_out_with_the_reason(
     """A gap, a velocity, and the sum of two positions."""
     robot = Robot(hammer())
     others = [
-        Measurement("height", "/height", field="data", gap="wall"),
-        Measurement("gyro", "/joint_states", "elbow", "velocity"),
-        Measurement("sum", "/sum", field="data", position=(("shoulder", 1.0), ("elbow", 1.0))),
+        Measurement("height", "/height", field="data", gap="wall", deviation=0.1),
+        Measurement("gyro", "/joint_states", "elbow", "velocity", deviation=0.1),
+        Measurement(
+            "sum",
+            "/sum",
+            field="data",
+            position=(("shoulder", 1.0), ("elbow", 1.0)),
+            deviation=0.1,
+        ),
     ]
     observer = observer_of(robot, np.array([0.3, 0.8]), WRONG, others)
     observer.measure([SensorSample(i, EPOCH + 10**6, 0.1) for i in range(3)])
@@ -161,7 +167,9 @@ def test_turns_and_scale_of_an_encoder_count() -> None:
     """A continuous joint modulo a turn; a gear of two to one on the elbow."""
     robot = Robot(hammer())
     first, _ = encoders_of(robot)
-    geared = Measurement("gear", "/gear", field="data", position=(("elbow", 2.0),), offset=0.1)
+    geared = Measurement(
+        "gear", "/gear", field="data", position=(("elbow", 2.0),), offset=0.1, deviation=0.1
+    )
     observer = observer_of(robot, np.array([0.3, 0.8]), np.zeros(2), [first, geared])
     stamp = EPOCH + 10**6
     observer.measure([SensorSample(0, stamp, 0.31 - math.tau), SensorSample(1, stamp, 1.74)])

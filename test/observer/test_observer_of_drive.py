@@ -132,9 +132,14 @@ def test_samples_count_that_came_before_the_epoch_of_the_events() -> None:
     """The estimate is the same, in every bit, as if the epoch had been known from the start."""
     events, pulses = recorded()
     sensor = Measurement(
-        "encoder", "/joints", joint="hammer", quantity="position", position=(("hammer", 1.0),)
+        "encoder",
+        "/joints",
+        joint="hammer",
+        quantity="position",
+        position=(("hammer", 1.0),),
+        deviation=0.01,
     )
-    options = Options("geometric", "random:1", epoch=0, clock_error=0.0)
+    options = Options("minimum-variance", "random:1", epoch=0, clock_error=0.0)
     found = []
     for epoch in (0, EPOCH):
         observer = make_observer(

@@ -27,7 +27,6 @@ class Geometric(ReplicaLaw):
 
     name: ClassVar[str] = "geometric"
     has_bound: ClassVar[bool] = True
-    holds_gaps: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -10,7 +10,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
+from impact_observer.filter.readings import Reading, SampleOutcome
 from impact_observer.filter.robot_motion import motion_of
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
@@ -129,20 +129,19 @@ class Law(ABC):
         values = impact_balance(self.system, active, pressed, gamma)
         return ImpactBalance.without_deviations(values[[active.index(i) for i in change.hit]])
 
-    def measure(
-        self, reading: Reading, prior: Belief
-    ) -> tuple[Belief, SampleOutcome, SensorState]:
+    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """Correct a prior by a sample of a sensor; by default samples are not used.
 
         Returns:
-            The posterior, the outcome of the sample, and the state of the sensor.
+            The posterior, and the outcome of the sample.
         """
+        del reading
         reason = f"{self.name} uses no measurements"
-        return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
+        return prior, SampleOutcome(0.0, -1.0, False, reason)
 
     def followed(
         self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, list[UsedSample]] | None:
+    ) -> tuple[Belief, list[SampleOutcome]] | None:
         """Predict by ``s`` seconds and use samples of one instant, if there is a short way.
 
         The ``posterior`` holds at ``since``, s since the epoch. None asks the caller to predict

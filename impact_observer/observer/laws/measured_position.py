@@ -21,7 +21,7 @@ from impact_observer.dynamics.contact.impact_balance import ImpactBalance, impac
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
-from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
+from impact_observer.filter.readings import Place, Reading, SampleOutcome
 from impact_observer.filter.robot_members import tangent
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Onset, Prediction
@@ -67,14 +67,12 @@ class MeasuredPosition(Law):
         onset = Onset(prior.x, None, late) if late else None
         return prior._replace(ensemble=Ensemble.of(np.array(after)), onset=onset)
 
-    def measure(
-        self, reading: Reading, prior: Belief
-    ) -> tuple[Belief, SampleOutcome, SensorState]:
+    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """Every replica after the sample of an encoder of one joint; no others are used."""
         encoded = reading.sensor.measurement.encoded
         if encoded is None:
             reason = f"{self.name} uses positions of single joints alone"
-            return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
+            return prior, SampleOutcome(0.0, -1.0, False, reason)
         assert prior.unmeasured is not None, "a belief of this law"
         j, scale = self._robot.coordinates.index(encoded[0]), encoded[1]
         place = Place(reading.t, reading.instant, prior.x, reading.closed)
@@ -90,7 +88,7 @@ class MeasuredPosition(Law):
         unmeasured = prior.unmeasured.copy()
         unmeasured[j] = 0.0
         belief = Belief(Ensemble.of(np.array(after)), unmeasured=unmeasured)
-        return belief, SampleOutcome(innovations[0]), reading.known
+        return belief, SampleOutcome(innovations[0])
 
     def impact_balance(
         self, change: ContactChange, before: Belief, prediction: Prediction, after: Belief | None

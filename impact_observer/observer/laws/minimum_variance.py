@@ -33,7 +33,7 @@ from impact_observer.filter.impact_deviations import balance_at
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit, Residual, misfit_of
 from impact_observer.filter.model_error import ErrorKind
-from impact_observer.filter.readings import Reading, SampleOutcome, SensorState, UsedSample
+from impact_observer.filter.readings import Reading, SampleOutcome
 from impact_observer.filter.sample_update import SampleUpdate
 from impact_observer.filter.square_root import lengths
 from impact_observer.filter.tuning import TUNING
@@ -279,9 +279,7 @@ class MinimumVariance(Law):
         x, root = prediction.state(change.flown), linalg.block_diag(root, np.diag(constants))
         return best._replace(x=x, root=root, differences=np.zeros((len(root), 0)))
 
-    def measure(
-        self, reading: Reading, prior: Belief
-    ) -> tuple[Belief, SampleOutcome, SensorState]:
+    def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """Each hypothesis is corrected and weighed; those with other parameters too."""
         closed, account = reading.closed, prior.account
         hypotheses, fallback = self._hypotheses_of(prior, closed)
@@ -291,19 +289,19 @@ class MinimumVariance(Law):
             count, before = 1 + prior.ensemble.others, hypotheses[0].state
             return self._starts.restarts(now, closed, count, before)[0].state
 
-        found, outcome, known = self._samples.after(reading, hypotheses, fallback.largest, restart)
+        found, outcome = self._samples.after(reading, hypotheses, fallback.largest, restart)
         if len(found) == len(hypotheses) == 1 and found[0].state is hypotheses[0].state:
-            return prior, outcome, known
+            return prior, outcome
         if account is not None:
             account = self._accounts.measured(reading, account, fallback.largest)
         if prior.fit.is_compared:
-            return self._posterior(found, fallback, prior.fit, account), outcome, known
+            return self._posterior(found, fallback, prior.fit, account), outcome
         posterior = self._measured(found, fallback, prior.fit, prior.behind)
-        return posterior._replace(account=account), outcome, known
+        return posterior._replace(account=account), outcome
 
     def followed(
         self, readings: Sequence[Reading], posterior: Belief, since: float, s: float
-    ) -> tuple[Belief, list[UsedSample]] | None:
+    ) -> tuple[Belief, list[SampleOutcome]] | None:
         """By a short way, where nothing is in doubt and the filter's own estimate is published."""
         fit = posterior.fit
         fallback, (began, ago) = posterior.fallback, posterior.behind

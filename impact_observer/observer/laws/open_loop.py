@@ -14,7 +14,6 @@ class OpenLoop(ReplicaLaw):
 
     name: ClassVar[str] = "open-loop"
     uses_events: ClassVar[bool] = False
-    uses_measurements: ClassVar[bool] = False
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """The same state."""

@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.dynamics import Motion, Phase
-from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.moving_system import MovingSystem
-from impact_observer.filter.readings import Place, Reading, SampleOutcome, SensorState
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Onset, Prediction
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.laws.sample_projection import SampleProjection
 from impact_observer.states import Matrix, Vector
 
 _BEYOND = 1e-6
@@ -38,12 +35,9 @@ class ReplicaLaw(Law):
     Attributes:
         forgives: whether a replica other than the estimate keeps its state if its impact has no
             solution; otherwise the error is raised.
-        holds_gaps: whether closed contacts hold ``g = 0``, so that no sample may move them.
     """
 
     forgives: bool = True
-    uses_measurements: ClassVar[bool] = True
-    holds_gaps: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         """Check that ``cls`` inherits no method that must agree with one that it overrides.
@@ -178,61 +172,6 @@ class ReplicaLaw(Law):
         after = np.concatenate([before[:n], self.impact(same, active, ())[n:]])
         back = self.moving.moved(change.t + late, after, -late, ())[0]
         return back, Onset(on_stop, None, late)
-
-    def measure(
-        self, reading: Reading, prior: Belief
-    ) -> tuple[Belief, SampleOutcome, SensorState]:
-        """Every replica moved towards the sample, by ``gain``, in the metric of V.
-
-        The bound falls by what an exact sample removes; a sample with noise ends it.
-        """
-        if not self.uses_measurements:
-            return super().measure(reading, prior)
-        closed, declared = reading.closed, reading.sensor.measurement
-        if reading.sensor.is_dynamic and (closed or self.system.guides):
-            reason = "accelerations contain loads while contacts are held or guides rub"
-            return prior, SampleOutcome(0.0, -1.0, False, reason), reading.known
-        row = reading.sensor.row(self.moving, Place(reading.t, reading.instant, prior.x, closed))
-        innovation, alpha = reading.value - row.value(prior.x), declared.gain
-        jump = self._samples.jump(row.h, closed if self.holds_gaps else ())
-        if jump is None:
-            reason = "closed contacts hold all that it measures"
-            return prior, SampleOutcome(innovation, -1.0, False, reason), reading.known
-        z = alpha * jump.z
-        map_ = np.eye(z.size) - np.outer(z, row.h)
-        ensemble = prior.ensemble.propagated(prior.x + z * innovation, map_)
-        bound, energy = prior.bound, jump.energy * innovation * innovation
-        if bound is not None:
-            bound = bound - alpha * (1 - alpha / 2) * energy if declared.is_exact else None
-        belief = Belief(self.admitted(ensemble, closed), None, bound, prior.inconsistent)
-        return self._checked(belief), SampleOutcome(innovation), reading.known
-
-    def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
-        """The nearest states that the plant may have, after a sample while contacts are closed.
-
-        By default no ``closed`` contact approaches.
-        """
-        if not closed:
-            return ensemble
-        replicas, n = ensemble.replicas, self.system.n
-        for x in replicas:
-            x[n:] = self._nearest_separating(x[n:], closed)
-        return Ensemble.of(replicas)
-
-    def _nearest_separating(self, u: Vector, closed: Contacts) -> Vector:
-        """The nearest velocities, shape (n,), with which no ``closed`` contact approaches."""
-        contacts = list(closed)
-        gamma = self.system.W[:, contacts].T @ u
-        if np.all(gamma >= 0):
-            return u
-        phases = self._clutches.phases
-        B = phases.B[:, contacts]
-        impulses = complementary(B, gamma)
-        return u if impulses is None else np.asarray(u + phases.unwhite(B @ impulses))
-
-    @cached_property
-    def _samples(self) -> SampleProjection:
-        return SampleProjection(self.system)
 
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts

@@ -83,15 +83,6 @@ class Unilateral(Geometric):
         replicas = [self._projected(x, change.closed) for x in prior.replicas]
         return prior._replace(ensemble=Ensemble.of(np.array(replicas)))
 
-    def admitted(self, ensemble: Ensemble, closed: Contacts) -> Ensemble:
-        """As the base class, with no gap negative."""
-        replicas, system = super().admitted(ensemble, closed).replicas, self.system
-        held = closed if self._unilateral.is_possible(closed) else ()
-        inside = np.any(replicas[:, : system.n] @ system.W + system.q_r < 0, axis=1)
-        for i in np.flatnonzero(inside | bool(held)):
-            replicas[i] = self._projected(replicas[i], held)
-        return Ensemble.of(replicas)
-
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The impact of ``geometric`` for contacts that can all be closed at once."""
         return (
