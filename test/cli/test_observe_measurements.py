@@ -187,7 +187,8 @@ def test_a_clock_that_is_off_by_an_hour_is_one_warning_and_nothing_else_is_lost(
     for seconds, file in ((3600, bag.parent / "rig.yaml"), (0, tmp_path / "others.yaml")):
         source = shifted(bag, tmp_path / str(seconds), seconds)
         output = tmp_path / f"out{seconds}"
-        assert main(["observe", str(source), "--measurements", str(file), "-o", str(output)]) == 0
+        given = [*MINIMUM, "--measurements", str(file), "-o", str(output)]
+        assert main(["observe", str(source), *given]) == 0
         text = capsys.readouterr().out
         assert text.count("warning") == (seconds > 0)
         assert ("encoder: its clock is 3600 s ahead of that" in text) is (seconds > 0)
@@ -214,7 +215,8 @@ def test_one_stamp_that_is_far_off_is_left_out(
             message.header.stamp.sec, odd = 2_000_000_000, True
             writer.write(raw.topic, raw.log_time, message)
     output = str(tmp_path / "out")
-    assert main(["observe", str(source), "--measurements", sensors, "-o", output]) == 0
+    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    assert main(["observe", str(source), *given]) == 0
     text = capsys.readouterr().out
     part = "1 of 151 messages on /encoder left out (0.66 %)"
     assert f"warning: encoder: {part}: stamped far from all others" in text
@@ -227,7 +229,8 @@ def test_a_number_that_is_none_is_left_out(
     """One sample of the encoder is left out; all others are used."""
     source, sensors = shifted(bag, tmp_path / "nan", 0, nan=True), str(bag.parent / "rig.yaml")
     output = str(tmp_path / "out")
-    assert main(["observe", str(source), "--measurements", sensors, "-o", output]) == 0
+    given = [*MINIMUM, "--measurements", sensors, "-o", output]
+    assert main(["observe", str(source), *given]) == 0
     printed = capsys.readouterr().out
     assert "encoder: 151 samples: 150 accepted, 1 invalid" in printed
     part = "1 of 151 messages on /encoder left out (0.66 %)"
@@ -235,13 +238,14 @@ def test_a_number_that_is_none_is_left_out(
 
 
 @pytest.mark.slow
-def test_open_loop_says_that_it_uses_no_measurements(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("law", ["open-loop", "geometric"])
+def test_a_law_without_covariance_says_that_it_uses_no_measurements(
+    law: str, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command prints one warning."""
-    given = ["--law", "open-loop", "--measurements", str(bag.parent / "rig.yaml")]
+    given = ["--law", law, "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", str(tmp_path / "out")]) == 0
-    line = "warning: open-loop uses no measurements: encoder, laser, imu, probe left out; --law"
+    line = f"warning: {law} uses no measurements: encoder, laser, imu, probe left out; --law"
     assert line in capsys.readouterr().out
 
 
@@ -271,7 +275,7 @@ def test_compare_shows_how_many_samples_were_used(
 ) -> None:
     """Counts are those of the observer; tables of bags without sensors have no such columns."""
     output, plain = str(tmp_path / "estimate"), str(tmp_path / "plain")
-    given = ["--measurements", str(bag.parent / "rig.yaml"), "--measurement-verdicts", "all"]
+    given = [*MINIMUM, "--measurements", str(bag.parent / "rig.yaml")]
     assert main(["observe", str(bag), *given, "-o", output]) == 0
     lines = capsys.readouterr().out.splitlines()
     samples = [int(line.split(" samples")[0].split()[-1]) for line in lines if " samples:" in line]

@@ -197,7 +197,7 @@ def test_wrong_samples_are_rejected() -> None:
     spoilt = [s._replace(value=s.value + 0.3 * (i % 100 == 7)) for i, s in enumerate(samples)]
     family = parametric_family(sample("two_mass").system, ["restitution"])
     fit = partial(identify, family, events, clock=None, trust_events=True)
-    found = fit(measurements=[ENCODER], samples=spoilt)
+    found = fit(measurements=[replace(ENCODER, gate=20.0)], samples=spoilt)
     (sensor,) = found.sensors
     assert sensor.rejected == sum(i % 100 == 7 for i in range(samples_used(found, samples)))
     assert sensor.rms == pytest.approx(NOISE, rel=0.1)

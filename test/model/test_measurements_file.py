@@ -151,7 +151,7 @@ def test_a_name_that_the_model_does_not_have_is_one_line(member: str, line: str)
 def test_a_damaged_file_ends_in_one_line_or_is_read() -> None:
     """Of damaged files of the contract, with a fixed seed."""
     draw, outcomes = np.random.default_rng(5), set()
-    for _ in range(60):
+    for _ in range(200):
         damaged = list(CONTRACT)
         for at in draw.integers(0, len(damaged), 3):
             damaged[at] = chr(int(draw.integers(32, 127)))
