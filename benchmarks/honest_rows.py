@@ -28,7 +28,6 @@ from benchmarks.misfit_plants import drawn, with_stops
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.kernel._kernel import TINY
 from impact_observer.model import Forcing, System, parse_model
-from impact_observer.model.system import Guide
 from impact_observer.options import Options
 from impact_observer.plant import Plant, Switching, simulate
 from impact_observer.stamps import from_seconds, grid
@@ -241,11 +240,6 @@ def gap_by(metres: Size, system: System) -> Truth:
     return Truth(with_stops(system, lambda c: replace(c, gap=c.gap + metres)))
 
 
-def guided(force: Size, system: System) -> Truth:
-    """The first body rubs, with a force of so many N."""
-    return Truth(replace(system, guides=(Guide("guide", np.eye(system.n)[0], force),)))
-
-
 def maxwell(by: Size, system: System) -> Truth:
     """A spring of ``by`` of the first body's stiffness, in series with a damper, holds it.
 
@@ -365,7 +359,6 @@ MISFITS = (
     Misfit("random restitution", TWO, 0.03, plants.random_restitution),
     Misfit("pendulum 0.4 rad", TWO, 0.4, plants.pendulum, signed=False),
     Misfit("hidden mass 0.1 kg", MANY, 0.1, plants.hidden_mass, signed=False),
-    Misfit("guide rubs, 0.1 N", TWO, 0.1, guided, signed=False),
     Misfit("frequency 0.1 %", ONE, 1e-3, plants.force_frequency),
     Misfit("phase 0.05 rad", MANY, 0.05, force_phase),
     Misfit("second harmonic 5 %", TWO, 0.05, second_force),

@@ -2,10 +2,8 @@
 """How well parameters are estimated from impact times: ``./dev bench identify``.
 
 A minute of the sample models. The initial model has restitutions off by 0.1, stiffness by 3 % and
-gaps by 2 %; no state is given. Of a restitution by speed the exponent is off by 0.1 too. Of
-``rubbed``, a mass whose guide sticks and slips between hits that last and yield, friction, contact
-time and exponent are free, and off by a tenth. docs/identify.md and docs/laws.md quote these six
-tables, without timing:
+gaps by 2 %; no state is given. Of a restitution by speed the exponent is off by 0.1 too.
+docs/identify.md and docs/laws.md quote these six tables, without timing:
 
 - exact stamps (rounded to 1 ns): the largest relative error of a parameter;
 - jitter of 1 ms, over the seeds: the normalised squared error of all parameters over their number,
@@ -46,7 +44,7 @@ from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.filter.unknown_parameters import UnknownParameters
 from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.shooting import shoot
-from impact_observer.model import Model, System, parse_model, read_model
+from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.model.rebounds.power_law import PowerLaw
@@ -62,26 +60,7 @@ MODELS = ("two_mass", "three_mass")
 FREE = ("restitution", "stiffness-scale", "gap")
 BY_SPEED = "yielding_stop"
 """A model whose restitution falls with the speed; its exponent is free too, and off by 0.1."""
-RUBBED = """\
-name: rubbed
-bodies: [{{name: x, mass: 1}}]
-springs: [{{between: [ground, x], stiffness: 20, damping: 0.1}}]
-forces: [{{body: x, amplitude: 6, frequency: 5.3}}, {{body: x, amplitude: 5, frequency: 3.1}}]
-friction: [{{name: guide, between: [ground, x], force: {}}}]
-stops:
-  - name: stop
-    body: x
-    limit: 0.3
-    side: above
-    contact_time: {}
-    restitution: {{value: 0.7, speed: 1, exponent: {}, limit: 0.95}}
-initial_state: {{position: [0.1], velocity: [0.5]}}
-"""
-"""Model file of a mass that sticks and slips between hits that last and yield."""
-RUBBED_FREE = ("friction", "contact-time", "restitution-exponent")
-RUBBED_TRUE = (0.8, 0.002, -0.1)
-RUBBED_GUESS = (0.75, 0.0018, -0.11)
-NAMES = (*MODELS, BY_SPEED, "rubbed")
+NAMES = (*MODELS, BY_SPEED)
 STIFFNESS, RESTITUTION, GAP = 1.03, 0.1, 1.02
 JITTER = 1e-3
 SPURIOUS = 0.1
@@ -105,28 +84,17 @@ HALF = 30 * NS_PER_S
 ON_LINE = ("restitution=0.1", "stiffness-scale=0.03")
 
 
-def rubbed(*values: float) -> Model:
-    """``RUBBED`` with these values of friction (N), contact time (s) and exponent."""
-    return parse_model(RUBBED.format(*values), "rubbed")
-
-
-@lru_cache
-def model_named(name: str) -> Model:
-    """A sample model, or ``rubbed``."""
-    return rubbed(*RUBBED_TRUE) if name == "rubbed" else read_model(name)
-
-
 @lru_cache
 def recorded(name: str) -> Run:
     """A minute of a model."""
-    model = model_named(name)
+    model = read_model(name)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + from_seconds(END), 20.0))
 
 
 def events_of(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
     """The events of a sensor on that run, by stamp."""
-    run, model = recorded(name), model_named(name).system
+    run, model = recorded(name), read_model(name).system
     sensed = simulate_sensor(
         sensor, model, run.switchings, epoch=EPOCH, last=int(run.stamps[-1]), seed=seed
     )
@@ -135,8 +103,6 @@ def events_of(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
 
 def family_of(name: str) -> ParametricFamily:
     """The initial model of an identification, and what is free."""
-    if name == "rubbed":
-        return parametric_family(rubbed(*RUBBED_GUESS).system, RUBBED_FREE)
     free = (*FREE, "restitution-exponent") if name == BY_SPEED else FREE
     return parametric_family(wrong(read_model(name).system), free)
 
@@ -164,7 +130,6 @@ def flatter(curve: PowerLaw) -> PowerLaw:
 def errors(found: Identification, model: System) -> np.ndarray:
     """The errors of the parameters, in their units."""
     true = {"stiffness-scale": 1 / STIFFNESS}
-    true |= {f"friction.{guide.name}": guide.force for guide in model.guides}
     for contact in model.contacts:
         true[f"restitution.{contact.name}"] = contact.restitution
         true[f"gap.{contact.name}"] = contact.gap
@@ -177,7 +142,7 @@ def errors(found: Identification, model: System) -> np.ndarray:
 def exact(name: str) -> dict[str, object]:
     """A row of the first table."""
     found = identify(family_of(name), events_of(name, SensorModel(), 0))
-    error = errors(found, model_named(name).system)
+    error = errors(found, read_model(name).system)
     return {
         "model": name,
         "impacts": len(found.shifts),
@@ -188,7 +153,7 @@ def exact(name: str) -> dict[str, object]:
 
 def jittered(name: str, seeds: int) -> dict[str, object]:
     """A row of the second table."""
-    model, family = model_named(name).system, family_of(name)
+    model, family = read_model(name).system, family_of(name)
     weights, sizes, ratios = [], [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
         events = events_of(name, SensorModel(jitter=JITTER), seed)

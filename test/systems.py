@@ -374,7 +374,7 @@ def switched(
 def largest_rise(law: ReplicaLaw, x: Array, y: Array, seconds: float = 4.0) -> float:
     """By how much V of a replica from ``y`` to a plant from ``x`` rises beyond rounding at most.
 
-    Under the true switching; where only guides switch the replica knows nothing of it.
+    Under the true switching.
     """
     model, t = law.system, 0.0
     plant = Plant(replace(model, live=None), *np.split(x, 2), epoch=EPOCH)

@@ -44,8 +44,6 @@ _UNSEEN = 1e-9
 """Contact speed of a shape that counts as none, relative to the shape's speed."""
 _CLEAN = 1e-12
 """Entry of a shape that counts as rounding."""
-_CORNERS = 12
-"""Most guides of which all combinations of loads are tried."""
 _RESONANCE = 1e-6
 """Relative distance of a forcing frequency from a mode's that counts as resonance."""
 
@@ -166,22 +164,6 @@ def _nonexpansive(system: System, constant: bool | None) -> bool | None:
     if not all(law.is_nonexpansive for law in bent):
         return False
     return None if bent and system.m > 1 and constant else constant
-
-
-def largest_kept(system: System) -> float | None:
-    """Largest V between two states of rest in which only the springs and guides act, J.
-
-    Loads differ by up to twice their bounds. ``1/2 dl' W_T' K^-1 W_T dl`` is convex, so its
-    largest value is at a corner of the loads. Returns None if a guide holds a body that no spring
-    holds, or if the model has more than 12 guides.
-    """
-    k, W = len(system.guides), system.W_T
-    pulled, rank = linalg.lstsq(system.K, W)[0], np.abs(system.K).max() or 1.0
-    if k > _CORNERS or np.max(np.abs(system.K @ pulled - W)) > _UNSEEN * rank:
-        return None
-    compliance = W.T @ pulled
-    signs = np.array(np.meshgrid(*[[-2.0, 2.0]] * k)).reshape(k, -1) * system.friction[:, None]
-    return float(np.max(np.einsum("ij,ik,kj->j", signs, compliance, signs))) / 2
 
 
 class _Spectrum:

@@ -7,7 +7,7 @@ from math import degrees, radians, tau
 import numpy as np
 
 from impact_observer.check.forced_motion import forced_motion
-from impact_observer.check.model_check import ModelCheck, largest_kept
+from impact_observer.check.model_check import ModelCheck
 from impact_observer.draw.reports import ReportLine, counted, figure, listed
 from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
@@ -25,7 +25,6 @@ def findings(checked: ModelCheck) -> list[ReportLine]:
     """All remarks on a model; remarks on the impact law come first."""
     return [
         *_impact_law(checked),
-        *_friction(checked.system),
         *_grounds(checked.system),
         *_closing(checked),
         *_modes(checked),
@@ -78,20 +77,6 @@ def _rebounds(system: System) -> Iterator[ReportLine]:
         )
 
 
-def _friction(system: System) -> Iterator[ReportLine]:
-    """The error that friction of guides preserves."""
-    if not system.guides:
-        return
-    names = listed([repr(guide.name) for guide in system.guides], _SHOWN)
-    kept = largest_kept(system)
-    most = "" if kept is None else f", here up to {kept:.3g} J where nothing else holds them"
-    yield ReportLine(
-        "note",
-        f"Friction in {names} never raises V, but does not attract: two replicas that stick at"
-        f" different places keep 1/2 dq' K dq{most}. Only impacts, or slip, reduce this energy.",
-    )
-
-
 def _grounds(system: System) -> Iterator[ReportLine]:
     """Grounds that move nothing."""
     if system.frame is None:
@@ -102,7 +87,7 @@ def _grounds(system: System) -> Iterator[ReportLine]:
         name = grounds.names[k]
         yield ReportLine(
             "warning",
-            f"Ground {name} moves nothing: no spring, damper, stop or guide is attached to it.",
+            f"Ground {name} moves nothing: no spring, damper or stop is attached to it.",
         )
 
 

@@ -29,7 +29,6 @@ class End(IntEnum):
     SPEED = auto()
     LOAD = auto()
     REACTION = auto()
-    GUIDE = auto()
 
 
 class Watch(NamedTuple):
@@ -37,14 +36,14 @@ class Watch(NamedTuple):
 
     Attributes:
         guards: the functions in the kernel.
-        ends: kind of each function, and index of the contact or of the entry of ``Rubbing.ends``.
+        ends: kind of each function, and index of the contact.
     """
 
     guards: Guards
     ends: tuple[tuple[End, int], ...]
 
     def crossed(self, which: Iterable[int]) -> dict[End, set[int]]:
-        """Indices of contacts or of ``Rubbing.ends`` of the functions ``which``, by kind."""
+        """Indices of the contacts of the functions ``which``, by kind."""
         indices: dict[End, set[int]] = defaultdict(set)
         for end, i in map(self.ends.__getitem__, which):
             indices[end].add(i)
@@ -111,38 +110,13 @@ class Watched:
     @classmethod
     def loads(cls, phase: Phase) -> "Watched":
         """The loads ``lambda`` of the held contacts: below zero a contact is released."""
-        which = [phase.held.index(i) for i in phase.pressed]
-        ends = _each(End.LOAD, phase.pressed)
-        return cls._of_loads(ends, phase, phase.loads[which], np.zeros(len(which)))
-
-    @classmethod
-    def guides(cls, system: System, phase: Phase) -> "Watched":
-        """The guard functions of guides in ``phase``, in the order of ``Rubbing.ends``.
-
-        The load of a sticking guide is at most the friction force. A slipping guide does not turn.
-        """
-        parts = []
-        for k, (j, side) in enumerate(phase.rubbing.ends):
-            ends = _each(End.GUIDE, [k])
-            if side:
-                row = -side * phase.loads[[phase.held.index(system.m + j)]]
-                parts.append(cls._of_loads(ends, phase, row, system.friction[[j]]))
-            else:
-                slip = -np.sign(phase.rubbing.loads[j]) * system.W_T[:, [j]].T
-                parts.append(cls._of_velocity(ends, slip))
-        return cls._of_velocity((), np.zeros((0, system.n))).and_also(*parts)
+        equations, H = phase.equations, phase.loads
+        ends, none = _each(End.LOAD, phase.held), np.zeros(len(H))
+        return cls(ends, H @ equations.K, H @ equations.C, -H, none)
 
     @classmethod
     def _of_velocity(cls, ends: tuple[tuple[End, int], ...], b: Matrix) -> "Watched":
         return cls(ends, np.zeros_like(b), b, np.zeros_like(b), np.zeros(len(b)))
-
-    @classmethod
-    def _of_loads(
-        cls, ends: tuple[tuple[End, int], ...], phase: Phase, H: Matrix, constant: Vector
-    ) -> "Watched":
-        """``constant - H (f - C u - K p)``, in which ``f`` has the constant loads of guides."""
-        equations = phase.equations
-        return cls(ends, H @ equations.K, H @ equations.C, -H, constant)
 
     def and_also(self, *others: "Watched") -> "Watched":
         """These functions, then the functions of ``others``."""

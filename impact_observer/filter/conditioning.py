@@ -4,8 +4,8 @@
 The equations are those of the kernel's ``Impact``, which takes impacts of one contact while none
 is closed, with harmonic forces and constant restitutions. There an impact changes a root by a few
 products of a column and a row, and a hypothesis costs 5 us instead of 0.8 ms. ``Conditioning``
-takes all other events: several contacts, rests and releases, sampled forces, guides that rub,
-contact times, and parameters of masses and forces. Tests compare both wherever both apply.
+takes all other events: several contacts, rests and releases, sampled forces, contact times, and
+parameters of masses and forces. Tests compare both wherever both apply.
 """
 
 import math

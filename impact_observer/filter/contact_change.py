@@ -121,13 +121,13 @@ class ContactChange(NamedTuple):
         """The contacts whose guard is measured: those that hit, or one alone that opens.
 
         The load of one that opens, among the ``held`` ones, has come down to zero, unless the
-        force jumps, or that of a guide that turns.
+        force jumps.
         """
         if self.hit:
             return self.hit
         opened = self.opened
         sampled = system.forcing.sampled
-        jumps = bool(system.guides) or (sampled is not None and sampled.jumps)
+        jumps = sampled is not None and sampled.jumps
         return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
 
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:

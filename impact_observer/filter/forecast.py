@@ -92,8 +92,7 @@ class Flight:
         self._scales = moving.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
-        self._guided = moving.guided  # then loads of contacts depend on the motion
-        self._pressed = self._phase.pressed if closed and not self._guided else ()
+        self._pressed = self._phase.held if closed else ()
         self.gaps, self.contacts = len(open_), (*open_, *self._pressed)
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]

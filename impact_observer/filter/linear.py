@@ -69,7 +69,7 @@ class LinearPrediction:
 
     def _transition(self, s: float) -> Matrix:
         closed = self._start.closed
-        if self.moving.guided or self.moving.is_cheap(closed, s):
+        if self.moving.is_cheap(closed, s):
             return self.moved(s)[1]
         return self.moving.phase(closed).transition(s)
 

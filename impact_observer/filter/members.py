@@ -431,8 +431,6 @@ class Members:
         for j, each in enumerate(self.family.parameters[: self.moving]):
             effect = each.effect
             forces[:, j] -= effect.K @ x[:n] + effect.C @ x[n:] + effect.M @ acceleration
-            if moving.guided:
-                forces[:, j] += moving.rubbed_by(t, x, closed, effect.friction)
         return np.asarray(forces)
 
     def _member(self, values: tuple[float, ...]) -> Member:

@@ -13,8 +13,6 @@ from impact_observer.dynamics import (
     Motion,
     Phase,
     Phases,
-    Piecewise,
-    persistent_contacts,
 )
 from impact_observer.dynamics.flow.equations import state_matrix
 from impact_observer.dynamics.flow.scales import Scales
@@ -40,9 +38,8 @@ class MovingSystem:
 
     Attributes:
         system: the system; the places of its stops do not matter.
-        guided: whether guides rub: then a motion has many phases, and which one depends on it.
-        depends_on_state: whether derivatives of a motion depend on its start, as where guides rub.
-        is_plain: whether no guides rub and no force is sampled: then the kernel knows it.
+        depends_on_state: whether derivatives of a motion depend on its start: no.
+        is_plain: whether no force is sampled: then the kernel knows it.
     """
 
     def __init__(self, system: System, inverse: Matrix | None = None) -> None:
@@ -52,15 +49,13 @@ class MovingSystem:
         kernel's: that is cheaper for a system of which few are asked.
         """
         self.system = system
-        self.guided = self.depends_on_state = bool(system.guides)
-        self.is_plain = not self.guided and system.forcing.sampled is None
+        self.depends_on_state = False
+        self.is_plain = system.forcing.sampled is None
         self._inverse = inverse if self.is_plain and system.n <= _SMALL else None
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
-        self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         changes = system.live is not None  # what was known of a force may be others' past
         self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
-        self._rubbed_motion = self._motion_of if changes else lru_cache(KEPT)(self._motion_of)
         self._diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._transition = lru_cache(KEPT)(lambda closed, s: self.phase(closed).transition(s))
 
@@ -119,37 +114,27 @@ class MovingSystem:
 
     def rate_of(self, t: float, x: Vector, closed: Contacts) -> Vector:
         """``dx/dt`` of a state at ``t``, s since the epoch, shape (2n,)."""
-        if not closed and self.system.forcing.sampled is None and not self.guided:
+        if not closed and self.system.forcing.sampled is None:
             return self.free.rates(t, x)
         return self.rates_at(t, x, closed).along(x, self.forces(t))[0]
 
     def rates_at(self, t: float, x: Vector, closed: Contacts) -> StateRates:
         """``rates`` at a state, shape (2n,), at ``t``, s since the epoch."""
-        return self._rubbed(self._phase_at(t, x, closed)) if self.guided else self.rates(closed)
+        del t, x
+        return self.rates(closed)
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """The motion through ``x``, shape (2n,), at ``t``, s since the epoch."""
-        if self.guided:
-            return self._rubbed_motion(t, x.tobytes(), closed)
         return self.phase(closed).start(t, x)
-
-    def _motion_of(self, t: float, state: bytes, closed: Contacts) -> Motion:
-        return self.clutches.motion(t, np.frombuffer(state), closed, fix=False)
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
         """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
 
-        Before it, guides do what they do at ``x``. The caller must not ask for instants at which
-        the forcing is not defined.
+        The caller must not ask for instants at which the forcing is not defined.
         """
         if self.is_cheap(closed, s):
             return self.free.moved(t, x, s)
-        if not self.guided:
-            return self.phase(closed).moved(t, x, s)
-        if s <= 0:
-            return self._phase_at(t, x, closed).moved(t, x, s)
-        motion = self.motion(t, x, closed)
-        return motion.state(s), transition_of(motion, s)
+        return self.phase(closed).moved(t, x, s)
 
     def is_cheap(self, closed: Contacts, s: float) -> bool:
         """Whether ``s`` seconds while contacts are ``closed`` need no phase."""
@@ -159,20 +144,6 @@ class MovingSystem:
     def clutches(self) -> Clutches:
         """Its motions while contacts are closed."""
         return Clutches(self.system, self.phases)
-
-    def _phase_at(self, t: float, x: Vector, closed: Contacts) -> Phase:
-        """The phase of guides and ``closed`` contacts at a state."""
-        grip = persistent_contacts(self.phases, (), t, x, closed)
-        return self.phases.phase(grip.held, (), grip.loads)
-
-    def rubbed_by(self, t: float, x: Vector, closed: Contacts, change: Vector) -> Vector:
-        """What a ``change`` of friction, shape (k,), N, adds to the forces of guides, (n,)."""
-        rubbing = self._phase_at(t, x, closed).rubbing
-        share = np.array(rubbing.loads) / self.system.friction
-        return np.asarray(self.system.W_T @ (share * change))
-
-    def _rates_rubbed(self, phase: Phase) -> StateRates:
-        return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
 
     def decay(self, closed: Contacts) -> float:
         """Rate of the fastest fading motion, 1/s."""
@@ -244,9 +215,3 @@ class MovingSystem:
     def _forces_at(self, t: float) -> Matrix:
         """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""
         return self.system.forcing.derivatives(np.array([t]), 2)[:, 0]
-
-
-def transition_of(motion: Motion, s: float) -> Matrix:
-    """The derivative of a guided ``motion`` after ``s`` seconds by its start, shape (2n, 2n)."""
-    assert isinstance(motion, Piecewise), "guides rub"
-    return motion.transition(s)

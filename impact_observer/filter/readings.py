@@ -128,7 +128,7 @@ class DeclaredSensor:
         if self.is_dynamic:
             n, rates = self._n, moving.rates_at(at.t, at.x, at.closed)
             h = h + self._a.dot(rates.A[n:])
-            forces = rates.B[n:].dot(moving.forces(at.t)[0]) + rates.b[n:]
+            forces = rates.B[n:].dot(moving.forces(at.t)[0])
             rest += float(self._a.dot(forces))
         return Row(h, rest)
 
@@ -150,7 +150,7 @@ class DeclaredSensor:
         """What is measured without noise at states of one phase, less ``shifts``.
 
         Args:
-            moving: between impacts; no guides rub if accelerations are measured.
+            moving: between impacts.
             t: s since the epoch, shape (samples,).
             states: (q, u) then, in the frame, shape (samples, 2n).
             closed: contacts that are closed.
@@ -160,7 +160,7 @@ class DeclaredSensor:
             n, rates = self._n, moving.rates(closed)
             h = h + self._a.dot(rates.A[n:])
             forces = moving.system.forcing.derivatives(t, 0)[0]
-            rest = rest + forces @ self._a.dot(rates.B[n:]) + float(self._a.dot(rates.b[n:]))
+            rest = rest + forces @ self._a.dot(rates.B[n:])
         return np.asarray(states @ h + rest)
 
     def shifts(self, instants: Stamps) -> Vector:

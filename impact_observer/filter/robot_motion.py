@@ -192,7 +192,6 @@ class RobotRates(StateRates):
         """About a state ``x`` under torques ``tau``."""
         self._robot, self._closed = robot, closed
         self.A, self.B = robot.rate_derivatives(x, tau, closed)
-        self.b = np.zeros(x.size)
 
     def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
         """``dx/dt`` at a state and its derivative by time, (2n,) each; ``forces`` are f, f'."""
@@ -221,7 +220,6 @@ class RobotMotion(MovingSystem):
 
     Attributes:
         system: the robot.
-        guided: no guides rub.
         depends_on_state: derivatives of a motion depend on its start.
         is_plain: the kernel does not know it.
         rate: the fastest rate at rest, 1/s.
@@ -235,7 +233,7 @@ class RobotMotion(MovingSystem):
     def __init__(self, robot: Robot) -> None:
         """Of a ``robot``; its rates are those at rest with all coordinates zero."""
         self.system: Robot = robot  # type: ignore[assignment]
-        self.guided = self.is_plain = False
+        self.is_plain = False
         self.depends_on_state = True
         zero = np.zeros(robot.n)
         A, _ = robot.rate_derivatives(np.zeros(2 * robot.n), robot.rest_torque(zero))

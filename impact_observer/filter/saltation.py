@@ -38,16 +38,15 @@ class FreePhase(NamedTuple):
 
 
 class StateRates:
-    """``dx/dt = A x + B f(t) + b`` of one phase with nothing fixed.
+    """``dx/dt = A x + B f(t)`` of one phase with nothing fixed.
 
     Attributes:
         A: shape (2n, 2n).
         B: shape (2n, n).
-        b: by the constant loads of guides, shape (2n,).
     """
 
-    def __init__(self, phase: Phase | FreePhase, rubbed: Vector | None = None) -> None:
-        """Write the phase, with forces of guides if any, (n,), as a system of first order."""
+    def __init__(self, phase: Phase | FreePhase) -> None:
+        """Write the phase as a system of first order."""
         n, equations = phase.equations.n, phase.equations
         inverse = phase.inverse
         self.A = np.zeros((2 * n, 2 * n))
@@ -55,7 +54,6 @@ class StateRates:
         self.A[n:, :n] = -inverse @ equations.K
         self.A[n:, n:] = -inverse @ equations.C
         self.B = np.vstack([np.zeros((n, n)), inverse])
-        self.b = np.zeros(2 * n) if rubbed is None else self.B @ rubbed
 
     @cached_property
     def decay(self) -> float:
@@ -64,7 +62,7 @@ class StateRates:
 
     def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
         """``dx/dt`` and its derivative by time, (2n,) each; ``forces`` are f, df/dt, ..."""
-        first: Vector = self.A.dot(x) + self.B.dot(forces[0]) + self.b
+        first: Vector = self.A.dot(x) + self.B.dot(forces[0])
         second: Vector = self.A.dot(first) + self.B.dot(forces[1])
         return first, second
 

@@ -23,8 +23,6 @@ _LOST = 0.02
 """Error of the instants, relative to the time between two, above which a fit is tried again."""
 _TRIES = 40
 """Most evaluations of one search for the least gaps; ten are usual."""
-_FEW = 12
-"""Most evaluations of a search that begins near the answer."""
 _PRIOR_WEIGHT = 0.03
 """Weight of the prior on the parameters in the first search, m for an error of their size."""
 _START_WEIGHT = 1e-6
@@ -103,12 +101,6 @@ def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
     return min(at_once, stepwise, key=error)
 
 
-def by_gaps_near(problem: Problem, y: Vector) -> Vector:
-    """``y`` of the least gaps near another one: of the first moments, then of all."""
-    first = _least_gaps(problem, y, _FIRST, prior=_PRIOR_WEIGHT, tries=_FEW)
-    return _least_gaps(problem, first, tries=_FEW)
-
-
 def least_gaps_from(problem: Problem, y: Vector) -> Vector:
     """``y`` of the least gaps near another one, whatever the nominal parameters are."""
     return _least_gaps(problem, y)
@@ -121,7 +113,6 @@ def _least_gaps(
     *,
     prior: float = 0.0,
     robust: bool = False,
-    tries: int = _TRIES,
 ) -> Vector:
     """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values.
 
@@ -133,7 +124,7 @@ def _least_gaps(
         for end, bound in zip((-np.inf, np.inf), family.bounds, strict=True)
     )
     sizes = np.concatenate([np.full(2 * n, _START_WEIGHT), prior / family.sizes])
-    pull = np.diag(sizes)[0 if problem.near is None else 2 * n :]
+    pull = np.diag(sizes)
     given = np.concatenate([np.zeros(2 * n), family.nominal])
     # The solver asks for residuals and derivatives at the same ``y``: one shot serves both.
     begin = problem.shot(y, stamps)
@@ -145,7 +136,7 @@ def _least_gaps(
     def made(y: bytes) -> tuple[Vector, Matrix]:
         gaps, by_start = problem.gaps_of(problem.shot(np.frombuffer(y), stamps), moved)
         size = float(np.sqrt(np.mean(gaps**2)))
-        problem.report(f"first guess {next(trials)} of at most {tries}, gaps {size:.2g} {unit}")
+        problem.report(f"first guess {next(trials)} of at most {_TRIES}, gaps {size:.2g} {unit}")
         return gaps, by_start
 
     minimum = optimize.least_squares(
@@ -159,7 +150,7 @@ def _least_gaps(
         xtol=1e-12,
         ftol=1e-12,
         gtol=1e-15,
-        max_nfev=tries,
+        max_nfev=_TRIES,
     )
     return np.asarray(minimum.x)
 

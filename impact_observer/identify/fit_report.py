@@ -121,7 +121,7 @@ def _turning_point(fitted: Identification) -> _TurningPoint | None:
     family, recording, n = fitted.family, fitted.recording, fitted.family.system.n
     system = family.system_at(fitted.values)
     own, moves = system.own_forcing, system.frame is not None
-    forced = own.depends_on_time or system.guides or system.live is not None
+    forced = own.depends_on_time or system.live is not None
     if (
         n > 1
         or forced
@@ -339,7 +339,7 @@ def _remedy(fitted: Identification, check: FitCheck) -> str:
 def _about_damping(family: ParametricFamily) -> str:
     """What to add to a model that loses no energy between its impacts; else empty."""
     system = family.system
-    if system.C.any() or system.guides:
+    if system.C.any():
         return ""
     return " The model has no damping: a small one, in its file, is tried as a cause too."
 

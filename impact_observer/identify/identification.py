@@ -23,7 +23,6 @@ from impact_observer.identify.first_guess import directions, start_of
 from impact_observer.identify.fit_check import check_fit
 from impact_observer.identify.fit_progress import FitProgress
 from impact_observer.identify.growing import Grown, grown, phase_changes, phases_of, stage_of
-from impact_observer.identify.late_start import late_start
 from impact_observer.identify.least_squares import is_lost, usual_size, weighed
 from impact_observer.identify.other_parameters import (
     OtherParameter,
@@ -305,13 +304,8 @@ def identify(
         start, keys = episode.start, episode.keys
         keys = [key for key in keys if seconds_between(start, key.stamp) <= horizon]
         episode = episode._replace(keys=keys)
-    state = None
-    if family.system.guides:
-        episode, state = late_start(family.system, episode, events)
     report = FitProgress(progress)
-    whole = Recording(
-        episode, state=state, report=report, dead_time=dead_time, mislabelled=mislabelled
-    )
+    whole = Recording(episode, report=report, dead_time=dead_time, mislabelled=mislabelled)
     whole = _with_samples(whole, family, clock, measurements, samples)
     search = _Search(family, events, whole, clock, trust_events, measurements, samples, report)
     if (with_prior := _with_prior(whole, family, clock, prior)) is whole:
@@ -600,8 +594,7 @@ class _Search(NamedTuple):
         """
         keys = self.whole.episode.keys
         is_plain = all(kind is Kind.IMPACT for key in keys for _, kind in key.switches)
-        is_plain = is_plain and self.whole.state is None and not self.measurements
-        if not is_plain or len(keys) <= 2 * _FIRST:
+        if self.measurements or not is_plain or len(keys) <= 2 * _FIRST:
             return None
         first = self._part(0, _FIRST)
         events = [each for each in self.events if each.stamp <= keys[_FIRST - 1].stamp]

@@ -117,7 +117,7 @@ def _fits(
     """The fits of the problems with the parameter free, up to the first that fits."""
     near = np.append(solution.y, parameter.value)
     for problem in problems:
-        wider = problem._replace(family=problem.family.extended([parameter]), near=None)
+        wider = problem._replace(family=problem.family.extended([parameter]))
         try:
             if is_lost:
                 first = wider._replace(moments=wider.moments[:_FIRST])

@@ -38,7 +38,6 @@ class Problem(NamedTuple):
         family: the systems.
         moments: the recorded impacts, closings and openings, in order.
         start: where the initial state holds, s since the epoch.
-        near: initial state and parameters to begin with, shape (2n + p,); None for none.
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, by which samples and the prior are weighed.
         is_declared: whether ``clock`` is declared; else the shifts show the deviation.
@@ -52,7 +51,6 @@ class Problem(NamedTuple):
     family: ParametricFamily
     moments: Sequence[FlightEnd]
     start: float
-    near: Vector | None = None
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True

@@ -19,7 +19,6 @@ from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
 from impact_observer.options import Options
 from impact_observer.stamps import from_seconds, seconds_between
-from impact_observer.states import Vector
 from impact_observer.trajectory.linearised_system import FlightEnd
 
 NEAR = 4.0
@@ -36,7 +35,6 @@ class Recording:
         episode: the recorded events.
         rejected: impacts that are rejected as spurious.
         inserted: impacts that are taken for missed.
-        state: (q, u) at the start, about, shape (2n,); None if unknown.
         sensors: samples of what is measured beside the impacts.
         clock: standard deviation of a stamp, s, declared or a first guess.
         is_declared: whether ``clock`` is declared.
@@ -58,7 +56,6 @@ class Recording:
     episode: Episode
     rejected: frozenset[Hit] = field(default=frozenset())
     inserted: frozenset[Hit] = field(default=frozenset())
-    state: Vector | None = None
     sensors: tuple[CountedSamples, ...] = ()
     clock: float = 0.0
     is_declared: bool = True
@@ -173,12 +170,9 @@ class Recording:
         for change in self._changes():
             inserted = any((change.stamp, i) in unmeasured for i in change.hit)
             moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
-        near = None if self.state is None else np.concatenate([self.state, family.nominal])
         sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
         clock = self.clock, self.is_declared
-        problem = Problem(
-            family, moments, self.start, near, sensors, *clock, self.instants, self.report
-        )
+        problem = Problem(family, moments, self.start, sensors, *clock, self.instants, self.report)
         return problem if self.prior is None else problem.with_prior(self.prior, self.first_clock)
 
     def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:

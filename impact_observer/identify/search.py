@@ -10,7 +10,6 @@ from impact_observer.errors import IdentificationError
 from impact_observer.filter.square_root import sparse_basis
 from impact_observer.identify.first_guess import (
     by_gaps,
-    by_gaps_near,
     directions,
     own_impacts,
     start_of,
@@ -126,8 +125,6 @@ def fit(
         reweighed, solution = weighed(problem, near, robust=robust)
         if solution.converged or problem.instants:
             return reweighed, solution
-    if problem.near is not None:
-        return weighed(problem, by_gaps_near(problem, problem.near), robust=robust)
     y = start_of(problem)
     shot = problem.shot(y)
     if np.max(np.abs(shot.speeds)) <= _STILL:

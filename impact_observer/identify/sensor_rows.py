@@ -128,9 +128,6 @@ def _check(family: ParametricFamily, sensor: DeclaredSensor) -> None:
     given = sensor.measurement
     if not given.deviation:
         raise given.wrong("deviation", "0 found; identify needs a positive number")
-    if sensor.is_dynamic and family.system.guides:
-        problem = "cannot be used by identify where guides rub; leave this sensor out"
-        raise given.wrong("acceleration", problem)
     grounds = [name for name in family.names if name.startswith("ground-")]
     if grounds and not given.gap:
         raise UsageError(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import ModelError
 from impact_observer.input_files import open_input
+from impact_observer.model.gone_keys import problem_with
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST = 1e15
@@ -44,7 +45,7 @@ class Section:
                 raise ModelError(self.key(name), "went in 0.4.0; impact_observer 0.3.0 takes it")
             if name not in allowed:
                 raise ModelError(
-                    self.key(str(name)), f"is not known here; expected one of {', '.join(allowed)}"
+                    self.key(str(name)), problem_with(self.key(str(name)), ", ".join(allowed))
                 )
 
     def __contains__(self, name: str) -> bool:

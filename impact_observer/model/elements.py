@@ -22,13 +22,12 @@ from impact_observer.model.ground_keys import (
     read_turning,
 )
 from impact_observer.model.grounds import LiveNames
-from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
-from impact_observer.model.system import Contact, Guide, System, moving_system
+from impact_observer.model.system import Contact, System, moving_system
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
-KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops", "friction")
+KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops")
 KINDS = ("mass", "stiffness", "damping")
 
 
@@ -131,14 +130,11 @@ def assembled_system(
     forcing, live = _forcing(line, document, folder)
     stops = [_stop(line, key, value) for key, value in document.items("stops")]
     M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
-    rubbing = [_guide(line, key, value) for key, value in document.items("friction")]
     contacts = tuple(contact for contact, _ in stops)
-    guides = tuple(guide for guide, _ in rubbing)
     try:
-        system = System(name, tuple(line.names), M, C, K, forcing, contacts, guides=guides)
+        system = System(name, tuple(line.names), M, C, K, forcing, contacts)
         if grounds := line.motions.names:
-            moving = [factor for _, factor in (*stops, *rubbing)]
-            factors = np.reshape(moving, (-1, len(grounds)))
+            factors = np.reshape([factor for _, factor in stops], (-1, len(grounds)))
             pushed = [_pushed(line, springs, kind) for kind in KINDS[1:]]
             system = moving_system(system, line.motions.grounds(pushed[0], pushed[1], factors))
         system = replace(system, live=live)
@@ -235,7 +231,6 @@ def _sum(
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
     """A stop, and the factors of ground displacements in the gap, shape (grounds,)."""
-    refuse_coulomb(key, value)
     keys = ("contact_time", "body", "limit", "side", "ground", "between", "gap")
     stop = Section(key, value, ("name", *REBOUND_KEYS, *keys))
     if "between" in stop:
@@ -255,10 +250,3 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         moving = -sign * line.ground(stop)
     law, lasts = read_rebound(stop), stop.number("contact_time", 0.0)
     return Contact(stop.text("name"), direction, gap, law.nominal, law, lasts), moving
-
-
-def _guide(line: _Line, key: str, value: Value) -> tuple[Guide, Vector]:
-    """A guide, and the factors of ground speeds in the slip of the guide, shape (grounds,)."""
-    guide = guide_section(key, value, ("name", "between", "force"))
-    direction, pair = line.relative(guide), guide.value("between")
-    return Guide(guide.text("name"), direction, guide.positive("force")), line.moving(pair)

@@ -28,7 +28,6 @@ UNITS = {
     "mass-scale": "",
     "stiffness": "N/m",
     "damping": "Ns/m",
-    "friction": "N",
     "mass": "kg",
     "forcing-amplitude": "",
     "forcing-phase": "rad",
@@ -50,7 +49,6 @@ _OWNERS = {
     "mass-scale": "",
     "stiffness": "A-B",
     "damping": "A-B",
-    "friction": "GUIDE",
     "mass": "BODY",
     "forcing-amplitude": "K",
     "forcing-phase": "K",
@@ -220,11 +218,6 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
             yield parameter(f"{kind}-scale", 1.0, _RATIO, 1.0, **{part: whole})
-    for guide, one in zip(system.guides, np.eye(len(system.guides)), strict=True):
-        least = guide.force / _LARGEST_RATIO
-        yield parameter(
-            f"friction.{guide.name}", guide.force, (least, np.inf), guide.force, friction=one
-        )
     for element in elements:
         kind, value = element.kind, element.value
         least = value / _LARGEST_RATIO if kind == "mass" else 0.0

@@ -71,8 +71,7 @@ class Grounds:
         owner: index of the ground of each harmonic of ``motion``.
         stiffness: forces on the coordinates by unit displacements, shape (n, k), N/m.
         damping: the same by unit speeds, shape (n, k), Ns/m.
-        factors: factors of the displacements in the gap of each contact, then of the speeds in
-            the slip of each guide, shape (m + guides, k).
+        factors: factors of the displacements in the gap of each contact, shape (m, k).
         written: the value of the key ``grounds`` with all tables written out.
     """
 
@@ -85,7 +84,7 @@ class Grounds:
     written: tuple[Mapping[str, object], ...] = ()
 
     def shift(self, W: Matrix) -> Matrix:
-        """The shift ``E``, shape (n, k), for directions ``W`` of shape (n, m + guides).
+        """The shift ``E``, shape (n, k), for directions ``W`` of shape (n, m).
 
         Raises:
             ModelError: stops of the same body move against each other.
@@ -116,8 +115,7 @@ class MovingFrame:
         shift: ``E`` of ``q = p + E s(t)``, shape (n, k).
         live: the displacements of live grounds; None if live grounds rest.
         angles: angles of the harmonics of the grounds. Derived.
-        gap_reach: largest motion of each contact and guide by the grounds, m, shape
-            (m + guides,). Derived.
+        gap_reach: largest motion of each contact by the grounds, m, shape (m,). Derived.
     """
 
     grounds: Grounds

@@ -22,6 +22,7 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.free_parameters import is_observed
+from impact_observer.model.gone_keys import without_gone
 from impact_observer.model.ground_keys import (
     GroundMotions,
     Turning,
@@ -29,7 +30,6 @@ from impact_observer.model.ground_keys import (
     read_grounds,
     read_turning,
 )
-from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import RobotDescription, one_of_each
@@ -40,7 +40,6 @@ from impact_observer.model.system import (
     UNITS,
     UNKNOWN_UNIT,
     Contact,
-    Guide,
     System,
     moving_system,
 )
@@ -48,10 +47,7 @@ from impact_observer.model.time_shift import NO_SHIFT, TimeShift
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
-_MATRIX_KEYS = (
-    *("coordinates", "mass", "damping", "stiffness", "grounds", "forcing", "contacts"),
-    "friction",
-)
+_MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "grounds", "forcing", "contacts")
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """Exceptions of ruamel: its own errors, and others for values such as ``2020-13-45``."""
 VERDICT = FITS, RESIDUAL, SHIFT, INTERVAL = ("fits", "residual", "shift", "interval")
@@ -238,20 +234,7 @@ def _matrix_form(s: System) -> dict[str, Value]:
             }
             for i, c in enumerate(s.contacts)
         ],
-        **({"friction": _friction_of(s, moving[s.m :])} if s.guides else {}),
     }
-
-
-def _friction_of(s: System, moving: Sequence[Sequence[float]]) -> Value:
-    return [
-        {
-            "name": each.name,
-            "direction": each.direction.tolist(),
-            "force": each.force,
-            **({"motion": _motion_of(s, moving[i])} if moving else {}),
-        }
-        for i, each in enumerate(s.guides)
-    ]
 
 
 def _motion_of(s: System, factors: Sequence[float]) -> Value:
@@ -348,8 +331,12 @@ def read_model(source: str | Path) -> Model:
     return parse_model(*model_text(source))
 
 
-def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
+def parse_model(
+    text: str, source: str, folder: Path | None = None, *, comparing: bool = False
+) -> Model:
     """Read a model from its ``text``; the arguments are those of ``ModelText``.
+
+    Keys that went in 0.4.0 do not count if the model serves only for ``comparing`` states.
 
     Raises:
         ModelError: one line that names ``source``, the key and the expected value.
@@ -357,7 +344,9 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     try:
         if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
             raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
-        return replace(_model(load_yaml(_in_radians(text, source)), folder), source=source)
+        document = load_yaml(_in_radians(text, source))
+        document = without_gone(document) if comparing else document
+        return replace(_model(document, folder), source=source)
     except ModelError as error:
         raise error.in_file(source) from None
 
@@ -527,11 +516,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     section.value("contacts")
     motions = read_grounds(section, (), folder)
     keys = ("name", "direction", "gap", *REBOUND_KEYS, "contact_time", "motion")
-    for item in section.items("contacts"):
-        refuse_coulomb(*item)
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
-    allowed = ("name", "direction", "force", "motion")
-    guides = [guide_section(*item, allowed) for item in section.items("friction")]
     forcing, pushed, inputs, turning = _forcing(section, names, motions, folder)
     system = System(
         name=name,
@@ -541,12 +526,8 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
         K=section.matrix("stiffness", n, folder),
         forcing=forcing,
         contacts=tuple(_contact(contact, n) for contact in contacts),
-        guides=tuple(
-            Guide(each.text("name"), each.vector("direction", n), each.positive("force"))
-            for each in guides
-        ),
     )
-    factors = [_factors(each, motions) for each in (*contacts, *guides)]
+    factors = [_factors(each, motions) for each in contacts]
     if motions.names:
         moving = np.reshape(factors, (-1, len(motions.names)))
         system = moving_system(system, motions.grounds(*pushed, moving))

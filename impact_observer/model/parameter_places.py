@@ -42,8 +42,6 @@ def parameter_places(document: Mapping[str, Any], system: System) -> Iterator[Pa
         for k, each in enumerate(ground["motion"].get("harmonics", [])):
             place: Place = ("grounds", i, "motion", "harmonics", k)
             yield from _of_harmonic(place, each, "ground", f"{ground['name']}.{k + 1}")
-    for i, guide in enumerate(document.get("friction", [])):
-        yield ParameterPlace(f"friction.{guide['name']}", ("friction", i, "force"))
     is_of_elements = "bodies" in document
     contacts = "stops" if is_of_elements else "contacts"
     for i, contact in enumerate(document.get(contacts, [])):

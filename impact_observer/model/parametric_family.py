@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.rebounds import ReboundLaw
-from impact_observer.model.system import Contact, Guide, System
+from impact_observer.model.system import Contact, System
 from impact_observer.states import Matrix, Vector, frozen
 
 _OF_FORCING = {"amplitude", "phase", "frequency", "constant", "cosine", "sine"}
@@ -39,7 +39,6 @@ class Coefficients:
         constant: constant force, shape (n,), N.
         cosine: cosines at the frequencies of the harmonics beside these, shape (h, n), N.
         sine: sines at the frequencies of the harmonics beside these, shape (h, n), N.
-        friction: largest forces of the guides, shape (guides,), N.
         contact_time: duration of an impact, shape (m,), s.
         aside: impulse beside that of a contact, one row a contact, over the one that stops the
             contact, shape (m, n); zero in a model.
@@ -56,7 +55,6 @@ class Coefficients:
     constant: Vector
     cosine: Matrix
     sine: Matrix
-    friction: Vector
     contact_time: Vector
     aside: Matrix
 
@@ -71,7 +69,7 @@ class Coefficients:
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
             row[: len(own)] = own
-        last = system.friction, system.contact_time, np.zeros((system.m, system.n))
+        last = system.contact_time, np.zeros((system.m, system.n))
         return cls(system.M, system.C, system.K, system.q_r, rebound, *harmonics, *last)
 
     @property
@@ -128,7 +126,7 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on the parameter."""
-        motion = {"M", "C", "K", "friction"} | _OF_FORCING
+        motion = {"M", "C", "K"} | _OF_FORCING
         return not motion.isdisjoint(self.effect.parts)
 
     @property
@@ -270,10 +268,6 @@ class ParametricFamily:
             Contact(c.name, c.direction, gap, law.nominal, None if law.is_plain else law, lasts)
             for c, law, gap, lasts in zip(self.system.contacts, laws, *numbers, strict=True)
         )
-        guides = tuple(
-            Guide(each.name, each.direction, force)
-            for each, force in zip(self.system.guides, coefficients.friction.tolist(), strict=True)
-        )
         forcing, frame = self._unturned(coefficients)
         amplitude, phase = coefficients.amplitude, coefficients.phase
         if frame is not None:
@@ -291,7 +285,6 @@ class ParametricFamily:
             "forcing": self._with_beside(_turned(forcing, amplitude, phase), coefficients),
             "contacts": contacts,
             "frame": frame,
-            "guides": guides,
         }
 
     def _with_beside(self, forcing: Forcing, coefficients: Coefficients) -> Forcing:

@@ -88,21 +88,6 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guide:
-    """Dry friction of prescribed load: a force up to ``force`` against ``gamma = direction . u``.
-
-    Attributes:
-        name: name of the guide in parameters.
-        direction: a column of W_T, shape (n,).
-        force: largest friction force, positive, N.
-    """
-
-    name: str
-    direction: Vector
-    force: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class System:
     """A linear system with stops: the model that the plant and its replicas share.
 
@@ -116,7 +101,6 @@ class System:
         forcing: ``f(t)``, in the frame in which no stop moves.
         contacts: the stops.
         frame: the frame in which no stop moves, and the moving grounds; None without grounds.
-        guides: the guides with dry friction.
         live: names of the live signals; None without any.
         unit: unit of the coordinates, ``m`` or ``rad``; ``m or rad`` if unknown.
         W: directions of the contacts, shape (n, m). Derived.
@@ -125,8 +109,6 @@ class System:
         special: indices of the contacts whose law is not a constant coefficient. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of special contacts. Derived.
         contact_time: durations of impacts, shape (m,), s. Derived.
-        W_T: directions of the guides, shape (n, k). Derived.
-        directions: directions of contacts, then guides, shape (n, m + k). Derived.
 
     Raises:
         ModelError: a value is wrong; the error names the key of the model file.
@@ -140,7 +122,6 @@ class System:
     forcing: Forcing
     contacts: tuple[Contact, ...]
     frame: MovingFrame | None = None
-    guides: tuple[Guide, ...] = ()
     live: LiveNames | None = None
     unit: str = UNKNOWN_UNIT
     W: Matrix = field(init=False)
@@ -149,8 +130,6 @@ class System:
     special: frozenset[int] = field(init=False)
     eps: Vector = field(init=False)
     contact_time: Vector = field(init=False)
-    W_T: Matrix = field(init=False)
-    directions: Matrix = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields, and derive the others."""
@@ -167,20 +146,14 @@ class System:
         _check_definite("damping", (C + C.T) / 2, strictly=False)
         contacts = tuple(_checked_contact(i, c, n) for i, c in enumerate(self.contacts))
         _check_names("contacts", [c.name for c in contacts])
-        guides = tuple(_checked_guide(i, each, n) for i, each in enumerate(self.guides))
-        _check_names("friction", [each.name for each in guides])
         W = np.reshape([c.direction for c in contacts], (-1, n)).T
-        W_T = np.reshape([each.direction for each in guides], (-1, n)).T
         derived = {
             "M": frozen((M + M.T) / 2),
             "C": C,
             "K": frozen((K + K.T) / 2),
             "forcing": self.forcing.checked(n),
             "contacts": contacts,
-            "guides": guides,
             "W": frozen(W),
-            "W_T": frozen(W_T),
-            "directions": frozen(np.hstack([W, W_T])),
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
             "contact_time": frozen([c.contact_time for c in contacts]),
@@ -256,7 +229,7 @@ class System:
         """Parts of gaps by moving grounds at ``ns`` since the epoch, m, shape (samples, m)."""
         if self.frame is None:
             return np.zeros((ns.size, self.m))
-        return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors[: self.m].T)
+        return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors.T)
 
     def gap(self, q: Vector) -> Vector:
         """Contact distances ``g = W^T q + q_r``, shape (m,), paper's equation (2)."""
@@ -297,11 +270,6 @@ class System:
     def closed_at(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g <= 0`` at ``q``, shape (n,)."""
         return tuple(np.flatnonzero(self.gap(q) <= self._gap_rounding(q)).tolist())
-
-    @property
-    def friction(self) -> Vector:
-        """Largest forces of the guides, shape (k,), N."""
-        return np.array([each.force for each in self.guides])
 
     def parts(self) -> NDArray[np.intp]:
         """Number of the uncoupled part of the system of each coordinate, shape (n,).
@@ -363,13 +331,7 @@ def moving_system(system: System, grounds: Grounds) -> System:
     Raises:
         ModelError: stops of the same body move against each other.
     """
-    try:
-        shift = grounds.shift(system.directions)
-    except ModelError as error:
-        i = int(error.key.removeprefix("contacts[").removesuffix("]"))
-        key = error.key if i < system.m else f"friction[{i - system.m}]"
-        raise ModelError(key, error.problem) from None
-    frame = MovingFrame(grounds, system.forcing, shift)
+    frame = MovingFrame(grounds, system.forcing, grounds.shift(system.W))
     return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
@@ -473,14 +435,3 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
         )
     own = None if law.is_plain else law
     return Contact(contact.name, direction, gap, law.nominal, own, lasts)
-
-
-def _checked_guide(i: int, guide: Guide, n: int) -> Guide:
-    key = f"friction[{i}]"
-    direction = finite(f"{key}.direction", guide.direction, (n,), f"{n} numbers")
-    if not np.any(direction):
-        raise ModelError(f"{key}.direction", "is zero; a guide must involve some coordinate")
-    force = float(finite(f"{key}.force", guide.force, (), "a positive number, N"))
-    if not force > 0.0:
-        raise ModelError(f"{key}.force", f"is {force:g}; expected a positive number, N")
-    return Guide(guide.name, direction, force)

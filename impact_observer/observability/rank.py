@@ -146,15 +146,10 @@ def observability(
         samples: of them; those from the start to the last event add rows, scaled to m.
 
     Raises:
-        UsageError: a standard deviation or tolerance that cannot be used; a guide rubs.
+        UsageError: a standard deviation or tolerance that cannot be used.
         BagError: the events contain no impact of the system's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
-    if system.guides:
-        raise UsageError(
-            f"{system.name}: guide {system.guides[0].name!r} rubs, so what impacts determine"
-            " depends on the motion; expected a model without friction"
-        )
     if not 0 < tolerance < 1:
         raise UsageError(f"tolerance: {tolerance:g} found; expected a number between 0 and 1")
     scale = np.diag(Uncertainty(deviation).root(system.n))

@@ -179,8 +179,7 @@ class Plant:
         if self._left is not None:
             (self._pending, self._inside), self._left = self._left, None
         if not self._is_plain:
-            grip = Grip(switching.closed, switching.held, switching.loads)
-            self._begin(switching.instant, switching.after, grip)
+            self._begin(switching.instant, switching.after, Grip(switching.closed, switching.held))
             return
         # The kernel has gone on by itself.
         self._start, self._state, self._next = switching.instant, switching.after, None
@@ -204,11 +203,11 @@ class Plant:
         self.closed = grip.closed
         busy = {*grip.closed, *self._inside, *(i for _, i in self._pending)}
         opened = tuple(i for i in range(self.system.m) if i not in busy)
-        self._phase = self._phases.phase(grip.held, (), grip.loads)
+        self._phase = self._phases.phase(grip.held)
         self._watch = self._watch_of(self._phase, opened, self._inside)
         self._state = x
         self._moving = None
-        self._flies = not (busy or self.system.guides)
+        self._flies = not busy
         if self._flies:
             self.impacts.start(self._time(instant), x)
         else:
@@ -229,12 +228,12 @@ class Plant:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
     def _watched(self, phase: Phase, opened: tuple[int, ...], inside: tuple[int, ...]) -> Watch:
-        """The guard functions of a phase: gaps of the contacts ``opened``, loads and guides.
+        """The guard functions of a phase: gaps of the contacts ``opened``, and loads.
 
         Contacts ``inside`` their stops add gaps, which open again, and speeds.
         """
         system = self.system
-        watched = [Watched.loads(phase), Watched.guides(system, phase)]
+        watched = [Watched.loads(phase)]
         if inside:
             watched += [Watched.within(system, inside), Watched.speeds(system, inside)]
         return Watched.gaps(system, opened).and_also(*watched).along(phase)
@@ -257,11 +256,10 @@ class Plant:
         if out := crossed[End.STOP] | crossed[End.SPEED]:
             return self._out(instant, x, crossed[End.STOP], out)
         switching, phase = self._switched(instant, x, x, (), self.closed), self._phase
-        if (switching.held, switching.loads) != (phase.held, phase.rubbing.loads):
+        if switching.held != phase.held:
             return switching
         # The load falls too slowly to see its sign, but it may not be negative.
-        ends = crossed[End.LOAD], crossed[End.GUIDE]
-        grip = ended(self._phases, phase, self.closed, *ends)
+        grip = ended(self._phases, phase, self.closed, crossed[End.LOAD])
         return self._gripped(instant, x, switching.after, (), grip)
 
     def _hit(self, x: Vector, crossed: dict[End, set[int]]) -> set[int]:
@@ -284,7 +282,7 @@ class Plant:
         late = float(self.system.contact_time[contact]) / 2
         pending = [*self._pending, (instant.shifted_by(late), contact)]
         self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
-        grip = Grip((), self._phase.held, self._phase.rubbing.loads)
+        grip = Grip((), self._phase.held)
         return self._gripped(instant, x, x, (contact,), grip)
 
     def _jump_or_end(self, limit: int) -> Switching | None:
@@ -377,5 +375,4 @@ class Plant:
             before=before,
             after=after,
             switches=self._switches(self.closed, contacts, grip.closed),
-            loads=grip.loads,
         )

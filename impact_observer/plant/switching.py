@@ -12,18 +12,17 @@ from impact_observer.states import Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Switching:
-    """All changes of contacts and guides at one instant.
+    """All changes of contacts at one instant.
 
     Attributes:
         instant: the instant of the changes.
         contacts: indices of the contacts that take part in an impact: all that are closed at the
             instant; empty if contacts only open.
         closed: indices of the contacts that are closed after the instant.
-        held: indices of the contacts and guides that take the loads, independent of each other.
+        held: indices of the contacts that take the loads, independent of each other.
         before: state (q, u-) in the system's frame, shape (2n,).
         after: state (q, u+) in the system's frame, shape (2n,).
-        switches: the changes of ``chi``; empty if only loads move, or guides stick or slip.
-        loads: loads of guides that are not held, N.
+        switches: the changes of ``chi``; empty if only loads move.
     """
 
     instant: Instant
@@ -33,7 +32,6 @@ class Switching:
     before: Vector
     after: Vector
     switches: tuple[Switch, ...]
-    loads: tuple[float, ...] = ()
 
 
 def switches(

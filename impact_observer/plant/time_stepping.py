@@ -74,11 +74,6 @@ class TimeSteppingPlant:
         q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch = whole_stamp(epoch, "epoch")
-        if system.guides:
-            raise UsageError(
-                f"friction: guide {system.guides[0].name!r} rubs, which the integrator moreau does"
-                " not compute; expected the integrator event-driven"
-            )
         if not math.isfinite(step) or round(step * NS_PER_S) < 1:
             raise UsageError(f"step: is {step:g} s; expected at least 1e-09 s")
         self.step = round(step * NS_PER_S)

@@ -11,10 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from impact_observer.dynamics import DEPTH, Phases
-from impact_observer.dynamics.contact.complementarity import bounded, nonnegative
-from impact_observer.dynamics.flow.phase import without
+from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.stamps import Instant
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 SHORT = 1e-8
 """Longest flight that counts as zero, relative to the model's time scale."""
@@ -65,7 +64,7 @@ class ZenoCutoff:
         # Gaps are rounded against the sum of all modes' magnitudes.
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = (LOW * (np.abs(system.q_r) + moved + _TINY)).tolist()
-        free, slow = self._free(t, x)
+        free = self._free(t, x)
         size = math.sqrt(free.dot(free))
 
         def flight(i: int, fall: float) -> float:
@@ -79,7 +78,7 @@ class ZenoCutoff:
             if gamma[i] >= -rounding[i] and flight(i, float(self._length[i]) * size) <= 1.0
         ]
         while resting:
-            flights = list(map(flight, resting, self._fall(free, resting, slow).tolist()))
+            flights = list(map(flight, resting, self._fall(free, resting).tolist()))
             if max(flights) <= 1.0:
                 break
             # Remove one at a time: without its load the others may rest or separate.
@@ -95,21 +94,18 @@ class ZenoCutoff:
 
         ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
         """
-        free, _ = self._free(t, x)
-        change = np.abs(free @ self._phases.B[:, list(contacts)]) * self.shortest
+        change = np.abs(self._free(t, x) @ self._phases.B[:, list(contacts)]) * self.shortest
         rounding = self._phases.speed_tolerance(x[self._phases.system.n :])[list(contacts)]
         return bool(np.any(change > rounding))
 
-    def _free(self, t: float, x: Vector) -> tuple[Vector, tuple[int, ...]]:
-        """The acceleration without loads, as ``Phases.white`` gives it, and guides that are slow.
+    def _free(self, t: float, x: Vector) -> Vector:
+        """The acceleration without loads, as ``Phases.white`` gives it, shape (n,).
 
         ``x`` is the state (q, u), shape (2n,), at ``t``, s since the epoch.
         """
         system, law = self._phases.system, self._phases.unloaded()
         q, u = x[: system.n], x[system.n :]
-        slow, loads = self._phases.guides(x)
-        rubbed = system.W_T @ loads
-        return self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed), slow
+        return self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
 
     def _flight(self, speed: float, fall: float, lowest: float) -> float:
         """Next flight, relative to the longest that counts as none.
@@ -121,16 +117,13 @@ class ZenoCutoff:
             return math.inf
         return min(2 * speed / fall / self.shortest, speed * speed / (2 * fall) / lowest)
 
-    def _fall(self, free: Vector, contacts: list[int], slow: tuple[int, ...]) -> Vector:
+    def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back if the others were held, m/s2.
 
         Zero where a contact is not pressed on its stop. ``free`` is the acceleration without
-        loads, as ``Phases.white`` gives it, shape (n,). Guides that are ``slow`` stick where they
-        can.
+        loads, as ``Phases.white`` gives it, shape (n,).
         """
         along = self._phases.B[:, contacts]
-        if slow:
-            free, along = self._stuck(free, contacts, slow)
         if len(contacts) == 1:
             return np.asarray(np.maximum(-free.dot(along), 0.0))
         size = math.sqrt(free.dot(free)) or 1.0
@@ -146,23 +139,6 @@ class ZenoCutoff:
             inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
             fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
         return fall
-
-    def _stuck(
-        self, free: Vector, contacts: list[int], slow: tuple[int, ...]
-    ) -> tuple[Vector, Matrix]:
-        """Acceleration and directions of contacts where some ``slow`` guides stick or slip."""
-        system, count = self._phases.system, len(contacts)
-        index = [*contacts, *(system.m + j for j in slow)]
-        length = self._phases.lengths[index]
-        most = system.friction[list(slow)] * length[count:]
-        low = np.concatenate([np.zeros(count), -most])
-        high = np.concatenate([np.full(count, np.inf), most])
-        D = self._phases.B[:, index] / length
-        pushed = bounded(D, -free, low, high)
-        rubs = np.abs(pushed[count:]) < most
-        free = free + D[:, count:][:, ~rubs] @ pushed[count:][~rubs]
-        basis = np.linalg.qr(D[:, count:][:, rubs])[0]
-        return without(basis, free), without(basis, self._phases.B[:, contacts])
 
 
 class AccumulationDetector:

@@ -134,11 +134,6 @@ class Robot:
         return Robot, (self.description,)
 
     @property
-    def guides(self) -> tuple[()]:
-        """Guides that rub: none."""
-        return ()
-
-    @property
     def frame(self) -> None:
         """Moving grounds: none."""
         return

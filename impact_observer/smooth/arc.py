@@ -23,15 +23,13 @@ from impact_observer.filter.readings import Place, Reading, Row
 from impact_observer.filter.sample_update import SampleFilter
 from impact_observer.kernel._kernel import TINY
 from impact_observer.smooth.account import Moment
-from impact_observer.smooth.chain import Normal, Step
+from impact_observer.smooth.chain import Step
 from impact_observer.smooth.linearised import Linearised, Path, followed, level_of
 from impact_observer.smooth.used_samples import NO_SAMPLES, UsedSamples, measured
 from impact_observer.states import Vector
 
 _MARGIN = 5.0
 """Distance of a sample from an instant, in deviations, below which the order is uncertain."""
-_SURE = 3.0
-"""Deviations of a filter's start, relative to the given ones."""
 
 
 class Node(NamedTuple):
@@ -86,10 +84,8 @@ class Arc(Linearised):
         self.samples, self._sample_filter = samples, SampleFilter(filter_)
         self._measured: tuple[Path | None, dict[int, list[_Group]]] = (None, {})
 
-    def predicted(self, about: Normal | None = None) -> Path:
-        """The path of the filter from the first state, or from the posterior ``about``.
-
-        The deviations of ``about`` are multiplied by ``_SURE``.
+    def predicted(self) -> Path:
+        """The path of the filter from the first state.
 
         Raises:
             DynamicsError: the filter's state grows beyond all bounds.
@@ -98,12 +94,6 @@ class Arc(Linearised):
         conditioning = filter_.conditioning
         early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
         state, t = self._state, self._t
-        if about is not None:
-            state = state._replace(
-                x=about.mean[: self._size],
-                constants=about.mean[self._size :],
-                root=_SURE * about.root,
-            )
         start = state.x
         margins = np.array([self._margin(each) for each in self.moments])
         flights = self._flights(np.array([each.change.t for each in self.moments]), margins)
@@ -132,12 +122,6 @@ class Arc(Linearised):
         Then the filter alone decides which samples count, and samples after the last moment do.
         """
         return self.filter.is_of_robot
-
-    def beginning(self, count: int) -> "Arc":
-        """The arc of the first ``count`` moments; this arc if it has no more."""
-        if len(self.moments) <= count:
-            return self
-        return Arc(self.filter, self._t, self._state, self.moments[:count], self.samples)
 
     def nodes(self, path: Path) -> list[Node]:
         """The steps of the chain: moments, rests and samples after them."""

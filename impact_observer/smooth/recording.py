@@ -178,10 +178,7 @@ def _evidence(trial: _Trial) -> float:
 
 def _doubt(best: _Trial, trials: Sequence[_Trial]) -> Doubt:
     """The likeliest other account of the events, or other motion, with another first state."""
-    doubt, rival = NO_DOUBT, best.smoothed.rival
-    if rival.odds > _UNLIKELY:
-        until = best.account.moments[rival.until].change.stamp
-        doubt = Doubt(rival.odds, rival.far, until, is_motion=True)
+    doubt = NO_DOUBT
     for each in trials:
         odds = math.exp(min(_evidence(each) - _evidence(best), 0.0))
         if each is best or not each.smoothed.is_settled or odds <= max(doubt.odds, _UNLIKELY):
@@ -300,8 +297,8 @@ class _Run:
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
         """The likeliest of ``best`` and accounts that are retraced from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
-        if law.system.guides or np.any(law.system.contact_time):
-            return best  # a guide that sticks forgets how it came to rest; hits begin before
+        if np.any(law.system.contact_time):
+            return best  # hits begin before
         count, given = len(known.moments), best.smoothed.known
         if known.decisions == known.as_reported().decisions:
             return best

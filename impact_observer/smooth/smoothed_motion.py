@@ -44,13 +44,8 @@ _DOUBTED = (
     "the model may not explain the impacts; `identify BAG --check --clock-error S` tests it, see"
     " docs/misfit.md"
 )
-_ONE_MOTION_IN = 1e-3
-"""Share of true motions that explain the events less well: below this share a warning is due."""
-_IMPLAUSIBLE = (
-    "fewer than one in a thousand true motions explain the impacts as badly as the smoothed one,"
-    " and where guides rub another may be likelier: declare the start (--initial, --deviation);"
-    " see docs/smoothing.md"
-)
+_CHANCE_IN = 1e-3
+"""Share of true motions that explain the events less well: below this share shifts are excess."""
 _BY_FILTER = (
     "the smoothed motion {}: the states are the filter's, from the impacts before each instant;"
     " see docs/smoothing.md"
@@ -60,33 +55,23 @@ _FAR = 5.0
 
 
 class Doubt(NamedTuple):
-    """Another account of the first events, or another motion, nearly as likely.
+    """Another account of the first events, nearly as likely.
 
     Attributes:
         odds: of the other to the chosen one; 0 without another.
         far: distance of the first states, in standard deviations.
-        until: stamp from which on both accounts are the same, or of the last event that both
-            motions explain, ns.
-        is_motion: whether the account is the same, and only the motion another.
+        until: stamp from which on both accounts are the same, ns.
     """
 
     odds: float = 0.0
     far: float = 0.0
     until: int = 0
-    is_motion: bool = False
 
     @property
     def text(self) -> str:
         """The warning; empty without a doubt."""
         if not self.odds:
             return ""
-        if self.is_motion:
-            return (
-                f"where guides rub another motion explains the events up to"
-                f" {stamp_text(self.until)} s: it is {self.odds:.2g} times as likely, and begins"
-                f" {self.far:.2g} deviations from here; declare the start (--initial,"
-                " --deviation); see docs/smoothing.md"
-            )
         return (
             f"another account of the events before {stamp_text(self.until)} s is {self.odds:.2g}"
             f" times as likely, and begins {self.far:.2g} deviations from here; see"
@@ -377,7 +362,7 @@ class SmoothedMotion:
         """Why the states are those of the filter, in words; empty if they are smoothed."""
         if self.contradictions:
             return _BY_FILTER.format("needs values that contradict the declared ones")
-        return _BY_FILTER.format("has not settled") if self.smoothed.has_failed else ""
+        return "" if self.smoothed.is_settled else _BY_FILTER.format("has not settled")
 
     @cached_property
     def early_doubt(self) -> tuple[str, int]:
@@ -452,7 +437,7 @@ class SmoothedMotion:
         unknowns = min(float(np.sum(np.square(taken))), self.smoothed.first.mean.size)
         freedom = max(len(taken) - unknowns, 1.0)
         squares = float(np.sum(np.square([*self._residuals.values()])))
-        is_chance = special.chdtrc(freedom, squares) >= _ONE_MOTION_IN
+        is_chance = special.chdtrc(freedom, squares) >= _CHANCE_IN
         return 0.0 if is_chance else math.sqrt(squares / freedom)
 
     @cached_property
@@ -475,8 +460,6 @@ class SmoothedMotion:
                 f" {_FAR:g} deviations of their stamps from the smoothed motion: the account of"
                 " the events or the model is wrong; see docs/smoothing.md"
             )
-        if self.smoothed.arc.filter.system.guides and self.smoothed.chance < _ONE_MOTION_IN:
-            return _IMPLAUSIBLE
         if self._excess:
             return (
                 f"shifts of the stamps are {self._excess:.2g} times the declared clock error, and"

@@ -5,14 +5,8 @@ The filter's path through the account is a first guess. The motion is linearised
 smoothed, which gives a better path, until the change is small against the deviations: Gauss and
 Newton's method for the likeliest motion (Bell, The iterated Kalman smoother as a Gauss-Newton
 method, 1994).
-
-Where guides rub, several motions may be locally the likeliest, as the state decides which guide
-sticks. So filters that begin elsewhere, and then about the smoothed start, give other first paths,
-until no path leads to a likelier motion.
 """
 
-import itertools
-import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -36,48 +30,18 @@ MOST_ROUNDS = 20
 """Most linearisations."""
 _MOST_WORSE = 3
 """Most linearisations in a row that do not make the change smaller."""
-_MOST_STARTS = 3
-"""Most filters after the first from whose path a motion with friction is smoothed."""
-_FEW_MOMENTS = 2
-"""Moments for each number of the state that tell whether its start is plausible."""
-_SETTLING, _AGREES = 1.0, 0.1
-"""Change by another linearisation below which a motion has settled: any, and with friction."""
+_SETTLING = 1.0
+"""Change by another linearisation below which a motion has settled."""
 OTHER = 3.0
 """Deviations by which the first state of another motion differs."""
-_MORE = 2.0
-"""Least ratio of a declared deviation to the smoothed one, for starts elsewhere."""
-_PLAUSIBLE, _ENOUGH = 0.2, 100.0
-"""Chance of a motion, and least ratio of declared to smoothed deviations, above which no other
-motion is tried: another motion would hardly explain such exact events as well.
-"""
-_AWAY, _NEARER = 1.5, 1 / 6
-"""Distance of starts elsewhere from the declared start, in its deviations, and the part of its
-deviations that they have: a half, divided by ``Arc.predicted``'s factor.
-"""
 _MOST_GATES = 4
 """Most times that samples are chosen again by their distance from the smoothed motion."""
-_LIKELIER = 0.1
-"""Logarithm of the least odds for which one motion is preferred to another."""
 _ROOM = 0.4
 """Largest move of an instant at once, relative to the distance from its neighbour."""
 _FEW_NUMBERS = 2**20
 """Most numbers in the covariances of all nodes for which steps are cached."""
 _IN_MEMORY = 2**23
 """Most numbers that are kept in memory."""
-
-
-class Rival(NamedTuple):
-    """Another motion that explains the first of the same events.
-
-    Attributes:
-        odds: of this motion to the chosen one; 0 without a rival.
-        far: distance of the first states, in standard deviations.
-        until: index of the last moment of these events.
-    """
-
-    odds: float = 0.0
-    far: float = 0.0
-    until: int = 0
 
 
 class Smoothed(NamedTuple):
@@ -92,7 +56,6 @@ class Smoothed(NamedTuple):
         chance: that a true motion explains the events less well.
         change: that another linearisation would make, in standard deviations.
         rounds: linearisations.
-        rival: the likeliest other motion, where guides rub.
     """
 
     arc: Arc
@@ -103,26 +66,11 @@ class Smoothed(NamedTuple):
     chance: float
     change: float
     rounds: int
-    rival: Rival = Rival()
 
     @property
     def is_settled(self) -> bool:
-        """Whether another linearisation would change the motion by less than its deviations.
-
-        Where guides rub the limit is lower: wrong motions settle slowly.
-        """
-        return self.change < (_AGREES if self.arc.filter.system.guides else _SETTLING)
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether another linearisation would change the motion by more than its deviations."""
-        return self.change >= _SETTLING
-
-    def is_better(self, other: "Smoothed") -> bool:
-        """Whether this motion explains the same events better than another one."""
-        if self.is_settled != other.is_settled:
-            return self.is_settled
-        return self.evidence > other.evidence + _LIKELIER
+        """Whether another linearisation would change the motion by less than its deviations."""
+        return self.change < _SETTLING
 
     def distance(self, other: "Smoothed") -> float:
         """Returns the largest distance of the first state from another one, in deviations."""
@@ -190,73 +138,7 @@ def smooth(
     Raises:
         DynamicsError: the motion grows beyond all bounds.
     """
-    best = _gated(_settled(arc, arc.predicted(), progress), progress)
-    if not arc.filter.system.guides:
-        return best
-    best, tried = _elsewhere(best, progress)
-    for _ in range(_MOST_STARTS):
-        again = _begun(arc, best.first, progress)
-        again = again and _gated(again, progress)
-        if again is None or not again.is_better(best):
-            break
-        best = again
-    return best._replace(rival=_rival(best, tried))
-
-
-def _elsewhere(
-    best: Smoothed, progress: Callable[[int, int], None]
-) -> tuple[Smoothed, list[Smoothed]]:
-    """The likeliest motion of filters that begin elsewhere, and all that explain the first events.
-
-    The filters begin as far from the declared start as its deviations allow, along each axis that
-    the events determine better. The first moments decide.
-    """
-    arc, size = best.arc, 2 * best.arc.filter.system.n
-    few = arc.beginning(_FEW_MOMENTS * size)
-    first = best if few is arc else _begun(few, None, progress)
-    if first is None:
-        return best, []
-    shifts, tried = _AWAY * arc.first.deviations[:size], [first]
-    ratio = arc.first.deviations[:size] / np.maximum(first.first.deviations[:size], TINY)
-    shifts[ratio < _MORE] = 0.0
-    if first.chance > _PLAUSIBLE and first.is_settled and np.min(ratio) > _ENOUGH:
-        return best, tried
-    for i, sign in itertools.product(np.flatnonzero(shifts).tolist(), (1, -1)):
-        mean = arc.first.mean.copy()
-        mean[i] += sign * shifts[i]
-        other = _begun(few, Normal(mean, _NEARER * arc.first.root), progress)
-        tried += [other] if other else []
-    begin = max(tried, key=lambda each: (each.is_settled, each.evidence))
-    if begin.is_better(first):
-        whole = begin if few is arc else _begun(arc, begin.first, progress)
-        whole = whole and _gated(whole, progress)
-        best = whole if whole and whole.is_better(best) else best
-    return best, tried
-
-
-def _rival(best: Smoothed, tried: Sequence[Smoothed]) -> Rival:
-    """The likeliest motion of ``tried`` that begins elsewhere than the best motion."""
-    most = max((each.evidence for each in tried if each.is_settled), default=math.inf)
-    rival = Rival()
-    for each in tried:
-        far = best.distance(each)
-        if each.change < _SETTLING and far > OTHER:
-            odds = math.exp(min(each.evidence - most, 0.0))
-            rival = max(rival, Rival(odds, far, len(each.arc.moments) - 1))
-    return rival
-
-
-def _begun(
-    arc: Arc, about: Normal | None, progress: Callable[[int, int], None]
-) -> Smoothed | None:
-    """The motion from the path of a filter that begins ``about`` a start.
-
-    Returns None if the motion grows beyond all bounds.
-    """
-    try:
-        return _settled(arc, arc.predicted(about), progress)
-    except DynamicsError:
-        return None
+    return _gated(_settled(arc, arc.predicted(), progress), progress)
 
 
 def _gated(motion: Smoothed, progress: Callable[[int, int], None]) -> Smoothed:

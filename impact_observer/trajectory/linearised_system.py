@@ -4,8 +4,8 @@
 ``docs/theory/trajectory.md`` has the equations. A flight that no parameter changes is that of
 ``MovingSystem``. Other flights and their derivatives by a parameter are blocks of an exponential
 in which harmonics and constants are states as well (Van Loan, Computing integrals involving the
-matrix exponential, 1978). Guides stick, slip and turn at instants that depend on the motion, and
-samples of a force are no states: there the derivative is a difference of two motions.
+matrix exponential, 1978). Samples of a force are no states: there the derivative is a difference
+of two motions.
 """
 
 from collections.abc import Iterable

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What sensors measure in a flight, as functions of its first state and of the parameters.
 
-States of a flight without guides are linear in the first state: a difference of motions is exact,
-and takes all samples of the flight at once.
+States of a flight are linear in the first state: a difference of motions is exact, and takes all
+samples of the flight at once.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from impact_observer.filter.readings import sensors_of
 from impact_observer.model.free_parameters import OFFSET
 from impact_observer.model.measurement import Measurement
 from impact_observer.states import Matrix, Vector
-from impact_observer.trajectory.linearised_system import STEP, LinearisedSystem, TangentState
+from impact_observer.trajectory.linearised_system import LinearisedSystem, TangentState
 
 
 class SampleRows:
@@ -44,13 +44,13 @@ class SampleRows:
         ``times`` are s since the epoch by the sensors' clock, one array for each sensor. The
         derivatives are by that state and the parameters, shape (samples, 2n + p).
         """
-        size, step, x = at.x.size, self._here.step, at.x
+        size, x = at.x.size, at.x
         values = self._here.values(at, x, times)
         tables = [np.zeros((each.size, size + self._size)) for each in times]
-        for i, shift in enumerate(step * np.eye(size)):
+        for i, shift in enumerate(np.eye(size)):
             ends = (self._here.values(at, end, times) for end in (x + shift, x - shift))
             for table, more, less in zip(tables, *ends, strict=True):
-                table[:, i] = (more - less) / (2 * step)
+                table[:, i] = (more - less) / 2
         for j, aside, distance in self._beside:
             ends = (each.values(at, x, times) for each in aside)
             for table, more, less in zip(tables, *ends, strict=True):
@@ -66,11 +66,6 @@ class _Expected:
         self._sensors = sensors_of(measurements, system.moving.system)
         self._offset = float(system.theta[names.index(OFFSET)]) if OFFSET in names else 0.0
 
-    @property
-    def step(self) -> float:
-        """Step of differences by a state; any step is exact if no guide rubs."""
-        return STEP if self._moving.guided else 1.0
-
     def late(self, times: Vector) -> Vector:
         """``times`` by the clock of the impacts, whose offset may be among the parameters."""
         return times + self._offset
@@ -79,7 +74,7 @@ class _Expected:
         """Values at ``times`` of the motion that begins with ``x`` instead of the state ``at``."""
         motion, values = self._moving.motion(at.t, x, at.closed), []
         for sensor, each in zip(self._sensors, map(self.late, times), strict=True):
-            s = np.maximum(each - at.t, 0.0) if self._moving.guided else each - at.t
+            s = each - at.t
             states = motion.states(s) if s.size else np.zeros((0, x.size))
             values.append(sensor.values(self._moving, each, states, at.closed))
         return values

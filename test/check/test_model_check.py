@@ -66,7 +66,7 @@ def test_overdamped_pairs_are_real() -> None:
 
 
 def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
-    """Without friction on the ground the chain's rigid motion does not decay."""
+    """Without a damper on the ground the chain's rigid motion does not decay."""
     laplacian = np.diag([1.0, 2, 1]) - np.eye(3, k=1) - np.eye(3, k=-1)
     model = system(np.diag([1.0, 2, 3]), laplacian, laplacian, contacts=[([1, -1, 0], 0.1, 0.5)])
     checked = check_model(model)
@@ -79,7 +79,7 @@ def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
     np.testing.assert_allclose(unseen.shape, [1, 1, 1], rtol=1e-12)
 
 
-def test_friction_on_the_ground_damps_a_rigid_body() -> None:
+def test_a_damper_on_the_ground_damps_a_rigid_body() -> None:
     """The body's velocity decays at c/m; no V contains its displacement."""
     checked = check_model(system(2, 3, 0, contacts=[([1], 0.0, 0.5)]))
     assert checked.rates == pytest.approx([-1.5], rel=1e-14)

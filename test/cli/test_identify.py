@@ -444,7 +444,7 @@ def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
     assert len(error.splitlines()) == 1
 
 
-@pytest.mark.parametrize("model", ["two_mass", "ball_on_table", "yielding_stop", "rubbing_guide"])
+@pytest.mark.parametrize("model", ["two_mass", "ball_on_table", "yielding_stop"])
 def test_help_lists_every_parameter_of_a_model(
     model: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -38,9 +38,9 @@ def states(model: System, start: tuple[object, object], stamps: list[int]) -> Ru
     return simulate(started(model, *start), np.array(stamps))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["two_mass", "ball_on_table", "rubbing_guide", "yielding_stop"])
+@pytest.mark.parametrize("name", ["two_mass", "ball_on_table", "yielding_stop"])
 def test_an_acceleration_is_that_of_the_plant(name: str) -> None:
-    """Differences of its true speeds, under forces, on moving ground, where guides rub."""
+    """Differences of its true speeds, under forces, on moving ground."""
     model = sample(name)
     coordinate = model.system.coordinates[-1]
     sensor = DeclaredSensor(imu((coordinate, 2.0), offset=9.81), model.system)

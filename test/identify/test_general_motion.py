@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of systems with guides that rub, and with forces that are known by samples only."""
+"""Parameters of systems whose restitution yields, and whose forces are known by samples only."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,6 @@ import pytest
 from live_rig import RIG, bag
 from systems import run
 
-from benchmarks.identify import RUBBED_FREE, RUBBED_GUESS, RUBBED_TRUE, rubbed
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.identify.identification import identify
@@ -18,27 +17,24 @@ from impact_observer.model import Model, parse_model, read_model
 from impact_observer.model.free_parameters import parametric_family
 from impact_observer.trajectory.linearised_system import FlightEnd
 
-
-@pytest.mark.slow
-def test_friction_contact_time_and_exponent_come_from_exact_times() -> None:
-    """Together, from 40 s: to 1e-6, far below 1e-4."""
-    true = rubbed(*RUBBED_TRUE)
-    made = run(true.system, *true.initial_state(), seconds=40.0, rate=1.0)
-    family = parametric_family(rubbed(*RUBBED_GUESS).system, RUBBED_FREE)
-    found = identify(family, list(made.events), trust_events=True)
-    assert found.converged
-    values = dict(zip(found.family.names, found.values.tolist(), strict=True))
-    assert values["friction.guide"] == pytest.approx(RUBBED_TRUE[0], rel=1e-6)
-    assert values["contact-time.stop"] == pytest.approx(RUBBED_TRUE[1], rel=1e-6)
-    assert values["restitution-exponent.stop"] == pytest.approx(RUBBED_TRUE[2], rel=1e-6)
-    assert found.rms < 1e-9
+YIELDING = """\
+name: yielding
+bodies: [{name: x, mass: 1}]
+springs: [{between: [ground, x], stiffness: 20, damping: 0.1}]
+forces: [{body: x, amplitude: 6, frequency: 5.3}, {body: x, amplitude: 5, frequency: 3.1}]
+stops:
+  - name: stop
+    body: x
+    limit: 0.3
+    side: above
+    restitution: {value: 0.7, speed: 1, exponent: -0.1, limit: 0.95}
+"""
 
 
-@pytest.mark.slow
 def test_derivatives_are_those_of_differences() -> None:
-    """By state, parameters and instants, where a guide sticks and slips and a contact closes."""
-    model = rubbed(*RUBBED_TRUE).system
-    family = parametric_family(model, (*RUBBED_FREE, "restitution", "gap", "stiffness-scale"))
+    """By state, parameters and instants, where a contact yields and closes."""
+    model = parse_model(YIELDING, "yielding").system
+    family = parametric_family(model, ("restitution", "gap", "stiffness-scale"))
     moments = [
         FlightEnd(0.31, (0,), (0,)),
         FlightEnd(0.83, (0,), (0,), (0,)),

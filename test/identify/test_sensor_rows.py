@@ -246,14 +246,9 @@ def test_standard_errors_with_samples_are_honest_and_smaller() -> None:
 
 
 def test_sensors_and_parameters_that_do_not_fit_are_named() -> None:
-    """One line each: an exact sensor, accelerations where guides rub."""
+    """One line: an exact sensor."""
     events, samples = sensed("two_mass", 0)
     family = parametric_family(sample("two_mass").system, ["restitution"])
     fit = partial(identify, events=events, samples=samples)
     with pytest.raises(UsageError, match="deviation: 0 found; identify needs"):
         fit(family, measurements=[replace(ENCODER, deviation=0.0)])
-    text = RIG.replace("stops:", "friction: [{name: g, between: [ground, x1], force: 1}]\nstops:")
-    rubbing = parametric_family(parse_model(text, "rig").system, ["friction"])
-    imu = Measurement("imu", "/imu", field="x", acceleration=(("x1", 1.0),), deviation=0.1)
-    with pytest.raises(UsageError, match="acceleration: cannot be used by identify"):
-        used_samples(rubbing, [imu], samples, EPOCH, (EPOCH, EPOCH + 1))

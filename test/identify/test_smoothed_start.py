@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import EPOCH, Harmonic, forcing, run, sample, system
+from systems import EPOCH, Harmonic, forcing, run, system
 
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.identify import fit_report
@@ -148,21 +148,6 @@ def test_a_first_hit_is_not_taken_for_the_motion_from_inside_its_stop() -> None:
     right, _ = state_of_least_gaps(recording.problem(family), nominal)
     np.testing.assert_allclose(right[:4], [0.2, 0.2, 0.0, 2.0], atol=1e-6)
     assert first_hits_from_inside(recording, model.system, right[:4]) == set()
-
-
-@pytest.mark.long
-def test_false_impacts_are_rejected_where_guides_rub() -> None:
-    """Events of a hammer whose carriage sticks and slips."""
-    model = sample("rubbing_guide")
-    plant, sensor = model.system, SensorModel(jitter=2e-4, spurious=0.1)
-    made = run(plant, *model.initial_state(), seconds=60.0, rate=1.0)
-    last = int(made.stamps[-1])
-    messages = simulate_sensor(sensor, plant, made.switchings, epoch=EPOCH, last=last, seed=3)
-    events = [each.event for each in messages]
-    found = identify(parametric_family(plant, ["restitution"]), events, clock=2e-4)
-    assert found.converged
-    assert abs(found.values[0] - 0.6) < 4 * found.errors[0] < 0.01
-    assert found.recording.rejected
 
 
 def test_a_start_takes_a_few_samples_of_each_sensor_between_two_events() -> None:

@@ -114,7 +114,6 @@ forces:
   - {body: b, input: motor}
   - {body: b, amplitude: FORCE, frequency: FREQUENCY, phase: PHASE}
   - {body: a, constant: CONSTANT}
-friction: [{name: guide, between: [a, b], force: RUB}]
 stops:
   - {name: up, body: b, limit: LIMIT, side: above, restitution: RESTITUTION, contact_time: TIME}
   - {name: low, body: b, limit: -0.4, side: below, restitution: LOW}
@@ -128,7 +127,6 @@ NUMBERS = {
     "FREQUENCY": ("forcing-frequency.1", 2.5, 0.02, 0.02),
     "PHASE": ("forcing-phase.1", 0.3, 0.05, 0.05),
     "CONSTANT": ("constant-force.a", -1.5, 0.3, 0.3),
-    "RUB": ("friction.guide", 0.2, 0.01, 0.01),
     "LIMIT": ("gap.up", 0.5, 0.002, 0.002),
     "RESTITUTION": ("restitution.up", 0.7, 0.01, 0.01),
     "TIME": ("contact-time.up", 0.002, 0.0005, 0.0005),

@@ -115,8 +115,8 @@ def test_tables_of_displacements_are_not_converted(tmp_path: Path) -> None:
 def test_parameters_of_what_turns_have_its_units() -> None:
     """As tables of identify and lines of observe show them."""
     model = parse_model(TABLES, "drum")
-    names = ["gap.left", "stiffness.ground-arm", "damping.ground-arm", "mass.arm", "friction"]
-    family = parametric_family(model.system, names[:-1], model.elements)
+    names = ["gap.left", "stiffness.ground-arm", "damping.ground-arm", "mass.arm"]
+    family = parametric_family(model.system, names, model.elements)
     assert [each.unit for each in family.parameters] == ["rad", "N m/rad", "N m s/rad", "kg m^2"]
     assert with_unit("constant-force.arm", "rad") == "constant-force.arm [N m]"
     assert with_unit("gap.left", "m") == "gap.left [m]"

@@ -28,7 +28,6 @@ from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.system import Guide
 from impact_observer.observer import Belief, Observer, law_named
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, Switching, simulate
@@ -355,7 +354,7 @@ def test_release_measures_that_the_load_was_zero() -> None:
 def test_release_where_the_force_jumps_measures_nothing() -> None:
     """Its load need not have come down to zero; the same for contacts that open together.
 
-    A step of a table, alone or beside another one, or the turn of a guide is such a jump.
+    A step of a table, alone or beside another one, is such a jump.
     """
     t = np.array([0.0, 0.5, 9.0])
     steps = Samples(t, np.array([[-3.0], [3.0], [3.0]]), "previous")
@@ -364,8 +363,7 @@ def test_release_where_the_force_jumps_measures_nothing() -> None:
         system(1, 0.1, 1, contacts=[([1], 0.0, 0.5)], force=Forcing.of_samples(each))
         for each in (steps, added)
     )
-    rubbed = replace(PRESSED, guides=(Guide("g", np.array([1.0, 0.0]), 0.1),))
-    for model, closed in ((jumping, (0,)), (both, (0,)), (rubbed, (0,)), (PRESSED, (0, 1))):
+    for model, closed in ((jumping, (0,)), (both, (0,)), (PRESSED, (0, 1))):
         law = MinimumVariance(model, without_faults())
         x = np.zeros((1, 2 * model.n))
         start = law.begin(x, law.uncertainty.root(model.n), closed)

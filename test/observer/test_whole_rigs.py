@@ -26,7 +26,7 @@ from impact_observer.model.force_samples import Samples
 from impact_observer.model.grounds import Grounds, LiveNames, motion_of
 from impact_observer.model.live_signals import connected
 from impact_observer.model.rebounds.power_law import PowerLaw
-from impact_observer.model.system import Guide, moving_system
+from impact_observer.model.system import moving_system
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.replica_law import ReplicaLaw
@@ -46,26 +46,22 @@ def stamps(seconds: st.SearchStrategy[float], most: int) -> st.SearchStrategy[li
 
 @st.composite
 def rigs(draw: st.DrawFn, gaps: tuple[float, float] = (-1.0, 2.0)) -> System:
-    """Harmonics, samples, live forces and a drive; stops and guides on grounds that move.
+    """Harmonics, samples, live forces and a drive; stops on grounds that move.
 
-    Guides rub, and the restitution of a single contact depends on the speed.
+    The restitution of a single contact depends on the speed.
     """
     model = draw(systems(max_n=3, contacts=(1, 2), gaps=gaps))
     n, times = model.n, numbers(0.0, 5.0)
-    guides = tuple(
-        Guide(f"g{i}", w if np.any(w) else np.eye(n)[0], draw(st.integers(1, 16)) / 8)
-        for i, w in enumerate(draw(st.lists(vectors(n), min_size=1, max_size=2)))
-    )
     contacts = model.contacts
     if model.m == 1 and draw(st.booleans()):
         law = PowerLaw(draw(numbers(0.0, 1.0)), 1.0, -draw(numbers(0.0, 0.875)), 0.9)
         contacts = (replace(contacts[0], rebound=law),)
     jets = np.array([[draw(vectors(n, -1.0, 1.0)) for _ in range(3)] for _ in range(4)])
     forcing = model.forcing.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
-    model = replace(model, guides=guides, contacts=contacts, forcing=forcing)
+    model = replace(model, contacts=contacts, forcing=forcing)
     shift, stiffness, damping = (np.array([draw(vectors(2)) for _ in range(n)]) for _ in range(3))
     motion = motion_of(2, [(0, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0)])
-    factors = -(model.directions.T @ shift)
+    factors = -(model.W.T @ shift)
     model = moving_system(
         model, Grounds(("shaken", "steered"), motion, (0,), stiffness, damping, factors)
     )

@@ -148,29 +148,6 @@ def test_exact_orbit_stays_for_ten_periods() -> None:
     assert all(later - earlier == pytest.approx(np.pi) for earlier, later in pairwise(times))
 
 
-FRICTION_OSCILLATOR = """
-name: FrictionOscillator
-bodies: [{name: x, mass: 1}]
-springs: [{between: [ground, x], stiffness: 1}]
-friction: [{name: relay, between: [ground, x], force: 1}]
-"""
-
-
-def test_siconos_friction_oscillator_is_first_order_away_and_stops_where_it_does() -> None:
-    """FrictionOscillator.ref of the Siconos tutorials (Apache-2.0, Siconos team): steps of 0.01 s.
-
-    Between turns its error is of second order, at each of seven turns of first.
-    """
-    made = run(parse_model(FRICTION_OSCILLATOR, "f").system, [12.0], [6.0], seconds=40.0)
-    published = {0.5: (13.29002848, -0.82709258), 10.0: (-7.25629975, 0.88017212)}
-    for t, expected in published.items():
-        np.testing.assert_allclose(made.states[round(t * 100)], expected, atol=0.02)
-    assert made.states[-1, 0] == pytest.approx(0.682044135, abs=2e-4)
-    # The turns lose 2 a/k each, seven times; it stays where the spring is weaker than the guide.
-    assert made.states[-1, 0] == pytest.approx(15 - np.sqrt(205), abs=1e-9)
-    assert made.states[-1, 1] == 0.0
-
-
 BALL_ON_MOVING_PLANE = """
 name: BallOnMovingPlane
 bodies: [{name: q, mass: 1}]

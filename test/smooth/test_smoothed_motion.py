@@ -129,8 +129,6 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
     [
         ("two_mass", 0, {}),
         ("three_mass", 20, {}),
-        ("rubbing_guide", 0, {}),
-        ("rubbing_guide", 1, {}),
         ("without rebound", 20, {}),
         ("hits of 4 ms", 10, {}),
         (
@@ -147,7 +145,7 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
 def test_states_are_those_of_conditioning_on_all_events(
     name: str, rate: float, learned: dict[str, object]
 ) -> None:
-    """About the same path: with friction, jumps that lose directions, and contact that stays.
+    """About the same path: with jumps that lose directions, and contact that stays.
 
     An encoder with some samples a second may be beside them.
     """
@@ -156,7 +154,7 @@ def test_states_are_those_of_conditioning_on_all_events(
     seconds = 4.0 if name == "without rebound" else 12.0
     events = recording(model.system, x, seconds, SensorModel(jitter=JITTER))
     samples = encoded(model.system, x, seconds, rate) if rate else []
-    options = about(x, DEVIATION / 4 if model.system.guides else 0.1, **learned)
+    options = about(x, 0.1, **learned)
     arc, path, *_ = smoothed(model.system, events, options, samples).smoothed
     assert any(node.group for node in arc.nodes(path)) == bool(rate)
     steps = [arc.step(path, node) for node in arc.nodes(path)]
@@ -168,7 +166,7 @@ def test_states_are_those_of_conditioning_on_all_events(
         np.testing.assert_allclose(found[k].covariance, covariances[k + 1], atol=1e-11)
     assert chain.evidence == pytest.approx(density + sum(each.density for each in steps))
     ranks = [int(np.linalg.matrix_rank(each.A)) for each in steps]
-    assert (min(ranks) < x.size) == (name in {"rubbing_guide", "without rebound"})
+    assert (min(ranks) < x.size) == (name == "without rebound")
 
 
 @pytest.mark.parametrize(
@@ -176,7 +174,6 @@ def test_states_are_those_of_conditioning_on_all_events(
     [
         ("two_mass", {}),
         ("two_mass", {"clock_offset_error": 0.02}),
-        ("rubbing_guide", {}),
         ("without rebound", {}),
         ("hits of 4 ms", {}),
     ],
@@ -215,10 +212,8 @@ def test_states_are_those_of_conditioning_on_exact_stamps(
     ("name", "rate", "learned"),
     [
         ("two_mass", 0, ()),
-        ("rubbing_guide", 0, ()),
         ("hits of 4 ms", 0, ()),
         ("two_mass", 10, ()),
-        ("rubbing_guide", 2, ()),
         ("hits of 4 ms", 10, ()),
         ("two_mass", 0, ("mass-scale", "restitution")),
         ("two_mass", 10, ("gap", "stiffness-scale")),
@@ -266,51 +261,6 @@ def test_start_is_that_of_a_fit_of_simulated_instants(
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
     assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)
-
-
-@pytest.mark.slow
-def test_a_rubbing_guide_is_found_from_a_start_that_is_wrong_by_a_decimetre() -> None:
-    """From the filter's path alone the smoother ends in another stick and slip, 0.4 m off."""
-    model = sample("rubbing_guide")
-    x = np.concatenate(model.initial_state())
-    events = recording(model.system, x, 12.0, SensorModel(jitter=JITTER), 3)
-    wrong = x + np.random.default_rng(3).normal(scale=0.1, size=x.size)
-    motion = smoothed(model.system, events, about(wrong, 0.1))
-    found = motion.smoothed.first
-    assert np.all(np.abs(found.mean - x) < 4 * found.deviations)
-    assert np.all(found.deviations < 0.06)
-    assert not motion.misfit
-
-
-@pytest.mark.long
-def test_another_motion_with_friction_that_is_nearly_as_likely_is_warned_of() -> None:
-    """The start is wrong by 0.3; a motion explains the six stamps, but it is another one."""
-    model = sample("rubbing_guide")
-    x = np.concatenate(model.initial_state())
-    events = recording(model.system, x, 12.0, SensorModel(jitter=JITTER), 8)
-    wrong = x + np.random.default_rng(8).normal(scale=0.3, size=x.size)
-    motion = smoothed(model.system, events, about(wrong, 0.3))
-    found = motion.smoothed.first
-    assert np.any(np.abs(found.mean - x) > 10 * found.deviations)
-    assert not motion.misfit
-    text, until = motion.early_doubt
-    assert text.startswith("where guides rub another motion explains the events up to ")
-    assert 0.003 < motion.doubt.odds <= 1.0
-    assert until == max(each.stamp for each in events)
-    assert not states(motion, [1.0])[0].synchronized
-
-
-@pytest.mark.slow
-def test_an_implausible_motion_with_friction_is_warned_of() -> None:
-    """Stamps are wrong by three times their declared error: each is near, all of them are not."""
-    model = sample("rubbing_guide")
-    x = np.concatenate(model.initial_state())
-    events = recording(model.system, x, 12.0, SensorModel(jitter=1e-4))
-    options = about(x, 1e-4, clock_error=3e-5)
-    motion = smoothed(model.system, events, options)
-    assert motion.unexplained == 0
-    assert "where guides rub another may be likelier" in motion.misfit
-    assert not states(motion, [1.0])[0].synchronized
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from systems import EPOCH, Harmonic, forcing, run, sample, system
 
-from benchmarks.identify import RUBBED_FREE, RUBBED_TRUE, rubbed
 from impact_observer.dynamics import Phases
 from impact_observer.events import Kind
 from impact_observer.model import System, parse_model
@@ -126,11 +125,6 @@ CASES: dict[str, tuple[Callable[[], ParametricFamily], Array, float]] = {
         lambda: parametric_family(PUSHED, ("gap", *LINEAR[2:], *OF_FORCES)),
         np.array([0.0, 0.0, 0.5, 0.2]),
         5.0,
-    ),
-    "friction": (
-        lambda: parametric_family(rubbed(*RUBBED_TRUE).system, (*RUBBED_FREE, "restitution")),
-        np.array([0.1, 0.5]),
-        3.0,
     ),
 }
 

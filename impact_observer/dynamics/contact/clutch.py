@@ -7,7 +7,6 @@ the root of ``lambda`` on; in between the motion is one linear phase (``phase.py
 geometric law the gaps stay closed in both.
 """
 
-from bisect import bisect
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,7 +24,7 @@ from impact_observer.dynamics.flow.phase import Phase, Phases
 from impact_observer.dynamics.watched import End, Watch, Watched
 from impact_observer.kernel import PhaseMotion, RootSearch
 from impact_observer.model import System
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 _INSTANT = 1e-12
 """Longest phase that counts as an instant, relative to the model's time scale."""
@@ -54,7 +53,7 @@ class Clutches:
         The state (q, u), shape (2n,), has ``gamma >= 0`` on them; with ``fix`` their gaps stay
         closed too, as in the geometric law.
         """
-        if not (closed or self.system.guides):
+        if not closed:
             return self.phases.phase().start(t, x)
         return Piecewise(self, t, x, closed, fixed=closed if fix else ())
 
@@ -65,12 +64,12 @@ class Clutches:
         stopped: tuple[int, ...],
         opened: tuple[int, ...],
     ) -> Watch:
-        """The guard functions that end ``phase``: loads of its contacts, and its guides.
+        """The guard functions that end ``phase``: loads of its contacts.
 
         Further guards are the speeds of ``slipping`` contacts, the reactions of ``stopped``
         contacts, and the gaps of ``opened`` contacts.
         """
-        watched = [Watched.speeds(self.system, slipping), Watched.guides(self.system, phase)]
+        watched = [Watched.speeds(self.system, slipping)]
         if stopped:
             R = self.phases.projection.reactions(phase.fixed)
             watched.append(Watched.reactions(self.system, phase, R, len(stopped)))
@@ -99,7 +98,7 @@ class Part:
     @property
     def kind(self) -> tuple[object, ...]:
         """The state of the contacts; parts of the same kind obey the same equations."""
-        return self.phase.held, self.phase.rubbing, self.slipping, self.stopped
+        return self.phase.held, self.slipping, self.stopped
 
 
 class Piecewise(Motion):
@@ -126,7 +125,6 @@ class Piecewise(Motion):
         self._closed, self._fixed = closed, fixed
         self._search: RootSearch | None = None
         self._short_phases = 0
-        self._carried: list[Matrix] = [np.eye(x.size)]  # differences, to the start of each part
         system = clutches.system
         u = x[system.n :]
         slow = system.contact_speed(u) <= clutches.phases.speed_tolerance(u)
@@ -141,40 +139,6 @@ class Piecewise(Motion):
             part, mine = self._parts[k], which == k
             states[mine] = part.motion.states(s[mine] - part.start)
         return states
-
-    def transition(self, s: float) -> Matrix:
-        """Propagation of a small difference of two states by ``s`` seconds, shape (2n, 2n).
-
-        Two motions in which a guide stops to slip, or turns, do so at different instants: a
-        saltation matrix (``docs/theory/method.md``), the identity where a guide begins to slip.
-        """
-        self._extend(s)
-        last = bisect([part.start for part in self._parts], s) - 1
-        for k in range(len(self._carried) - 1, last):
-            part, later = self._parts[k], self._parts[k + 1]
-            moved = part.phase.transition(later.start - part.start) @ self._carried[k]
-            self._carried.append(self._across(part, later) @ moved)
-        part = self._parts[last]
-        return np.asarray(part.phase.transition(s - part.start) @ self._carried[last])
-
-    def _across(self, part: Part, later: Part) -> Matrix:
-        """``I + (F+ - F-) grad h / (dh/dt)-`` for the slip ``h`` that vanishes between parts."""
-        system, n = self._clutches.system, self._clutches.system.n
-        saltation = np.eye(2 * n)
-        slips = [j for j, side in part.phase.rubbing.ends if not side]
-        if not slips:
-            return saltation
-        t, x = self.t + later.start, part.motion.state(later.start - part.start)
-        before = part.phase.acceleration(t, x)
-        jump = later.phase.acceleration(t, x) - before
-        speeds = system.W_T.T @ x[n:]
-        loads, now = part.phase.rubbing.loads, later.phase.rubbing.loads
-        for j in sorted(slips, key=lambda j: abs(float(speeds[j]))):
-            rate = float(system.W_T[:, j] @ before)
-            if now[j] != loads[j] and rate:
-                saltation[n:, n:] += np.outer(jump, system.W_T[:, j]) / rate
-                break
-        return saltation
 
     def _extend(self, until: float) -> None:
         clutches = self._clutches
@@ -223,7 +187,7 @@ class Piecewise(Motion):
             return following
         # A load that falls too slowly to see its sign may not become negative either.
         phases = self._clutches.phases
-        grip = ended(phases, phase, slow, crossed[End.LOAD], crossed[End.GUIDE])
+        grip = ended(phases, phase, slow, crossed[End.LOAD])
         still = tuple(sorted(stopped - crossed[End.REACTION]))
         return self._begun(start, x, grip, phases.independent(still, self._closed))
 
@@ -239,6 +203,6 @@ class Piecewise(Motion):
 
     def _begun(self, start: float, x: Vector, grip: Grip, stopped: tuple[int, ...]) -> Part:
         fixed = (*self._fixed, *stopped)
-        phase = self._clutches.phases.phase(grip.held, fixed, grip.loads)
+        phase = self._clutches.phases.phase(grip.held, fixed)
         slipping = tuple(i for i in self._closed if i not in grip.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

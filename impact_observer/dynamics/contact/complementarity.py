@@ -15,8 +15,6 @@ from scipy import linalg
 
 from impact_observer.states import Matrix, Vector
 
-_RANK = 1e-8
-"""Singular value of unit directions that counts as zero."""
 _RESIDUAL = 1e-9
 """Violation of complementarity that is rounding, relative to the most negative ``b``."""
 
@@ -74,47 +72,6 @@ def nonnegative(A: Matrix, target: Vector) -> Vector | None:
         return np.asarray(scipy.optimize.nnls(A, target)[0])
     except RuntimeError:
         return None
-
-
-def bounded(D: Matrix, target: Vector, low: Vector, high: Vector) -> Vector:
-    """The least squares solution ``low <= y <= high`` of ``D y = target``.
-
-    Values at a bound equal the bound exactly.
-    """
-    size = float(np.linalg.norm(target))
-    if size == 0.0:
-        return np.clip(np.zeros(low.size), low, high)
-    # Bounds beyond any load do not count, and equal units keep the method's tolerance relative.
-    solution = scipy.optimize.lsq_linear(
-        D, target / size, (low / size, high / size), method="bvls", tol=1e-15
-    )
-    return np.clip(np.asarray(solution.x) * size, low, high)
-
-
-def vertex(D: Matrix, y: Vector, low: Vector, high: Vector, zero: float) -> Vector:
-    """Loads with the same ``D y``, of which those within their bounds are independent.
-
-    Within means by more than ``zero``. Where contacts and guides depend on each other, loads are
-    not unique. As with vertices of a linear programme, their number is finite: so is that of
-    changes from one to another.
-    """
-    while True:
-        inside = np.flatnonzero((y > low + zero) & (y < high - zero))
-        if inside.size <= 1:
-            return y
-        _, singular, right = np.linalg.svd(D[:, inside])
-        rank = int(np.sum(singular > _RANK))
-        if rank == inside.size:
-            return y
-        way = np.zeros(y.size)
-        way[inside] = right[-1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(way > 0, (high - y) / way, np.where(way < 0, (low - y) / way, np.inf))
-            back = np.where(way < 0, (high - y) / -way, np.where(way > 0, (y - low) / way, np.inf))
-        step, sign = (room, 1.0) if np.min(room) <= np.min(back) else (back, -1.0)
-        first = int(np.argmin(step))
-        y = y + sign * step[first] * way
-        y[first] = high[first] if sign * way[first] > 0 else low[first]
 
 
 def _refined(B: Matrix, b: Vector, y: Vector) -> Vector:

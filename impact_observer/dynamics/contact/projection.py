@@ -39,8 +39,8 @@ class PositionProjection:
         ``modes``, if available, are ``omega^2``, shape (n,), ascending, and shapes, (n, n).
         """
         self._system = system
-        self._directions = system.directions
-        self._q_r = np.append(system.q_r, np.zeros(len(system.guides)))  # guides have no gap
+        self._directions = system.W
+        self._q_r = system.q_r
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]

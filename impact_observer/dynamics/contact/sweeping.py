@@ -67,7 +67,6 @@ class SweepingProcess:
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
         f = system.forcing.derivatives(at, _ORDERS - 1)[:, 0]
-        f[0] += system.W_T @ np.array(phase.rubbing.loads)
         q, u = x[:n], x[n:]
         size = float(np.sqrt(u @ system.M @ u))
         pressed: tuple[int, ...] = ()
@@ -135,7 +134,7 @@ class _SweepingMotion(Piecewise):
         phases, t, closed = self._clutches.phases, self.t + start, self._closed
         grip = persistent_contacts(phases, closed, t, x, slow)
         if at_stop := tuple(sorted({*self._at_stop(x), *stopped})):
-            phase = phases.phase(grip.held, closed, grip.loads)
+            phase = phases.phase(grip.held, closed)
             stopped = self._process.stopped(t, x, phase, closed=closed, at_stop=at_stop)
         if stopped:
             grip = persistent_contacts(phases, (*closed, *stopped), t, x, slow)

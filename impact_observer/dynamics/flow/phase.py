@@ -13,9 +13,6 @@ turns the equations into those of a mechanical system,
 phase is a linear system in ``p``, and its velocities stay in the null space of ``W_H^T``. The
 system is reduced to the free coordinates of this null space and has an exact flow. Without fixed
 contacts, ``p = q``.
-
-Guides that stick are held like contacts; their indices follow the contacts'. A guide that
-slips has a constant load, which is part of the force of the phase.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,28 +78,12 @@ class Unloaded(NamedTuple):
     scales: Scales
 
 
-class Rubbing(NamedTuple):
-    """The state of the guides in a phase.
-
-    Attributes:
-        loads: constant loads of guides that are not held, 0 for held guides, N; empty without
-            guides.
-        ends: guide and side of each possible end: side 1 or -1 if the load of a held guide reaches
-            the upper or lower bound, 0 if the speed of a slipping guide vanishes.
-    """
-
-    loads: tuple[float, ...]
-    ends: tuple[tuple[int, int], ...]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Phase:
     """One linear phase of a system, in the coordinates ``p``.
 
     Attributes:
-        held: contacts and guides with ``gamma = 0``, independent of each other, as indices.
-        pressed: the contacts in ``held``.
-        rubbing: the state of the guides.
+        held: contacts with ``gamma = 0``, independent of each other, as indices.
         fixed: contacts whose gaps stay closed, held or slipping, as indices.
         equations: equations of motion of ``p`` without the loads of the held contacts.
         inverse: ``M^-1`` restricted to motions that the held contacts allow, shape (n, n).
@@ -113,8 +94,6 @@ class Phase:
     """
 
     held: tuple[int, ...]
-    pressed: tuple[int, ...]
-    rubbing: Rubbing
     fixed: tuple[int, ...]
     equations: Equations
     inverse: Matrix
@@ -126,13 +105,6 @@ class Phase:
     def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
         return self.flow.start(t, x)
-
-    def acceleration(self, t: float, x: Vector) -> Vector:
-        """``du/dt`` of a state (p, u), shape (2n,), at ``t`` s since the epoch, shape (n,)."""
-        equations, (q, u) = self.equations, np.split(x, 2)
-        return np.asarray(
-            self.inverse @ (equations.forcing(t) - equations.C @ u - equations.K @ q)
-        )
 
     def transition(self, s: float) -> Matrix:
         """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
@@ -159,9 +131,8 @@ class Phases:
     Attributes:
         system: the system.
         projection: the position jumps of the system.
-        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, of contacts and guides, shape (n, m + k).
-        length: lengths of the columns of contacts, shape (m,).
-        lengths: lengths of all columns, shape (m + k,).
+        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, shape (n, m).
+        length: lengths of the columns of ``B``, shape (m,).
         inertia: ``M u`` as a function of ``u``.
         scales: scales of the system without held or fixed contacts.
     """
@@ -171,27 +142,21 @@ class Phases:
         self.system = system
         self._factor = Factor(system.M)
         self.inertia = product_with(system.M)
-        self.B = frozen(self.white(system.directions))
-        self.lengths = frozen(np.linalg.norm(self.B, axis=0))
-        self.length = self.lengths[: system.m]
+        self.B = frozen(self.white(system.W))
+        self.length = frozen(np.linalg.norm(self.B, axis=0))
         self._inverse = self._left(np.eye(system.n))
         self._prepared = lru_cache(KEPT)(self._prepare)
         self._laws = lru_cache(KEPT)(self._unloaded)
         self.scales = self.unloaded().scales
         self.projection = PositionProjection(system, (self.scales.squares, self.scales.shapes))
 
-    def phase(
-        self,
-        held: tuple[int, ...] = (),
-        fixed: tuple[int, ...] = (),
-        loads: tuple[float, ...] = (),
-    ) -> Phase:
+    def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.
 
         If the held contacts determine the gaps of all ``fixed`` contacts, no fixed contact slips,
-        and the phase is the phase without ``fixed``. ``loads`` are the loads of guides, if any.
+        and the phase is the phase without ``fixed``.
         """
-        return self._prepared(held, fixed, loads)
+        return self._prepared(held, fixed)
 
     def independent(
         self, contacts: tuple[int, ...], fixed: tuple[int, ...] = ()
@@ -206,7 +171,7 @@ class Phases:
                 break
             left = without(basis, self.B[:, i])
             length = np.linalg.norm(left)
-            if length > RANK * self.lengths[i]:
+            if length > RANK * self.length[i]:
                 basis = np.column_stack([basis, left / length])
                 if k >= len(fixed):
                     chosen.append(i)
@@ -239,23 +204,6 @@ class Phases:
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
-    def guides(self, x: Vector) -> tuple[tuple[int, ...], Vector]:
-        """Guides whose speed counts as zero at the state ``x``, shape (2n,), and loads.
-
-        Speeds are compared with the energy of the whole system, and with the effect of friction
-        within the time scale. The loads are those of slipping guides, and 0 for the others, shape
-        (k,), N.
-        """
-        system, q, u = self.system, x[: self.system.n], x[self.system.n :]
-        if not system.guides:
-            return (), np.zeros(0)
-        lengths, speeds = self.lengths[system.m :], system.W_T.T @ u
-        energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
-        rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale
-        slow = np.abs(speeds) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
-        loads = np.where(slow, 0.0, -system.friction * np.sign(speeds))
-        return tuple(np.flatnonzero(slow).tolist()), loads
-
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
 
@@ -264,12 +212,9 @@ class Phases:
         """
         return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
 
-    def unloaded(self, fixed: tuple[int, ...] = (), loads: tuple[float, ...] = ()) -> "Unloaded":
-        """The equations of motion while the gaps of ``fixed`` stay closed and nothing is held.
-
-        Guides have the ``loads``.
-        """
-        return self._laws(fixed, loads)
+    def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
+        """The equations of motion while the gaps of ``fixed`` stay closed and nothing is held."""
+        return self._laws(fixed)
 
     def free(self, law: "Unloaded", t: float, motion: Sequence[Vector]) -> tuple[Vector, float]:
         """The next derivative of a motion without loads, and the size of the largest term.
@@ -287,13 +232,10 @@ class Phases:
         size = np.sqrt(np.einsum("ij,ij->j", terms, terms).max())
         return terms[:, 0] - terms[:, 1] - terms[:, 2], max(float(size), float(law.load(k, at)[0]))
 
-    def _unloaded(self, fixed: tuple[int, ...], loads: tuple[float, ...]) -> "Unloaded":
+    def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
         system = self.system
         equations: Equations = system
         Q, rest = np.eye(system.n), np.zeros(system.n)
-        rubbed = system.W_T @ np.array(loads) if any(loads) else None
-        if rubbed is not None:
-            equations = Reduced(system.M, system.C, system.K, system.forcing.plus(rubbed))
         if fixed:
             Z, contacts = self.projection.jump(fixed), list(fixed)
             W, q_r = system.W[:, contacts], system.q_r[contacts]
@@ -308,19 +250,15 @@ class Phases:
             equations, *pulls, frozen(Q), frozen(rest), load, Scales.of_equations(equations)
         )
 
-    def _prepare(
-        self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
-    ) -> Phase:
+    def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
         if fixed and not self.independent(fixed, held):
-            return self.phase(held, (), loads)
-        p, m = len(held), self.system.m
-        free = self.unloaded(fixed, loads)
+            return self.phase(held)
+        p = len(held)
+        free = self.unloaded(fixed)
         orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")
         pressing = self.unwhite(orthogonal[:, :p])
         return Phase(
             held=held,
-            pressed=tuple(i for i in held if i < m),
-            rubbing=self._rubbing(held, loads),
             fixed=fixed,
             equations=free.equations,
             inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
@@ -328,28 +266,16 @@ class Phases:
                 # scipy before 1.14 refuses empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
-            flow=self._framed(held, fixed, loads)
+            flow=self._framed(held, fixed)
             if held or fixed
             else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
             rest=free.rest,
         )
 
-    def _rubbing(self, held: tuple[int, ...], loads: tuple[float, ...]) -> Rubbing:
-        """The state of guides with the ``loads``, and its possible ends."""
-        m, most, ends = self.system.m, self.system.friction, []
-        for j, load in enumerate(loads):
-            if m + j in held:
-                ends += [(j, 1), (j, -1)]
-            elif abs(load) == most[j]:
-                ends.append((j, 0))
-        return Rubbing(loads, tuple(ends))
-
-    def _framed(
-        self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
-    ) -> Flow:
+    def _framed(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
         """Flow of the coordinates that the held contacts leave free."""
-        whole = self.unloaded(fixed, loads)
+        whole = self.unloaded(fixed)
         equations, n, none = whole.equations, self.system.n, np.zeros((0, 0))
         Q, rest = (whole.Q, whole.rest) if fixed else (none, np.zeros(0))
         if not held:
@@ -357,10 +283,11 @@ class Phases:
             return flow_of(
                 equations, whole.scales.shapes, PhaseFrame(free, np.eye(n), none, Q, rest)
             )
-        W = self.system.directions[:, list(held)]
+        W = self.system.W[:, list(held)]
         free = ReducedCoordinates.of_directions(W, equations.M)
         # Deflections of held contacts that load no other contact.
-        static = self._deflections(held, fixed, equations.K) @ W.T
+        jump = self.projection.jump(self.independent((*held, *fixed)))
+        static = jump[:, : len(held)] @ W.T
         M = _symmetric(free.restricted(equations.M))
         C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
         inverse = np.zeros((free.free.size, n))
@@ -371,20 +298,6 @@ class Phases:
         return flow_of(
             Reduced(M, C, K, equations.forcing), frame=PhaseFrame(free, inverse, static, Q, rest)
         )
-
-    def _deflections(self, held: tuple[int, ...], fixed: tuple[int, ...], K: Matrix) -> Matrix:
-        """Displacements of ``p`` by unit deflections of ``held``, which load nothing else, (n, k).
-
-        Held contacts among ``fixed`` have no deflection. If gaps are fixed, the deflection of a
-        stuck guide is in balance with the remaining stiffness ``K``, shape (n, n).
-        """
-        if not fixed or all(i < self.system.m for i in held):
-            return self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
-        n, k = self.system.n, len(held)
-        W, size = self.system.directions[:, list(held)], float(np.max(np.abs(K))) or 1.0
-        balance = np.block([[K / size, W], [W.T, np.zeros((k, k))]])
-        solution = linalg.lstsq(balance, np.vstack([np.zeros((n, k)), np.eye(k)]))[0]
-        return np.asarray(solution[:n])
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """``M^-1`` restricted to motions along ``orthogonal``."""

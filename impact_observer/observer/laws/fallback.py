@@ -17,7 +17,6 @@ from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.impact_filter import ImpactFilter
 from impact_observer.filter.misfit import Fit
 from impact_observer.filter.model_error import unit_kicks
-from impact_observer.filter.moving_system import transition_of
 from impact_observer.filter.square_root import triangular
 from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.belief import Belief, Fallback, Prediction
@@ -84,15 +83,14 @@ class FallbackReplica:
     def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
         """The replica some seconds after ``t``, s since the epoch, until the next event."""
         phase = self._moving.phase(closed)
-        guided = self._moving.guided
-        held = self._geometric.motion(t, before.x, closed) if closed or guided else None
+        held = self._geometric.motion(t, before.x, closed) if closed else None
 
         def after(s: float) -> Fallback:
             if held is None:
                 x, map_ = phase.moved(t, before.x, s)
             else:
                 x = held.state(s)
-                map_ = transition_of(held, s) if guided else phase.transition(s)
+                map_ = phase.transition(s)
             errors = map_.dot(before.errors)
             noise = self._moving.diffusion(t, before.x, closed, s)
             unit = np.concatenate([errors[:, :-1], noise], axis=1)

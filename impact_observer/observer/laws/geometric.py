@@ -82,8 +82,8 @@ class Geometric(ReplicaLaw):
         return self._clutches.motion(t, x, closed, fix=True)
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; None where clutches or guides may slip, as they do at different times."""
-        return None if closed or self.system.guides else self._free
+        """Free flight; None where clutches may slip, as they do at different times."""
+        return None if closed else self._free
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """``1/2 g_A^T L^-1 g_A``, the energy of the position jump, where no impact raises V.

@@ -40,5 +40,5 @@ class Kinematic(ReplicaLaw):
         return np.hstack([replicas[:, :n], velocities])
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; None where clutches or guides may slip, as they do at different times."""
-        return None if closed or self.system.guides else self._free
+        """Free flight; None where clutches may slip, as they do at different times."""
+        return None if closed else self._free

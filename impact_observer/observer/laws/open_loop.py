@@ -26,6 +26,6 @@ class OpenLoop(ReplicaLaw):
         return super().motion(t, x, ())
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """The motion without contact, always; None where guides may stick."""
+        """The motion without contact, always."""
         del closed
-        return None if self.system.guides else self._free
+        return self._free

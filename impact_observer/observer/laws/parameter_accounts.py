@@ -71,7 +71,7 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
         deviations[kind] *= usual_force(system)
     deviations["gap"] *= float(np.max(np.abs(system.q_r), initial=0.0))
     at_rest = system.frame is None
-    is_plain = at_rest and system.live is None and forcing.sampled is None and not system.guides
+    is_plain = at_rest and system.live is None and forcing.sampled is None
     parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
     parts["forcing-amplitude"] = np.where(is_plain, forcing.frequency, 0.0)
     is_forced = is_plain and system.n <= TUNING.forced_coordinates

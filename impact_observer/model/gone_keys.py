@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The keys of a model file that version 0.4.0 took out."""
+
+import re
+from collections.abc import Mapping
+
+GONE = {
+    "friction": "dry friction of guides",
+}
+"""What each key was for, by its place without indices, such as ``stops.gap``."""
+
+
+def problem_with(key: str, allowed: str) -> str:
+    """Why ``key``, such as ``stops[0].gap``, cannot stand where ``allowed`` keys are expected."""
+    if (purpose := GONE.get(re.sub(r"\[\d+\]", "", key))) is not None:
+        return f"{purpose} went in 0.4.0; impact_observer 0.3.0 has it; expected no such key"
+    return f"is not known here; expected one of {allowed}"
+
+
+def without_gone(document: object, place: str = "") -> object:
+    """A ``document`` for the comparison of states: without gone keys and deviations.
+
+    Energies of differences, names of coordinates and names of contacts are those of the whole
+    document, which stands at ``place``.
+    """
+    if isinstance(document, list):
+        return [without_gone(each, place) for each in document]
+    if not isinstance(document, Mapping):
+        return document
+    places = {key: f"{place}.{key}".removeprefix(".") for key in document}
+    return {
+        key: without_gone(each, places[key])
+        for key, each in document.items()
+        if places[key] not in {*GONE, "uncertainty"}
+    }

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models with keys that went in 0.4.0: one line each; bags with them can still be looked at."""
+
+from pathlib import Path
+
+import pytest
+
+from impact_observer.cli.main import main
+from impact_observer.errors import ModelError
+from impact_observer.model import Model, parse_model, read_model
+
+TEXT = """\
+name: old
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
+springs: [{between: [ground, x1], stiffness: 10}, {between: [x1, x2], stiffness: 10}]
+forces: [{body: x2, amplitude: 4, frequency: 2.5}]
+stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
+"""
+FRICTION = "friction: [{name: guide, between: [ground, x1], force: 0.1}]\n"
+CASES = {
+    "friction": (TEXT + FRICTION, "dry friction"),
+}
+"""By key: a model with it, and what the error calls it."""
+
+
+@pytest.mark.parametrize("key", CASES)
+def test_a_key_that_went_is_named_with_the_last_version_that_has_it(key: str) -> None:
+    """In one line."""
+    text, purpose = CASES[key]
+    with pytest.raises(ModelError) as caught:
+        parse_model(text, "old.yaml")
+    assert str(caught.value).startswith(f"old.yaml: {key}: {purpose}")
+    assert "impact_observer 0.3.0 has it" in str(caught.value)
+
+
+@pytest.mark.parametrize("key", CASES)
+def test_states_are_compared_by_a_model_without_the_keys_that_went(key: str) -> None:
+    """Masses and stiffnesses, which make V, are the same, and deviations do not count."""
+    text = CASES[key][0] + "uncertainty: {names: [friction.guide], covariance: [[0.01]]}\n"
+    system = parse_model(text, "old.yaml", comparing=True).system
+    assert system.M.tolist() == [[1.0, 0.0], [0.0, 1.0]]
+    assert system.K.tolist() == [[20.0, -10.0], [-10.0, 10.0]]
+    assert system.contact_names == ("stop",)
+
+
+def test_bags_with_keys_that_went_are_exported_plotted_compared_and_observed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Observed by another model alone."""
+    text = read_model("two_mass").text() + FRICTION
+    bag, result = str(tmp_path / "bag"), str(tmp_path / "result")
+    with monkeypatch.context() as patch:
+        patch.setattr(Model, "text", lambda *_: text)
+        words = ["--duration", "5", "--rate", "10"]
+        assert main(["simulate", "two_mass", *words, "-o", bag]) == 0
+    assert main(["observe", bag, "-o", result]) == 2
+    assert "friction: dry friction" in capsys.readouterr().err
+    assert (
+        main(["observe", bag, "--model", "two_mass", "--initial", "random:1", "-o", result]) == 0
+    )
+    for words in (["compare"], ["export", "-o", "a.csv"], ["plot", "-o", "a.png"]):
+        command, *output = [str(tmp_path / w) if "." in w else w for w in words]
+        assert main([command, result, *output]) == 0
