@@ -21,18 +21,6 @@ _WHOLE = "expected whole nanoseconds, an int"
 _EXAMPLE = "round(1e9 * seconds)"
 MOST_SAMPLES = 100_000_000
 """Largest number of samples in a grid."""
-_LEAST_EPOCH = NS_PER_S // 1000
-"""An epoch below this bound is not the stamp of a clock, ns."""
-_OTHER_UNIT = 100
-"""An epoch that is later than an impact by such a factor may be in another unit."""
-LATE_EPOCH = (
-    "such events are not applied; is the epoch of another clock, or time 0 of a signal that begins"
-    " before its trigger? Give --epoch S, earlier by whole periods of the forcing, or detect"
-    " --pulses COLUMN"
-)
-"""What follows from impacts before an epoch, which nobody need have given, and the remedies."""
-_LONG = 365 * 86_400 * NS_PER_S
-"""A longer time from an epoch to an impact shows different clocks or units, ns."""
 
 
 class Instant(NamedTuple):
@@ -183,31 +171,3 @@ def text(stamp: int) -> str:
     sign = "-" if stamp < 0 else ""
     whole, part = divmod(abs(stamp), NS_PER_S)
     return f"{sign}{whole}.{part:09d}"
-
-
-def odd_epoch(epoch: int, stamp: int, what: str = "an impact at") -> str:
-    """Why an epoch hardly belongs to an impact, such as another unit; empty for a fitting epoch.
-
-    An epoch that is seconds after an impact is in no other unit.
-
-    Args:
-        epoch: stamp of ``t = 0`` of the forcing, ns; 0 for unknown, which is not odd.
-        stamp: stamp of the impact, ns.
-        what: words for the thing stamped, if no impact.
-    """
-    if not epoch:
-        return ""
-    if epoch < _LEAST_EPOCH:
-        where = "less than 1 ms after time zero"
-    elif epoch - stamp > NS_PER_S:
-        where = f"{seconds_between(stamp, epoch):.3g} s after {what} {text(stamp)} s"
-        if epoch < _OTHER_UNIT * stamp:
-            return f"epoch {text(epoch)} s is {where}; {LATE_EPOCH}"
-    elif stamp - epoch > _LONG:
-        where = f"{(stamp - epoch) / _LONG:.3g} years before {what} {text(stamp)} s"
-    else:
-        return ""
-    return (
-        f"epoch {text(epoch)} s is {where}; nodes take it in ns, commands in s:"
-        " is it in another unit, or of another clock?"
-    )

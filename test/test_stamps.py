@@ -22,7 +22,7 @@ from impact_observer import (
     simulate,
 )
 from impact_observer.errors import UsageError
-from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, odd_epoch
+from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds
 
 DAY = 86_400 * NS_PER_S
 
@@ -61,27 +61,6 @@ def test_elapsed_times_that_differ_by_less_than_a_float_shows_are_not_equal() ->
     one, other = Elapsed(DAY), Elapsed(DAY, 1e-13)
     assert float(one) == float(other)
     assert one != other
-
-
-def test_an_epoch_in_another_unit_than_the_stamps_is_odd() -> None:
-    """Of the clock of a machine, and of a simulation that begins at 1 s; later use is not odd."""
-    begin = 1_760_000_000 * NS_PER_S
-    for wrong in (1, begin // 10**9, begin // 10**6, begin // 10**3):
-        assert "in another unit" in odd_epoch(wrong, begin + DAY)
-    simulated = NS_PER_S
-    assert "1 ms" in odd_epoch(1, simulated)
-    assert "999 s after an impact at 1.0" in odd_epoch(1000 * NS_PER_S, simulated)
-    assert "in another unit" in odd_epoch(1000 * NS_PER_S, simulated)
-    for right, stamp in ((0, begin), (begin, begin + 300 * DAY), (simulated, simulated + DAY)):
-        assert odd_epoch(right, stamp) == ""
-
-
-def test_an_epoch_seconds_after_an_impact_is_in_no_other_unit() -> None:
-    """As of a signal from before its trigger, in which nobody has given an epoch."""
-    said = odd_epoch(10 * NS_PER_S, 5_776_822_667)
-    assert said.startswith("epoch 10.000000000 s is 4.22 s after an impact at 5.776822667 s; such")
-    assert "detect --pulses COLUMN" in said
-    assert "unit" not in said
 
 
 def test_seconds_given_as_stamps_are_one_line_that_says_what_is_expected() -> None:

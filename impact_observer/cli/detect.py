@@ -108,11 +108,13 @@ def run(args: argparse.Namespace) -> int:
     model = None if args.model is None else read_model(args.model)
     with Progress() as progress:
         result = (_in_signal if is_signal else _in_bag)(args, model, progress)
-        each = zip(result.sources, result.counts, result.suppressed, result.rises, strict=True)
-        for source, counts, suppressed, rise in each:
+        for k, source in enumerate(result.sources):
+            counts, rise = result.counts[k], result.rises[k]
             what = f"{source.topic}, {source.kind}, dead time {source.dead_time:g} s"
-            if suppressed:
+            if suppressed := result.suppressed[k]:
                 what += f", {suppressed} suppressed in it"
+            if short := result.short_releases[k]:
+                what += f", {short} {'release' if short == 1 else 'releases'} no longer than it"
             if rise > 0:
                 what += f", stamps {1e3 * rise:.2g} ms after the threshold, on average:"
                 what += " a constant part is --latency"

@@ -226,7 +226,6 @@ class _Given(NamedTuple):
 
 def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
     """Read bag and files; what is left out or doubtful is a line for ``tell``."""
-    from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.io.bag_part import TimeZero, assumed_epoch, read_impacts_part
     from impact_observer.io.live_inputs import with_recorded
     from impact_observer.io.measured_samples import joint_topics, samples_in
@@ -251,14 +250,7 @@ def _read(args: argparse.Namespace, tell: Callable[[str], object]) -> _Given:
         system = with_recorded(reader, model.system, epoch_of(events), lost.append)
         if assumed.note:
             tell(f"note: {assumed.note}")
-        hits = doubts(
-            args.bag,
-            HitTimes(events),
-            system,
-            has_covariance=True,
-            clock_error=args.clock_error,
-        )
-        for line in (*lost, *recorded.problems, *hits):
+        for line in (*lost, *recorded.problems):
             tell(f"warning: {line}")
         unused = joint_topics(reader, declared)
         if model.misfit:

@@ -37,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
-    from impact_observer.check.hit_times import HitTimes, doubts
     from impact_observer.cli.progress import Progress
     from impact_observer.io.import_table import import_table
     from impact_observer.model import read_model
@@ -62,11 +61,7 @@ def run(args: argparse.Namespace) -> int:
             progress=show,
         )
         progress.line(f"{args.output}: {_summary(imported)}")
-        lines = imported.remarks
-        if model is not None:
-            hits = HitTimes(imported.events)
-            lines += doubts(args.output, hits, model.subject, has_covariance=False)
-        for line in lines:
+        for line in imported.remarks:
             progress.line(f"warning: {line}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")

@@ -5,8 +5,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
+from collections.abc import Sequence
 from importlib import import_module
 from keyword import iskeyword
 from types import ModuleType
@@ -50,54 +49,28 @@ GONE = {
 }
 """What to use instead of the commands that went in 0.4.0."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
-_OPERAND = re.compile(r"^  ([A-Z]+)\b", re.MULTILINE)
-"""A positional argument in the text of help."""
-_ALIKE = 0.7
-"""Least similarity between an unknown word and a suggestion."""
 _NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line with suggestions for unknown options."""
-
-    given: Sequence[str] = ()
+    """An argument parser whose errors are one line."""
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parse as ``ArgumentParser`` does, and keep the words for :meth:`error`."""
-        self.given = args or ()
-        if empty := next((word for word in self.given if word.endswith("=--")), ""):
+        """Parse as ``ArgumentParser`` does; refuse a negative number without its value."""
+        if empty := next((word for word in args or () if word.endswith("=--")), ""):
             wanted = f"{empty.removesuffix('--')}VALUE"
             self.exit(2, f"{self.prog}: {empty}: no value found; expected {wanted}\n")
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         """End with a line and exit code 2."""
-        line = "; ".join([message, *self._suggestions(message)])
-        self.exit(2, f"{self.prog}: {printable(line)}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
     def refuse(self, words: Sequence[str]) -> NoReturn:
         """End with the unknown ``words``."""
         self.error(f"unrecognized arguments: {' '.join(words)}")
-
-    def _suggestions(self, message: str) -> Iterator[str]:
-        """The option or argument that each unknown option resembles."""
-        is_named = message.startswith("unrecognized arguments")
-        text = self.format_help()
-        lines = [line.strip() for line in text.splitlines() if line.lstrip().startswith("-")]
-        options = [name for line in lines for name in _OPTION.findall(line.split("  ")[0])]
-        operands = {f"--{name.lower()}": name for name in _OPERAND.findall(text)}
-        for word in (word.partition("=")[0] for word in self.given):
-            if not _OPTION.fullmatch(word) or any(name.startswith(word) for name in options):
-                continue
-            near = get_close_matches(word, [*options, *operands], 1, _ALIKE)
-            meant = [
-                f"{operands[name]} without {word}" if name in operands else name for name in near
-            ]
-            unknown = [] if is_named else [f"{word} is unrecognized"]
-            if parts := [*unknown, *(f"did you mean {name}?" for name in meant)]:
-                yield ", ".join(parts)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -136,8 +109,6 @@ def _run(argv: Sequence[str]) -> int:
     command = next((word for word in argv if not word.startswith("-")), "")
     if command in GONE:
         sys.stderr.write(f"{PROGRAM}: {command} went in 0.4.0: {GONE[command]}\n")
-    elif command not in COMMANDS and (near := get_close_matches(command, COMMANDS, 1)):
-        parser.error(f"no command {command}; did you mean {near[0]}?")
     for name, summary in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary)
         if name == command:  # only the module that is needed is imported: --help stays quick

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from impact_observer.filter.contradiction import Contradiction
     from impact_observer.filter.unknown_parameters import UnknownParameters
-    from impact_observer.io.reader import BagReader
     from impact_observer.model import Model, System
     from impact_observer.observer import Observer
     from impact_observer.options import Options
@@ -90,8 +89,8 @@ def run(args: argparse.Namespace) -> int:
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
         chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
         observer = make_observer(read, chosen, measurements=sensors)
-        odd = odd_lines(reader, read, observer, chosen)
-        for line in (*measured.problems, *unused_lines(observer), *odd):
+        far = far_start(read.system, chosen) if read.robot is None else ()
+        for line in (*measured.problems, *unused_lines(observer), *far):
             progress.line(f"warning: {line}")
         noted = [f"note: {assumed.note}"] * bool(assumed.note)
         torques = torque_lines(read) if observer.law.has_covariance else ()
@@ -127,8 +126,8 @@ def run(args: argparse.Namespace) -> int:
         judged = rejected + rulings.get(Ruling.APPLIED, 0)
         if rejected >= _FEW and rejected > _DOUBTED * judged:
             progress.line(
-                f"warning: {rejected} of {judged} impacts rejected: a sensor with so many false"
-                " impacts, or a wrong unit, sign, epoch, phase or topic?"
+                f"warning: {rejected} of {judged} impacts rejected: the model does not explain"
+                " them"
             )
         for line in closing_lines(read, observer):
             progress.line(line)
@@ -219,22 +218,6 @@ def torque_lines(model: "Model") -> "Iterator[str]":
     """Lines on the torques of a robot that an observer does not know, or not from the model."""
     if (robot := model.robot) is not None:
         yield from (f"{kind}: {text}" for kind, text in robot.torque_remarks)
-
-
-def odd_lines(
-    reader: "BagReader", model: "Model", observer: "Observer", options: "Options"
-) -> "Iterator[str]":
-    """Lines if the times of impacts or the start are odd for a linear model."""
-    from impact_observer.check.hit_times import doubts, first_times
-
-    if model.robot is not None:
-        return
-    system = model.system
-    has_covariance = observer.law.has_covariance
-    times = first_times(reader, options.epoch)
-    error = options.clock_error
-    yield from doubts(reader.path, times, system, has_covariance=has_covariance, clock_error=error)
-    yield from far_start(system, options)
 
 
 def fitted_lines(model: "Model", stamps: "Iterable[int]") -> "Iterator[str]":

@@ -146,24 +146,19 @@ def run(args: argparse.Namespace) -> int:
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
             f"{f', {len(samples)} samples' if sensors else ''}"
         )
-        for line in _remarks(done, events, true.system, duration):
+        for line in _remarks(done, true.system, duration):
             progress.line(line)
     return 0
 
 
-def _remarks(
-    run: "Run", events: "Sequence[ImpactEvent]", system: "System | Robot", seconds: float
-) -> "Iterator[str]":
-    """Remarks on a run of a system over ``seconds``, of which a sensor reports ``events``."""
-    from impact_observer.check.hit_times import HitTimes, settling
+def _remarks(run: "Run", system: "System | Robot", seconds: float) -> "Iterator[str]":
+    """Remarks on a run of a system over ``seconds``."""
     from impact_observer.model import System
     from impact_observer.model.system import unit_of
     from impact_observer.robots.robot import held_joints
 
     if line := system.held_force(seconds):
         yield f"warning: {line}"
-    if line := settling(HitTimes(events)):
-        yield f"note: {line}"
     if line := held_joints(system):
         yield f"note: {line}"
     if not run.switchings and system.m:

@@ -46,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Smooth a bag, and write a bag with the estimates."""
-    from impact_observer.check.hit_times import doubts, first_times
     from impact_observer.cli.observe import considered_lines, torque_lines
     from impact_observer.cli.progress import Progress
     from impact_observer.io.bag_part import read_impacts_part
@@ -63,10 +62,6 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        times = first_times(reader, chosen.epoch)
-        error = chosen.clock_error
-        for line in doubts(args.bag, times, read.subject, has_covariance=True, clock_error=error):
-            progress.line(f"warning: {line}")
         law = make_observer(read, chosen, measurements=sensors).law
         for line in (*considered_lines(read, law.uncertainty.unknowns), *torque_lines(read)):
             progress.line(line)

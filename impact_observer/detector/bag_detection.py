@@ -18,7 +18,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model
-from impact_observer.stamps import LATE_EPOCH, NS_PER_S, text
+from impact_observer.stamps import text
 
 _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
 
@@ -32,10 +32,11 @@ class BagDetection:
         counts: of each one.
         events: how many events were written.
         problems: topics without a message or not copied, a line each.
-        doubts: doubtful declarations, a line each.
+        doubts: what was left out, and an epoch that lacks, a line each.
         rows: number of rows of a signal; 0 of a bag.
         seconds: from the first row to the last one, s.
         suppressed: how many peaks, changes or messages of each source lay in dead times.
+        short_releases: how many releases of each switch were not longer than its dead time.
         rises: mean times from where peaks of each source reached the threshold to their stamps, s.
         traces: signals of the sources, if they were to be kept.
         zero: the time zero of the traces, as of a part; None without them.
@@ -50,6 +51,7 @@ class BagDetection:
     rows: int = 0
     seconds: float = 0.0
     suppressed: list[int] = field(default_factory=list)
+    short_releases: list[int] = field(default_factory=list)
     rises: list[float] = field(default_factory=list)
     traces: list[SignalTrace] = field(default_factory=list)
     zero: TimeZero | None = None
@@ -62,7 +64,6 @@ class BagDetection:
             BagError: no impact.
         """
         self.events = sum(c.impacts + c.closings + c.openings for c in self.counts)
-        self.doubts += detector.doubts
         if model is not None and model.subject.depends_on_time and not detector.epoch:
             self.doubts.append(
                 f"no epoch, and the forcing of {model.subject.name} depends on time: an observer"
@@ -70,18 +71,12 @@ class BagDetection:
                 f" {text(detector.first_event)}), or record the pulses of the drive on"
                 f" {interfaces.PHASE_REFERENCE.topic}"
             )
-        early = detector.epoch - detector.first_event
-        if detector.first_event and 0 < early <= NS_PER_S:  # a longer time is doubted anyway
-            self.doubts.append(
-                f"the first event, at {text(detector.first_event)} s, is before the epoch,"
-                f" {text(detector.epoch)} s: {LATE_EPOCH}"
-            )
         for k, source in enumerate(self.sources):
-            self.doubts += [*detector.left_out(k), *detector.dead_time_doubts(k)]
-            self.doubts += detector.switch_doubts(k)
+            self.doubts += detector.left_out(k)
             if why := detector.no_impact(k):
                 self.problems.append(f"{source.contact}: {why}")
         self.suppressed = [detector.suppressed(k) for k in range(len(self.sources))]
+        self.short_releases = [detector.short_releases(k) for k in range(len(self.sources))]
         self.rises = [detector.rise(k) for k in range(len(self.sources))]
         self.traces = detector.traces
         if not any(counts.impacts for counts in self.counts):

@@ -20,15 +20,13 @@ from impact_observer.detector.switch import SwitchSensor
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
-from impact_observer.stamps import MAX_STAMP, from_seconds, odd_epoch, seconds_between
+from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
 
 _SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
     PEAK: PeakSensor,
     ARRIVAL: ArrivalSensor,
 }
-_MANY = 5
-"""Impacts of a switch from which on it is doubted that each begins persistent contact."""
 
 
 class Detection(NamedTuple):
@@ -213,67 +211,9 @@ class Detector:
             if count
         ]
 
-    def dead_time_doubts(self, index: int) -> list[str]:
-        """What a dead time suppressed, and what shows that it is too short, a line each.
-
-        With a ``decay`` the dead time has nothing to do with the ringing.
-        """
-        source, dead = self.sources[index], self._sensors[index].dead_times
-        impacts, length = self.counts[index].impacts, f"dead time of {source.dead_time:g} s"
-        lines = []
-        if dead.suppressed and source.kind == PEAK and not source.decay:
-            nearest = seconds_between(0, dead.nearest)
-            remedy = "a shorter dead time (--dead-time) finds such peaks"
-            if dead.loud_ends:
-                remedy = "the signal rings as long as hits are apart, so raise the threshold first"
-            lines.append(
-                f"{dead.suppressed} {'peak' if dead.suppressed == 1 else 'peaks'} higher than the"
-                f" ringing lay in the {length}, {nearest:.3g} s or more after an impact, left out;"
-                f" {remedy}"
-            )
-        if source.decay:
-            pass
-        elif 4 * dead.loud_ends < impacts and (ringing := dead.bunches.doubt):
-            lines.append(ringing)
-        elif dead.loud_ends:
-            remedy = (
-                "a higher threshold"
-                if dead.suppressed
-                else "a longer dead time or a higher threshold"
-            )
-            lines.append(
-                f"{dead.loud_ends} of {impacts} times the signal still rose above the threshold"
-                f" when the {length} ended: what follows may be a tail, not an impact; {remedy}"
-                " leaves tails out"
-            )
-        if dead.turned and source.instant != "onset":
-            lines.append(
-                f"{dead.turned} of {impacts} peaks have their top with another sign than their"
-                f" onset, up to {1e-3 * dead.latest:.3g} us later: the signal rings, and stamps"
-                " scatter so much; --instant onset stamps the first top, --direction up or down"
-                " one sign"
-            )
-        return [f"{source.contact}: {line}" for line in lines]
-
-    def switch_doubts(self, index: int) -> list[str]:
-        """What shows that a switch is closed where it was taken for open, at most a line."""
-        source, counts = self.sources[index], self.counts[index]
-        if source.kind != SWITCH or counts.impacts < _MANY or counts.closings < counts.impacts:
-            return []
-        found = f"{source.contact}: all {counts.impacts} impacts begin persistent contact"
-        remedy = f"its switch {'is not' if source.inverted else 'is'} normally closed (--inverted)"
-        return [f"{found}; if the contact opens again at once, {remedy}"]
-
-    @property
-    def epoch_doubt(self) -> str:
-        """The reason to doubt the epoch; empty without a reason, and before the first event."""
-        return odd_epoch(self.epoch, self.first_event) if self.first_event else ""
-
-    @property
-    def doubts(self) -> list[str]:
-        """Doubtful declarations, such as times in another unit, a line each."""
-        lines = [f"{each.contact}: {each.doubt}" for each in self.sources if each.doubt]
-        return [*lines, self.epoch_doubt] if self.epoch_doubt else lines
+    def short_releases(self, index: int) -> int:
+        """How many releases of a switch were not longer than its dead time."""
+        return self._sensors[index].dead_times.short_releases
 
     def problem(self, index: int) -> str:
         """Returns why a source has no events or left out messages; empty if nothing is wrong."""

@@ -18,8 +18,6 @@ RINGING = 1.5
 """A peak in a dead time is no ringing if it is so many times higher than the peaks before it."""
 _RECENT = 4
 """Peaks, or samples of a flat signal, with which a peak in a dead time is compared."""
-_LATE = 4
-"""A peak in the last part of a dead time, one in so many, is at its end."""
 
 
 @dataclass(slots=True)
@@ -66,19 +64,15 @@ class _Peak:
         sign: of the field there; 1 for a vector.
         whole: the top of the whole peak.
         first: the first top after the begin, of the field times the sign.
-        is_turned: whether the field has another sign at the top of the whole peak.
     """
 
     begin: SampleTime
     sign: float
     whole: _Top
     first: _Top
-    is_turned: bool = False
 
     def extend(self, before: Point, point: Point, field_before: float, field: float) -> None:
         """Take the next sample ``point`` with the ``field``, whose predecessor was ``before``."""
-        if point[1] > self.whole.top[1]:
-            self.is_turned = field * self.sign < 0
         self.whole.extend(before, point)
         if self.first.right is None:
             left = (before[0], field_before * self.sign)
@@ -186,20 +180,18 @@ class PeakSensor(Sensor):
         return math.hypot(1.0, RINGING * left / self._high)
 
     def _note_ringing(self, before: Point, point: Point) -> None:
-        """Count a peak in the dead time that is higher than the ringing, and a loud end of it."""
+        """Count a peak in the dead time that is higher than the ringing."""
         if point[1] == before[1] or (self._is_rising and point[1] < before[1]):
             self._recent.append(before)
         self._is_rising = point[1] > before[1] or (self._is_rising and point[1] == before[1])
         if self._peak is not None or not before[0] < self._dead_until:
             return
         loudest = max((value for _, value in self._recent), default=0.0)
-        if point[0] >= self._dead_until:
-            late = self._dead_until - from_seconds(self._dead_time) // _LATE
-            loud = [value for stamp, value in self._recent if stamp >= late]
-            self.dead_times.loud_ends += max(loud, default=0.0) >= self._high
-        elif point[1] >= self._high and point[1] > RINGING * loudest and not self._is_suppressing:
+        is_dead = point[0] < self._dead_until
+        is_high = point[1] >= self._high and point[1] > RINGING * loudest
+        if is_dead and is_high and not self._is_suppressing:
             self._is_suppressing = True
-            self.dead_times.suppress(point[0] - self._top)
+            self.dead_times.suppressed += 1
             if self.trace is not None:
                 self.trace.suppressed.append(point[0])
         self._is_suppressing = self._is_suppressing and point[1] >= self._low
@@ -239,10 +231,6 @@ class PeakSensor(Sensor):
         self._top, onset = peak.whole.instant(), peak.first.instant()
         dead_time = from_seconds(self._dead_time)
         self._dead_until = self._top + dead_time
-        self.dead_times.bunches.note_peak(self._top, peak.whole.top[1], dead_time)
-        if peak.is_turned and self._source.direction == "both":
-            self.dead_times.turned += 1
-            self.dead_times.latest = max(self.dead_times.latest, self._top - onset)
         stamp = onset if self._source.instant == "onset" else self._top
         self.dead_times.rises += stamp - peak.begin.stamp
         if self.trace is not None:

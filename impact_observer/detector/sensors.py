@@ -5,7 +5,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from impact_observer.detector.bunches import Bunches
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds
@@ -63,31 +62,19 @@ class DetectedSwitch(NamedTuple):
 
 @dataclass(slots=True)
 class DeadTimes:
-    """What lay in the dead times of a sensor, and how its peaks look.
+    """What lay in the dead times of a sensor.
 
     Attributes:
         suppressed: peaks, edges or messages in a dead time, which are no impacts. A peak is one
             that is higher than the ringing before it.
-        nearest: least time from an impact to a suppressed one, ns; 0 without any.
-        loud_ends: dead times of peaks at whose end the signal still exceeded the threshold.
-        turned: peaks whose top has another sign than their onset.
-        latest: largest time from the onset of such a peak to its top, ns.
+        short_releases: of a switch, from an opening to the next closing, no longer than the dead
+            time.
         rises: from where peaks reached the threshold to their stamps, ns, added up.
-        bunches: of peaks that are impacts.
     """
 
     suppressed: int = 0
-    nearest: int = 0
-    loud_ends: int = 0
-    turned: int = 0
-    latest: int = 0
+    short_releases: int = 0
     rises: int = 0
-    bunches: Bunches = field(default_factory=Bunches)
-
-    def suppress(self, since: int) -> None:
-        """Count one that came ``since`` ns after an impact."""
-        self.suppressed += 1
-        self.nearest = min(self.nearest or since, since)
 
 
 @dataclass(slots=True)
@@ -169,7 +156,7 @@ class ArrivalSensor(Sensor):
         """Returns the IMPACT of a message outside the dead time."""
         time = sample.time
         if time.stamp < self._dead_until:
-            self.dead_times.suppress(time.stamp - self._dead_until + self._dead_time)
+            self.dead_times.suppressed += 1
             return []
         self._dead_until = time.stamp + self._dead_time
         return [DetectedSwitch(time.received, time.stamp, Kind.IMPACT)]

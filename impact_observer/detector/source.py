@@ -29,8 +29,6 @@ _DEFAULT_KINDS = {
 _IMU_BASELINE = 1.0
 """Default ``baseline`` of an accelerometer, s. The mean over this time removes gravity;
 an impact of some milliseconds changes the mean by less than a percent of its peak."""
-_USUAL = 1.0
-"""Longest usual latency or dead time, s; longer ones cause a warning."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
     SWITCH: {
@@ -132,13 +130,6 @@ class Source:
         """Returns the error that names the file, the ``key`` and the ``problem``."""
         return UsageError(" ".join(f"{self.origin}{key}: {problem}".split()))
 
-    @property
-    def doubt(self) -> str:
-        """Times that look as if they were not in seconds; empty if none does."""
-        times = {key: getattr(self, key) for key in ("latency", "dead_time")}
-        long = [f"{key} {s:g} s" for key, s in times.items() if s is not None and s > _USUAL]
-        return f"{' and '.join(long)}: more than a second; was it given in ms?" if long else ""
-
     def path(self) -> tuple[str | int, ...]:
         """Returns the parts of ``field``.
 
@@ -198,8 +189,7 @@ class Source:
             "dead_time"
         ):
             problem = f"{self.min_contact_duration:g} found; expected 0, or at least the dead time"
-            doubt = f"; {self.doubt}" if self.doubt else ""
-            raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s{doubt}")
+            raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s")
 
     def number(self, key: str) -> float:
         """Returns a number of a complete source."""

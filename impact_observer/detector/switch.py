@@ -58,7 +58,7 @@ class SwitchSensor(Sensor):
 
     def _suppress(self, stamp: int) -> None:
         """Count a change that began and ends in the dead time, ns."""
-        self.dead_times.suppress(stamp - self._edge.stamp)
+        self.dead_times.suppressed += 1
         if self.trace is not None:
             self.trace.suppressed.append(stamp)
 
@@ -79,6 +79,9 @@ class SwitchSensor(Sensor):
 
     def _follow_input(self, decided: int) -> list[DetectedSwitch]:
         """Make an edge at the last change of the input."""
+        again = self._has_edge and self._input_closed
+        dead_until = self._edge.later_by(self._dead_time).stamp
+        self.dead_times.short_releases += again and self._input_changed.stamp <= dead_until
         self._closed, self._edge, self._has_edge = self._input_closed, self._input_changed, True
         if self.trace is not None:
             end = self._edge.later_by(self._dead_time).stamp

@@ -32,10 +32,9 @@ from impact_observer.identify.unreported import dead_time_of, has_rows
 from impact_observer.identify.written_uncertainty import written_uncertainty
 from impact_observer.model import ParameterUncertainty, parse_model
 from impact_observer.model.declared_deviations import without_deviations
-from impact_observer.model.free_parameters import OFFSET, is_observed, is_phase
+from impact_observer.model.free_parameters import OFFSET, is_observed
 from impact_observer.model.model_file import VERDICT, ModelText, edited, load_yaml
 from impact_observer.model.parameter_uncertainty import KEY
-from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.output_files import replacing
 from impact_observer.plain_text import say
 from impact_observer.stamps import from_seconds, seconds_between, text
@@ -47,8 +46,6 @@ _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
 _SPARE = 4
 """Least surplus of stamps over unknowns that shows errors of a clock or a model."""
-_OTHER = 100.0
-"""Shifts over the declared clock error above which another rig or unit is suspected."""
 _LARGEST_CLOCK = 0.1
 """Shifts above which no clock makes them, s."""
 _OF_INTERVALS = 0.02
@@ -333,15 +330,7 @@ def _remedy(fitted: Identification, check: FitCheck) -> str:
             f" If the sensor jitters so much, declare --clock-error {figure(fitted.rms)};"
             " otherwise look at --plot, or change the model (docs/misfit.md)."
         )
-    return f"{_NO_OTHER}{_about_damping(fitted.family)}"
-
-
-def _about_damping(family: ParametricFamily) -> str:
-    """What to add to a model that loses no energy between its impacts; else empty."""
-    system = family.system
-    if system.C.any():
-        return ""
-    return " The model has no damping: a small one, in its file, is tried as a cause too."
+    return _NO_OTHER
 
 
 def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
@@ -352,9 +341,7 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             "The model does not fit: no motion of the model explains these stamps. Do not use"
             " these values; they have no standard errors. Begin with other values, free other"
             f" parameters, or take a shorter --horizon (docs/misfit.md).{_about_horizon(fitted)}"
-            f"{_about_dead_time(fitted)}{_about_time(fitted.family)}"
-            f"{_about_others(fitted) or _about_damping(fitted.family)}"
-            f"{_without_a_fit(fitted)}",
+            f"{_about_dead_time(fitted)}{_about_others(fitted)}{_without_a_fit(fitted)}",
         )
     elif not check.fits:
         stamps = counted(len(fitted.shifts), "stamp")
@@ -364,13 +351,6 @@ def _verdict(fitted: Identification, check: FitCheck) -> Iterator[ReportLine]:
             f" {figure(fitted.rms, 's')} rms{_declared(fitted)}:"
             f" {'; '.join(_reasons(fitted, check))}.{_remedy(fitted, check)}"
             f"{_without_a_fit(fitted)}",
-        )
-    if fitted.declared and fitted.rms > _OTHER * fitted.clock and not _may_be_a_clock(fitted):
-        yield ReportLine(
-            "warning",
-            f"The shifts of the stamps, {figure(fitted.rms, 's')} rms, are no errors of a clock"
-            f" with {figure(fitted.clock, 's')}: is the model that of the rig, and --time-unit"
-            " that of the times that were imported?",
         )
     if fitted.converged and not fitted.carries_over:
         text = "The model does not carry over to the impacts that were held back."
@@ -388,13 +368,10 @@ def _without_a_fit(fitted: Identification) -> str:
 
 
 def _about_dead_time(fitted: Identification) -> str:
-    """What to do where the sensor reports only the first edges of rows of bounces, or may."""
+    """What to do where the sensor reports only the first edges of rows of bounces."""
     recording, family = fitted.recording, fitted.family
     if not has_rows(recording, family.system):
-        return (
-            " If the sensor is debounced, bounces after an event are not reported: declare for how"
-            " long as --dead-time."
-        )
+        return ""
     names = [each.name for each in family.parameters if is_observed(each.name)]
     learned = f" --estimate-parameters {','.join(names)}" if names else ""
     return (
@@ -558,21 +535,6 @@ def _declared(fitted: Identification) -> str:
     return f"; {figure(fitted.clock, 's')} was declared" if fitted.declared else ""
 
 
-def _about_time(family: ParametricFamily) -> str:
-    """A question on epoch and frequencies where forces or grounds are harmonic, else empty."""
-    system = family.system
-    frame, phases = system.frame, ["forcing-phase"] * bool(system.own_forcing.frequency.size)
-    if frame is not None:
-        phases += ["ground-phase"] * bool(frame.grounds.motion.frequency.size)
-    if not phases:
-        return ""
-    if tried := [name for name in family.names if is_phase(name)]:
-        epoch = f"{listed(tried)} began all around the circle."
-    else:
-        epoch = f"Is the epoch right (free {listed(phases, joint=' or ')} to see)?"
-    return f" {epoch} Is every frequency in rad/s?"
-
-
 def _about_sensor(fit: SensorFit) -> ReportLine:
     """How well the samples of a sensor fit."""
     samples = f"{counted(fit.samples, 'sample')} of {fit.name}"
@@ -655,8 +617,7 @@ def _about_parameters(fitted: Identification) -> Iterator[ReportLine]:
         yield ReportLine(
             "warning",
             f"{name} ended at its bound: the model may be wrong. If the bound is its value, write"
-            " the value into the model and leave the name out of --free."
-            f"{_about_time(fitted.family)}",
+            " the value into the model and leave the name out of --free.",
         )
     yield from _about_prior(fitted)
     if fitted.converged and fitted.family.size:

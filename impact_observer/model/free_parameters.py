@@ -2,7 +2,6 @@
 """The parameters of a model that can be estimated, and their names in commands."""
 
 from collections.abc import Collection, Iterator, Sequence
-from difflib import get_close_matches
 from functools import partial
 from itertools import combinations
 
@@ -160,9 +159,7 @@ def _unknown(
             f"parameter {name!r}: an observer takes clocks and moving grounds as the model has"
             " them; identify it first (identify --free), and give the model that this writes"
         )
-    kinds = dict.fromkeys(each.partition(".")[0] for each in available)
-    near = get_close_matches(name, [*kinds, *available], 1)
-    meant = f"did you mean {near[0]}? " if near else ""
+    meant = ""
     if not elements and name.partition(".")[0] in _SCALES:
         meant = "of a model with bodies and springs give elements=model.elements, too; "
     return (

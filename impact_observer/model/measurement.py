@@ -176,8 +176,7 @@ class Measurement:
             return ""
         return (
             f"{self.name} contradicts the impacts and the model: {rejected} of {samples} samples"
-            " are rejected; check sign, unit, deviation, coordinate, offset and delay in the file"
-            " of measurements, see docs/measurements.md"
+            " are rejected; see docs/measurements.md"
         )
 
     def check(self, system: NamedSystem) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -30,6 +30,7 @@ from impact_observer.model.ground_keys import (
     read_grounds,
     read_turning,
 )
+from impact_observer.model.hertz import HERTZ, convert
 from impact_observer.model.parameter_uncertainty import ParameterUncertainty, read_uncertainty
 from impact_observer.model.rebounds import REBOUND_KEYS, read_rebound
 from impact_observer.model.robot_description import RobotDescription, one_of_each
@@ -302,7 +303,8 @@ def model_text(source: str | Path) -> ModelText:
         UsageError: the file does not exist.
     """
     path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
-    return ModelText(_in_radians(text, str(path)), str(path), path.parent)
+    text = _in_rad_per_s(_in_radians(text, str(path)), str(path))
+    return ModelText(text, str(path), path.parent)
 
 
 def _in_radians(text: str, source: str) -> str:
@@ -315,6 +317,20 @@ def _in_radians(text: str, source: str) -> str:
         raise error.in_file(source) from None
 
 
+def _in_rad_per_s(text: str, source: str) -> str:
+    """The ``text`` of a model file without frequencies in Hz; errors name the ``source``."""
+    if not _HERTZ.search(text):
+        return text
+    try:
+        load_yaml(text)  # which names what is no YAML
+        yaml, document = _round_trip(text)
+        convert(document)
+    except ModelError as error:
+        raise error.in_file(source) from None
+    return _dumped(yaml, document)
+
+
+_HERTZ = re.compile(rf"\b{HERTZ}\b")
 _MASSES = re.compile(r"\bmass *:")
 """What each body of a model file has, to be counted before the file is read as YAML."""
 _MOST_BODIES = 10_000
@@ -344,7 +360,8 @@ def parse_model(
     try:
         if (count := len(_MASSES.findall(text))) > _MOST_BODIES:
             raise ModelError("bodies", f"{count} found; expected at most {_MOST_BODIES}")
-        document = load_yaml(_in_radians(text, source))
+        text = _in_rad_per_s(_in_radians(text, source), source)
+        document = load_yaml(text)
         document = without_gone(document) if comparing else document
         return replace(_model(document, folder), source=source)
     except ModelError as error:
@@ -400,12 +417,7 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
     The keys of ``changes`` are paths in the file, such as ``("stops", 0, "limit")``. The index
     behind the last member of a list appends one. A deviation beside a changed value goes.
     """
-    yaml = YAML()
-    yaml.width = 1_000_000  # ruamel breaks longer lines
-    yaml.preserve_quotes = True
-    if re.search(r"^ +- ", text, re.MULTILINE):
-        yaml.indent(sequence=4, offset=2)
-    document = yaml.load(text)
+    yaml, document = _round_trip(text)
     for (*path, last), found in changes.items():
         place, value = document, _with_rows(found)
         for part in path:
@@ -416,6 +428,20 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
         place[last] = value
         if last == "value":
             place.pop("deviation", None)
+    return _dumped(yaml, document)
+
+
+def _round_trip(text: str) -> tuple[YAML, Any]:
+    """A YAML text with its comments and layout, and what writes them again."""
+    yaml = YAML()
+    yaml.width = 1_000_000  # ruamel breaks longer lines
+    yaml.preserve_quotes = True
+    if re.search(r"^ +- ", text, re.MULTILINE):
+        yaml.indent(sequence=4, offset=2)
+    return yaml, yaml.load(text)
+
+
+def _dumped(yaml: YAML, document: Value) -> str:
     stream = io.StringIO()
     yaml.dump(document, stream)
     return stream.getvalue()

@@ -51,7 +51,6 @@ class DetectorNode(ManagedNode):
         self._problems: dict[str, str] = {}
         self._last_counts: dict[int, tuple[int, int]] = {}
         self._unstamped = 0
-        self._doubts: list[str] = []
         self._impacts = self.publisher(interfaces.IMPACTS)
         if not self._detector.epoch:
             pulses = interfaces.PHASE_REFERENCE
@@ -143,11 +142,7 @@ class DetectorNode(ManagedNode):
             self._publish_events(self._detector.advance(now))
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        """The state of each sensor; new doubts are logged, such as an epoch in another unit."""
-        doubts, self._doubts = self._doubts, self._detector.doubts
-        for line in self._doubts:
-            if line not in doubts:
-                self.lines.warning(line)
+        """The state of each sensor."""
         return [
             *(
                 self._status(each, *self._fault(topic), {})
@@ -171,8 +166,6 @@ class DetectorNode(ManagedNode):
         now_unusable = counts.invalid + counts.out_of_order
         self._last_counts[index] = (counts.messages, now_unusable)
         level, message = DiagnosticStatus.OK, f"{counts.impacts} impacts"
-        if doubt := source.doubt or self._detector.epoch_doubt:
-            level, message = DiagnosticStatus.WARN, doubt
         if now_unusable > unusable or not counts.messages:
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
         if self._unstamped and not self.stamp_now():

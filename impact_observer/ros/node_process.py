@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -137,20 +136,11 @@ def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode
             rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
             node = make()
     except UnsetError as error:
-        raise UsageError(f"{error}: {_how_to_set(error.option, args)}") from None
+        raise UsageError(f"{error}: give --ros-args -p {error.option}:=FILE") from None
     if warning := security_warning(args):
         node.lines.warning(warning)
     _warn_of_unknown_parameters(node, args)
     return node
-
-
-def _how_to_set(name: str, args: Sequence[str]) -> str:
-    """Advice on setting a required parameter; names an argument that may be the misspelt name."""
-    assigned = [value for option, value in pairwise(args) if option in {"-p", "--param"}]
-    given = [each.partition(":=")[0].rpartition(":")[2] for each in assigned]
-    similar = get_close_matches(name, [each for each in given if each != name], 1)
-    found = f", not {similar[0]}" if similar else ""
-    return f"give --ros-args -p {name}:=FILE{found}"
 
 
 def _warn_of_unknown_parameters(node: "BaseNode", args: Sequence[str]) -> None:
@@ -165,10 +155,8 @@ def _unknown_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:
     """A line for each parameter that the arguments give and ``node`` has not declared."""
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
-            declared = sorted(node.get_parameters_by_prefix(""))
-            near = get_close_matches(name, declared, 1)
-            remedy = f"did you mean {near[0]}?" if near else f"expected {', '.join(declared)}"
-            yield f"parameter {name} does not exist and is ignored; {remedy}"
+            declared = ", ".join(sorted(node.get_parameters_by_prefix("")))
+            yield f"parameter {name} does not exist and is ignored; expected {declared}"
 
 
 def _given_parameters(node: "BaseNode", args: Sequence[str]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
 from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.statuses import diagnostic_status
-from impact_observer.stamps import NS_PER_S, odd_epoch
+from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
 _STALE = 60 * NS_PER_S
@@ -39,7 +39,6 @@ class ObserverDiagnostics:
             ``clock_jumps``.
         failure: why there is no estimate; empty while there are estimates.
         mismatch: a publisher of impacts of another type or quality of service; empty for none.
-        odd_epoch: why the epoch is hardly meant; empty if the epoch is plausible.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
         inputs: the samples of live forces and grounds that the node receives; None for none.
         changes: parameters that were set while the node runs: value, and from when it acts.
@@ -50,7 +49,7 @@ class ObserverDiagnostics:
         """Report on the ``observer`` of the node with the full name ``node``."""
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
-        self.failure = self.mismatch = self.behind = self.odd_epoch = ""
+        self.failure = self.mismatch = self.behind = ""
         self.inputs: LiveIntake | None = None
         self.changes: dict[str, str] = {}
         self.input_timeout = math.inf
@@ -98,17 +97,6 @@ class ObserverDiagnostics:
         if was_behind:
             return "" if self.behind else "the observer has caught up with the events"
         return self.behind
-
-    def note_epoch(self) -> str:
-        """Compare the epoch with the last impact.
-
-        Returns:
-            The warning to log when the epoch becomes odd; else empty.
-        """
-        observer, was_odd = self._observer, bool(self.odd_epoch)
-        last = observer.last_event
-        self.odd_epoch = odd_epoch(observer.epoch, last) if last else ""
-        return "" if was_odd else self.odd_epoch
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
         """The status at the time ``now`` (ns), with the ``last`` estimate if there is one."""
@@ -180,7 +168,6 @@ class ObserverDiagnostics:
         silent = self.inputs.silent(now, self.input_timeout) if self.inputs else ""
         faults = (
             self.behind,
-            self.odd_epoch,
             self._clock_fault(now),
             silent,
             _doubt(last),
@@ -210,8 +197,7 @@ class ObserverDiagnostics:
         silence = now - max(observer.last_event, observer.start, *observer.samples.newest)
         if silence <= _STALE:
             return ""
-        ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
-        return f"{ago}; is use_sim_time missing?"
+        return f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
 
     def _new_faults(self) -> list[str]:
         """The faults of events since the last status."""
@@ -225,7 +211,7 @@ class ObserverDiagnostics:
             "events found no room": self.counts["overflow"],
             "events waited for too long": self.counts["waited"],
             "events were shed as a flood": self.counts["shed"],
-            "events had a large innovation (is clock_error too small?)": large,
+            "events had a large innovation": large,
             "periods of the drive were off and are not used": self._odd_periods,
         }
         new = [f"{n} {what}" for what, n in faults.items() if n > self._reported[what]]

@@ -515,8 +515,6 @@ class ObserverNode(ManagedNode):
                 self.lines.warning(news)
             else:
                 self.lines.info(news)
-        if news := self._diagnostics.note_epoch():
-            self.lines.warning(news)
         now = self.stamp_now()
         try:
             self.observer.forget_silence(now)

@@ -28,7 +28,7 @@ from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
 from impact_observer.ros.robot_urdf import with_urdf_of_topic
 from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
-from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, odd_epoch
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 from impact_observer.states import Vector
 
 _LOOK_AHEAD = NS_PER_S
@@ -134,7 +134,7 @@ class PlantNode(ManagedNode):
         return pulses, live
 
     def _check_time_source(self) -> None:
-        """Refuse two owners of the time, a pace or an epoch that others could not follow."""
+        """Refuse two owners of the time, or a pace that others could not follow."""
         simulated = self.get_parameter("use_sim_time").value
         if self._owns_clock and simulated:
             raise UsageError(
@@ -144,11 +144,6 @@ class PlantNode(ManagedNode):
             raise UsageError(
                 f"parameter realtime_factor: {self._factor:g} needs publish_clock: true"
             )
-
-        epoch = self._wanted_epoch
-        now = 0 if self._owns_clock else self.stamp_now()
-        if odd := odd_epoch(epoch, max(epoch, now), "the clock,"):
-            raise UsageError(f"parameter epoch: {odd}")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin, or go on; time that the plant owns has stood still."""

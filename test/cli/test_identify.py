@@ -393,7 +393,6 @@ def test_useless_values_are_not_written_and_the_last_line_says_why(
     words = ["--free", "restitution", "--clock-error", "1e-3", "--trust-events"]
     assert main(["identify", "bag", *words, "-o", "ball.yaml", "--accept"]) == 1
     said = capsys.readouterr().out
-    assert "The model has no damping" in said
     last = said.splitlines()[-1]
     assert last == f"model: ball.yaml is not written: {reason}; --accept does not change that"
     assert not Path("ball.yaml").exists()

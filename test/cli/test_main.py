@@ -82,15 +82,12 @@ def test_a_mistake_in_a_model_is_one_line_and_exit_code_2(
         (["simulate", "two_mass", "-o", "x", "--seed", "1.5"], "whole number"),
         (
             ["simulate", "two_mass", "-o", "x", "--jiter", "0.1"],
-            "0.1; did you mean --jitter?; see",
+            "unrecognized arguments: --jiter 0.1; see",
         ),
         (
             ["observe", "bag", "--modl", "x.yaml"],
-            "required: -o/--output; --modl is unrecognized, did you mean --model?; see",
+            "required: -o/--output; see",
         ),
-        (["smooth", "bag", "--ouput=x"], "--ouput is unrecognized, did you mean --output?; see"),
-        (["simulate", "--model", "x.yaml"], "did you mean MODEL without --model?; see"),
-        (["observ", "bag"], "no command observ; did you mean observe?; see"),
         (["simulate", "two_mass", "-o", "x", "--what"], "see impact-observer simulate --help"),
         (["magic"], "invalid choice"),
         ([], "COMMAND"),

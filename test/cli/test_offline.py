@@ -438,10 +438,7 @@ def test_a_model_by_which_many_impacts_are_rejected_is_doubted(
         options = ("--law", "minimum-variance", "--rate", "10", "-o", output)
         assert main(["observe", bag, "--model", name, *options]) == 0
         said[name] = capsys.readouterr().out
-    assert (
-        "impacts rejected: a sensor with so many false impacts, or a wrong unit"
-        in said[str(model)]
-    )
+    assert "impacts rejected" in said[str(model)]
     assert "impacts rejected" not in said["two_mass"]
 
 

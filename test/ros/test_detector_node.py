@@ -210,24 +210,6 @@ def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
     )
 
 
-def test_an_epoch_or_a_latency_in_another_unit_is_a_warning(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    """The diagnostics warn of an epoch of 1 ns, meant as 1 s, and of 2 s, meant as 2 ms."""
-    assert ros_environment
-    sources = tmp_path / "rig.yaml"
-    entries = "{contact: stop, topic: switch}, {contact: wall, topic: hit, latency: 2}"
-    sources.write_text(f"sources: [{entries}]", encoding="utf-8")
-    with spinning(ros_arguments({"sources": sources, "epoch": 1})) as spinner:
-        rig = make_rig(spinner)
-        rig.sensor(Bool, "hit", STATES).publish(Bool(data=False))
-        spinner.until(lambda: "latency 2 s: more than a second" in rig.diagnosis("wall").message)
-        assert rig.diagnosis("wall").level == DiagnosticStatus.WARN
-        rig.sensor(Bool, "switch", STATES).publish(Bool(data=True))
-        spinner.until(lambda: "epoch 0.000000001 s" in rig.diagnosis("stop").message)
-        assert rig.diagnosis("stop").level == DiagnosticStatus.WARN
-
-
 def test_a_clock_that_jumps_back_is_a_new_episode(
     ros_environment: dict[str, str], sources: Path
 ) -> None:

@@ -667,17 +667,6 @@ def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -
         assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
 
 
-def test_an_epoch_in_another_unit_is_a_warning(ros_environment: dict[str, str]) -> None:
-    """The parameter is 1 ns, and was meant as 1 s."""
-    assert ros_environment
-    with rig_with(epoch=1) as rig:
-        rig.tick(NS_PER_S + 40_000_000)
-        rig.send(event(NS_PER_S + 30_000_000, 1, epoch=0))
-        said = "epoch 0.000000001 s is less than 1 ms after time zero"
-        rig.spinner.until(lambda: any(each.message.startswith(said) for each in rig.diagnostics))
-        assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
-
-
 def test_persistent_contact_is_in_the_estimates_until_it_opens(
     ros_environment: dict[str, str],
 ) -> None:

@@ -183,8 +183,6 @@ def test_a_signal_ends_a_node_with_exit_code_0(
             "parameter duration: expected a double",
         ),
         ("observer", {"model": "two_mass", "use_sim_time": "banana"}, "use_sim_time"),
-        ("plant", {"model": "two_mass", "epoch": 1}, "epoch 0.000000001 s is less than 1 ms"),
-        ("plant", {"model": "two_mass", "epoch": 10**9}, "years before the clock, "),
         ("monitor", {"model": "two_mass", "law": 3}, "parameter law: expected a string"),
     ],
 )
@@ -229,8 +227,6 @@ def test_misspelt_parameters_give_a_warning_in_log_and_diagnostics(
     assert code == 0
     status = statuses[name]
     assert status.level == DiagnosticStatus.WARN
-    assert "parameter lwa does not exist and is ignored; did you mean law?" in status.message
+    assert "parameter lwa does not exist and is ignored; expected " in status.message
     unknown = re.findall(r"parameter (\S+) does not exist", errors)
     assert unknown == ["lwa", "rat", "sensor.jitter"]
-    meant = re.findall(r"parameter (\S+) does not exist and .* did you mean (\w+)\?", errors)
-    assert meant == [("lwa", "law"), ("rat", "rate")]
