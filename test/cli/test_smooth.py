@@ -245,7 +245,6 @@ def test_a_wrong_sign_of_a_sensor_is_named_beside_the_counts_of_its_samples(
             said = capsys.readouterr().out
             assert re.search(r"^encoder: 3\d\d samples: \d+ accepted", said, re.MULTILINE)
             assert ("warning: encoder contradicts the impacts and the model" in said) is is_wrong
-            assert ("check sign, unit, coordinate, offset and delay" in said) is is_wrong
 
 
 def test_the_deviations_of_a_coarse_encoder_on_a_periodic_motion_are_widened(
