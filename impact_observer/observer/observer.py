@@ -2,7 +2,7 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias, cast
@@ -350,10 +350,6 @@ class Observer:
                     for key in of_run:
                         run.numbers.discard(key.sequence)
                 raise
-
-    def withdraw(self, is_withdrawn: Callable[[int], bool]) -> None:
-        """Go on as if events had not come whose stamps (ns) are withdrawn, as those of a flood."""
-        self._run.withdraw(is_withdrawn)
 
     def _follow(self) -> None:
         """Use the samples received, except while events are inserted."""

@@ -124,14 +124,6 @@ class RunHistory:
         else:
             timeline.rerun(stamp, lasts=lasts)
 
-    def withdraw(self, is_withdrawn: Callable[[int], bool]) -> None:
-        """See ``Observer.withdraw``."""
-        entries = [] if self.timeline is None else self.timeline.entries[1:]
-        stamps = (each.key.stamp for each in entries if each.is_event)
-        first = next(filter(is_withdrawn, stamps), None)
-        if self.timeline is not None and first is not None:
-            self.timeline.rerun(first - 1, without=is_withdrawn)
-
     def restart(self, first: Entry) -> None:
         """Go on from another state, which holds after all events of its stamp."""
         assert self.timeline is not None, "it has begun"

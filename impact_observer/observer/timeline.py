@@ -276,14 +276,11 @@ class Timeline:
         last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
         self.entries = [last]
 
-    def rerun(
-        self, stamp: int, without: Callable[[int], bool] = lambda _: False, lasts: int = 0
-    ) -> None:
+    def rerun(self, stamp: int, lasts: int = 0) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces.
 
         An impact of as little as ``lasts`` (ns) before is still going on then. An event that
-        cannot be applied any more is left out, and so are events ``without`` whose stamps (ns) the
-        others are.
+        cannot be applied any more is left out.
         """
         first = max(self._after(stamp), 1)
         lasting = range(max(self._after(stamp - lasts), 1), first)
@@ -291,8 +288,7 @@ class Timeline:
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None
-        later = self.entries[first:]
-        events = [e.key for e in later if not (e.is_event and without(e.key.stamp))]
+        events = [each.key for each in self.entries[first:]]
         entries, i = list[Entry](), 0
         while i < len(events):
             made = list[Entry]()

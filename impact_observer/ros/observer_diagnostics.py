@@ -35,8 +35,7 @@ class ObserverDiagnostics:
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``overflow``, ``waited``, ``shed``, ``large innovations`` and
-            ``clock_jumps``.
+            ``invalid``, ``overflow``, ``waited``, ``large innovations`` and ``clock_jumps``.
         failure: why there is no estimate; empty while there are estimates.
         mismatch: a publisher of impacts of another type or quality of service; empty for none.
         behind: how far the observer is behind, and the remedy; empty if the observer keeps up.
@@ -110,10 +109,9 @@ class ObserverDiagnostics:
             **{remark.value: observer.remarks[remark] for remark in Remark},
             "from the future": self.counts["future"],
             "invalid messages": self.counts["invalid"],
-            "without room": self.counts["overflow"],
+            "dropped": self.counts["overflow"],
             "waiting": self._waiting,
             "waited too long": self.counts["waited"],
-            "shed as a flood": self.counts["shed"],
             "missing sequence numbers": observer.missing,
             "estimates corrected": self.counts["corrected"],
             "estimates passed over": self.counts["passed_over"],
@@ -208,9 +206,8 @@ class ObserverDiagnostics:
             "events are missing": self._observer.missing,
             "events were missed by the sensor, and inserted": self.counts["inserted"],
             "events were not applied": refused + self.counts["invalid"],
-            "events found no room": self.counts["overflow"],
+            "events were dropped, as too many came": self.counts["overflow"],
             "events waited for too long": self.counts["waited"],
-            "events were shed as a flood": self.counts["shed"],
             "events had a large innovation": large,
             "periods of the drive were off and are not used": self._odd_periods,
         }

@@ -25,7 +25,7 @@ from systems import (
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
+from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.filter import between_events
 from impact_observer.filter.forecast import dips_of
 from impact_observer.filter.missed_switch import insert_switch
@@ -408,22 +408,6 @@ def test_a_jump_of_the_clock_by_an_hour_is_soon_found_hopeless(
         watcher.receive(event(hour + 2 * k, "stop", sequence=14 + k))
     assert len(searched) < 2 * TUNING.most_flights
     assert max(searched) < 60
-
-
-def test_withdrawn_events_change_no_bit() -> None:
-    """A flood of hits and rests that is withdrawn: estimates and verdicts as if it never came."""
-    _, _, whole = truth("two_mass", 30.0)
-    calm, flooded, last = locked(13), locked(13), whole.events[12].stamp
-    for k in range(6):
-        kind = (Kind.CLOSE, Kind.OPEN)[k % 2]
-        flooded.receive(
-            ImpactEvent(last + (k + 1) * NS_PER_S // 50, (Switch("stop", kind),), epoch=EPOCH)
-        )
-    flooded.withdraw(lambda stamp: last < stamp < last + NS_PER_S // 5)
-    for each in whole.events[13:17]:
-        assert flooded.receive(each)[0] == calm.receive(each)[0]
-        now = np.array([each.stamp + NS_PER_S // 10])
-        np.testing.assert_array_equal(estimates(flooded, now), estimates(calm, now))
 
 
 def test_estimates_do_not_depend_on_the_stamps_of_earlier_estimates() -> None:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The intake of an observer node that receives more events than it can apply."""
 
-import random
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import pytest
 
@@ -13,13 +13,12 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from impact_observer.events import REVISED, ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io.messages import AnyMessage, MessageLimits
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.ros import event_intake
 from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
-from impact_observer.ros.flood import MOST_DENSE
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.stamps import NS_PER_S
@@ -52,10 +51,6 @@ class SlowObserver:
             self.now += round(self.seconds * NS_PER_S)
             self.applied.append(each)
             yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
-
-    def withdraw(self, is_withdrawn: Callable[[int], bool]) -> None:
-        """Forget events, as ``Observer.withdraw`` does."""
-        self.applied = [each for each in self.applied if not is_withdrawn(each.stamp)]
 
     def monotonic_ns(self) -> int:
         """Time of this clock, as of ``time.monotonic_ns``."""
@@ -99,83 +94,36 @@ def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.Mo
     assert verdict.ruling is Ruling.APPLIED
 
 
-def test_a_quick_observer_is_given_ever_more_events_together(
+def test_events_that_wait_together_are_given_to_the_observer_together(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Batches grow, so that late events cost few runs; no event is refused."""
+    """So that late events cost one run; no event is refused."""
     quick = SlowObserver(seconds=1e-5)
     intake = intake_of(quick, monkeypatch)
     for number in range(1, MOST_WAITING + 1):
         intake.take_message(message(number))
     assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
-    assert sum(quick.batches) == MOST_WAITING
-    assert len(quick.batches) < 10
+    assert quick.batches == [MOST_WAITING]
 
 
-def test_of_a_flood_only_few_events_are_applied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of its quarter of a second are shed and counted, those of other times are applied."""
-    slow = SlowObserver(seconds=0.1)
-    intake = intake_of(slow, monkeypatch)
-    for number in range(1, 6):
-        intake.take_message(message(number))
-    assert len(taken(intake)) == 5
-    for number in range(1001, 2001):
-        intake.take_message(message(number, apart=100_000))
-    intake.take_message(message(7))
-    assert not taken(intake)  # held, as the flood may go on
-    assert intake.is_behind
-    slow.now += NS_PER_S // 2
-    found = taken(intake)
-    assert intake.counts["shed"] == 1000 - len(found) + 1
-    assert len(found) <= MOST_DENSE + 1
-    assert any(event.sequence == 7 for event, _ in found)
-    slow.now += NS_PER_S
-    assert not intake.is_behind
-
-
-def test_a_flooded_quarter_of_a_second_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of its events that were applied before the flood was seen are withdrawn, in words."""
-    slow = SlowObserver(seconds=0.1)
-    intake = intake_of(slow, monkeypatch)
-    found = list[Item]()
-    intake.take_message(message(1))
-    for number in range(300, 340):  # in 0.2 s, of which each takes half of that
-        intake.take_message(message(number, apart=5_000_000))
-        if number % 10 == 9:
-            found += intake.apply_waiting()
-    slow.now += NS_PER_S
-    intake.take_message(message(7))
-    found += taken(intake)
-    assert [each.sequence for each in slow.applied] == [1, 7]
-    withdrawn = [v for _, verdicts in found for v in verdicts if v.ruling is Ruling.REJECTED]
-    applied = {e.sequence for e, verdicts in found if verdicts[0].ruling is Ruling.APPLIED}
-    assert {each.sequence for each in withdrawn} == applied - {1, 7}
-    assert withdrawn
-    assert all(v.revises and v.reason == f"{REVISED}of a flood" for v in withdrawn)
-    assert intake.counts["shed"] == 40
-
-
-def test_late_events_that_keep_coming_do_not_keep_the_others_waiting(
+def test_of_too_many_events_those_that_are_left_are_in_order_and_evenly_spread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """40 a second, of any stamp of the last 9 s; each takes as long as three need to come."""
-    slow, draw = SlowObserver(seconds=0.08), random.Random(1)
-    intake, start, waited = intake_of(slow, monkeypatch), slow.now, dict[int, float]()
-    coming = deque(
-        (25 * k, 25 * k - (draw.randrange(300, 9000) if k % 20 else 0)) for k in range(200)
-    )
-    while coming or intake.is_busy:
-        while coming and slow.now - start >= coming[0][0] * 1_000_000:
-            intake.take_message(message(20_000 + coming.popleft()[1], apart=1_000_000))
-        for event, _ in intake.apply_waiting():
-            waited[event.sequence - 20_000] = (slow.now - start) / NS_PER_S
-        slow.now += 1_000_000
-    for k in range(0, 200, 20):
-        assert waited[25 * k] - k / 40 < 2.0
-    assert intake.counts["shed"] > 100
-    slow.now += NS_PER_S
-    intake.take_message(message(20_000, apart=1_000_000))
-    assert len(taken(intake)) == 1  # one that is late, with no flood, is applied
+    """What is dropped is counted; later ones are all applied."""
+    slow = SlowObserver(seconds=1e-3)
+    intake = intake_of(slow, monkeypatch)
+    for number in range(1, 10_001):
+        assert not intake.take_message(message(number))
+    assert intake.backlog()[0] <= MOST_WAITING
+    numbers = [event.sequence for event, _ in taken(intake)]
+    assert len(numbers) + intake.counts["overflow"] == 10_000
+    assert len(numbers) >= MOST_WAITING // 2
+    assert numbers == sorted(numbers)
+    apart = {b - a for a, b in pairwise(numbers)}
+    assert max(apart) <= 2 * min(apart)
+    for number in range(10_001, 10_101):
+        intake.take_message(message(number))
+    assert len(taken(intake)) == 100
 
 
 def test_a_past_that_comes_at_once_is_applied_whole(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +134,7 @@ def test_a_past_that_comes_at_once_is_applied_whole(monkeypatch: pytest.MonkeyPa
         for number in range(1, 51):
             intake.take_message(message(number))
     assert len(taken(intake)) == 100
-    assert not intake.counts["shed"]
+    assert not intake.counts["overflow"]
 
 
 def test_the_backlog_is_what_is_not_applied_yet(monkeypatch: pytest.MonkeyPatch) -> None:
