@@ -47,17 +47,15 @@ def _impact_law(checked: ModelCheck) -> Iterator[ReportLine]:
             " One restitution for all contacts would settle the question.",
         )
     elif checked.nonexpansive and system.m:
-        passive = "" if np.any(system.drives) else ", or adds kinetic energy"
-        law = f"No impact raises V{passive}, whichever contacts close together."
+        law = "No impact raises V, or adds kinetic energy, whichever contacts close together."
         yield ReportLine("ok", law)
-    own = "" if np.any(system.drives) else ", though never the plant's own energy"
     for growth in checked.growths[:_SHOWN]:
         yield ReportLine(
             "warning",
             f"{_contacts(system, growth.contacts)} can close together, with restitution"
             f" {_restitutions(system, growth.contacts)}: an impact of these alone can raise V by a"
-            f" factor of up to {growth.factor:.4g}{own}. Give contacts that close together one"
-            " restitution.",
+            f" factor of up to {growth.factor:.4g}, though never the plant's own energy. Give"
+            " contacts that close together one restitution.",
         )
     if (more := len(checked.growths) - _SHOWN) > 0:
         sets = counted(more, "other set")
@@ -242,8 +240,7 @@ def _forced(system: System) -> Iterator[ReportLine]:
             f" {figure(-motion.pull[i], acceleration)}, and no spring brings a body back. Is the"
             " sign of the force right, and the order of the bodies of the stop?",
         )
-    rests = [i for i in motion.never_left() if not system.rebounds[i].drives]
-    for i in rests[:_SHOWN]:
+    for i in motion.never_left()[:_SHOWN]:
         yield ReportLine(
             "warning",
             f"A body that rests on {names[i]} never leaves {names[i]}: constant forces press with"

@@ -66,10 +66,8 @@ def _comes_to_rest(
     """Whether ``contact`` rests after an impact that leaves it a ``speed`` (m/s).
 
     It does if its next ``flight`` (s) is one that a plant may neglect, or short and not higher
-    than the deviation of its gap; it does not on a stop that drives it.
+    than the deviation of its gap.
     """
-    if filter_.system.rebounds[contact].drives:
-        return False
     deviation = filter_.gap_deviation(contact, state.x, state.root)
     brief = TUNING.resting_flight * filter_.scales.timescale
     is_low = speed * flight / 4 <= deviation and flight <= brief

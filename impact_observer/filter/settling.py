@@ -73,7 +73,7 @@ def settled(
     if is_long or len(change.hit) != 1 or change.hit[0] in change.closed:
         return None
     contact = change.hit[0]
-    if filter_.system.contact_time[contact] or filter_.system.rebounds[contact].drives:
+    if filter_.system.contact_time[contact]:
         return None
     speed = filter_.speed(contact, after)
     fall = filter_.fall(change.t, contact, after)

@@ -12,7 +12,7 @@ from impact_observer.model.document import Value
 DEGREES = "deg"
 """The unit of a model file in which angles are in degrees, and speeds in degrees a second."""
 _UNIT = re.compile(rf"^unit *: *[\"']?{DEGREES}[\"']? *(#.*)?$", re.MULTILINE)
-_OF_CONTACTS = ("limit", "gap", "velocity_offset")
+_OF_CONTACTS = ("limit", "gap")
 _OF_REBOUNDS, _OF_STATES = ("speed", "speeds"), ("position", "velocity")
 Place: TypeAlias = tuple[str | int, ...]
 """The path of a value in a model file."""

@@ -208,8 +208,6 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
             change = np.outer(one, column)
             yield parameter(own, each.value, bounds, each.size, rebound=change)
         yield parameter(f"gap.{name}", gap, _FREE, abs(gap) or 1.0, gap=one)
-        if law.drives:
-            continue
         most, lasts = (0.0, LONGEST_CONTACT), contact.contact_time
         yield parameter(f"{CONTACT_TIME}.{name}", lasts, most, LONGEST_CONTACT, contact_time=one)
     for kind, part in _SCALES.items():

@@ -6,8 +6,19 @@ from collections.abc import Mapping
 
 GONE = {
     "friction": "dry friction of guides",
+    **{
+        f"{contacts}.{key}": purpose
+        for contacts in ("stops", "contacts")
+        for key, purpose in {
+            "velocity_offset": "the speed of a stop that drives what it hits",
+            "restitution.speeds": "a table of restitutions by speed",
+            "restitution.values": "a table of restitutions by speed",
+        }.items()
+    },
 }
 """What each key was for, by its place without indices, such as ``stops.gap``."""
+_INSTEAD = {"restitution": 0.0}
+"""What stands where all keys of a mapping went, for the comparison of states."""
 
 
 def problem_with(key: str, allowed: str) -> str:
@@ -28,8 +39,9 @@ def without_gone(document: object, place: str = "") -> object:
     if not isinstance(document, Mapping):
         return document
     places = {key: f"{place}.{key}".removeprefix(".") for key in document}
-    return {
+    kept = {
         key: without_gone(each, places[key])
         for key, each in document.items()
         if places[key] not in {*GONE, "uncertainty"}
     }
+    return kept if kept or not document else _INSTEAD[place.rpartition(".")[2]]

@@ -370,8 +370,5 @@ def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:
         wanted = f"expected a number in [0, {LONGEST_CONTACT:g}], s"
         raise ModelError(f"{key}.contact_time", f"is {lasts:g}; {wanted}")
     law = contact.rebound.checked(key)
-    if law.drives:
-        problem = f"drives what it hits ({law.text}); expected one that does not, for a robot"
-        raise ModelError(key, problem)
     offset = float(finite(f"{key}.offset", contact.offset, (), "a number, m"))
     return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law, lasts)

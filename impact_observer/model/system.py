@@ -254,11 +254,6 @@ class System:
             rebounds[i] = self.rebounds[i].rebound(gamma[i])
         return rebounds
 
-    @property
-    def drives(self) -> NDArray[np.bool_]:
-        """Whether each stop drives what touches it, so that nothing rests there, shape (m,)."""
-        return np.array([law.drives for law in self.rebounds], dtype=bool)
-
     def is_plain(self, contacts: Collection[int]) -> bool:
         """Whether all ``contacts`` rebound by a constant coefficient."""
         return self.special.isdisjoint(contacts)
@@ -428,10 +423,5 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
             f"is {lasts:g}; expected a number in [0, {LONGEST_CONTACT:g}], s",
         )
     law = (contact.rebound or ConstantRestitution(contact.restitution)).checked(key)
-    if law.drives and lasts:
-        raise ModelError(
-            f"{key}.contact_time",
-            f"is {lasts:g}; expected none, as the stop drives what it hits ({law.text})",
-        )
     own = None if law.is_plain else law
     return Contact(contact.name, direction, gap, law.nominal, own, lasts)

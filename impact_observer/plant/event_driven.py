@@ -115,11 +115,9 @@ class Plant:
         self._pending, self._inside, self._left = [], (), None
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
         self._begin(start, x, grip)
-        gamma, drives = system.contact_speed(u), system.drives
-        # What leaves a stop that drives is not hit again.
-        if touching := tuple(i for i in system.closed_at(q) if not (drives[i] and gamma[i] > 0)):
+        if touching := system.closed_at(q):
             switching = self._impact(start, x, touching)
-            closing = np.any((gamma < 0)[list(touching)] | drives[list(touching)])
+            closing = np.any(system.contact_speed(u)[list(touching)] < 0)
             if closing or switching.closed:
                 self._next = switching
             else:  # the contacts separate; only rounding in the gaps is removed

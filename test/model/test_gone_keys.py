@@ -17,8 +17,14 @@ forces: [{body: x2, amplitude: 4, frequency: 2.5}]
 stops: [{name: stop, body: x2, limit: 0.5, side: above, restitution: 0.7}]
 """
 FRICTION = "friction: [{name: guide, between: [ground, x1], force: 0.1}]\n"
+TABLE = "{speeds: [1, 3], values: [0.7, 0.5]}"
 CASES = {
     "friction": (TEXT + FRICTION, "dry friction"),
+    "stops[0].velocity_offset": (
+        TEXT.replace("0.7}", "0.7, velocity_offset: 0.2}"),
+        "the speed of a stop",
+    ),
+    "stops[0].restitution.speeds": (TEXT.replace("0.7}", TABLE + "}"), "a table of restitutions"),
 }
 """By key: a model with it, and what the error calls it."""
 

@@ -12,8 +12,6 @@ from impact_observer.model import parse_model
 from impact_observer.model.rebounds import ReboundLaw
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.model.rebounds.power_law import PowerLaw
-from impact_observer.model.rebounds.restitution_table import RestitutionTable
-from impact_observer.model.rebounds.velocity_offset import VelocityOffset
 
 TEXT = """
 name: ball
@@ -21,7 +19,6 @@ bodies: [{name: z, mass: 1}]
 stops: [{name: floor, body: z, limit: 0, side: below, restitution: CURVE}]
 """
 POWER = "{value: 0.7, speed: 2, exponent: -0.25}"
-TABLE = "{speeds: [0.1, 1, 3], values: [0.9, 0.7, 0.5]}"
 
 
 def test_power_law_has_its_value_at_its_speed_and_its_limit_below() -> None:
@@ -33,18 +30,9 @@ def test_power_law_has_its_value_at_its_speed_and_its_limit_below() -> None:
     assert contact.restitution == 0.7
 
 
-def test_table_is_linear_between_its_speeds_and_constant_outside() -> None:
-    """By hand."""
-    curve = parse_model(TEXT.replace("CURVE", TABLE), "ball").system.contacts[0].rebound
-    assert curve is not None
-    found = curve.restitution_at(np.array([0.0, 0.1, 0.55, 2.0, 9.0]))
-    np.testing.assert_allclose(found, [0.9, 0.9, 0.8, 0.6, 0.5], rtol=1e-14)
-
-
-@pytest.mark.parametrize("curve", [POWER, TABLE])
-def test_curve_survives_the_text_of_its_model(curve: str) -> None:
+def test_power_law_survives_the_text_of_its_model() -> None:
     """In elements and in matrices."""
-    model = parse_model(TEXT.replace("CURVE", curve), "ball")
+    model = parse_model(TEXT.replace("CURVE", POWER), "ball")
     assert parse_model(model.text(), "again").text() == model.text()
     matrices = type(model)(model.system)
     again = parse_model(matrices.text(), "again").system.contacts[0].rebound
@@ -65,11 +53,6 @@ def test_curve_survives_the_text_of_its_model(curve: str) -> None:
         ("{value: 0.5, speed: 1, exponent: 0, limit: 1}", "limit: is 1; expected a number in [0"),
         ("{value: 0.5, speed: 1}", "exponent: is missing"),
         ("{value: 0.5, velocity: 1}", "velocity: is not known here; expected one of value"),
-        ("{speeds: [1], values: [0.5]}", "speeds: are [1.0]; expected at least two numbers"),
-        ("{speeds: [2, 1], values: [0.5, 0.5]}", "speeds: are [2.0, 1.0]; expected at least"),
-        ("{speeds: [1, 2], values: [0.5]}", "values: 1 values found; expected a list of 2"),
-        ("{speeds: [1, 2], values: [0.5, 2]}", "values[1]: is 2; expected a number in [0, 1]"),
-        ("{values: [0.5, 0.4]}", "speeds: is missing"),
         ("[0.5]", "[0.5] found; expected a number"),
     ],
 )
@@ -95,24 +78,11 @@ def test_impact_by_a_power_law_does_not_raise_the_difference_of_two_speeds(
     assert after <= abs(v - w) * (1 + 1e-12) + 1e-14
 
 
-def test_slope_of_a_table_is_checked() -> None:
-    """It is steepest at the ends of its segments."""
-    gentle = RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5]))
-    steep = RestitutionTable(np.array([1.0, 1.2]), np.array([0.9, 0.3]))
-    assert gentle.is_nonexpansive
-    assert not steep.is_nonexpansive
-    v = np.linspace(0, 4, 4001)
-    slopes = np.diff(steep.restitution_at(v) * v) / np.diff(v)
-    assert np.min(slopes) < -1
-
-
 @pytest.mark.parametrize(
     "law",
     [
         ConstantRestitution(0.7),
-        VelocityOffset(0.7, 0.2),
         PowerLaw(0.7, 1.0, -0.25, 0.9),
-        RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5])),
     ],
 )
 @pytest.mark.parametrize("gamma", [-8.0, -1.7, -0.3, -0.05, 0.3])

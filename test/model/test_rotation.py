@@ -37,7 +37,7 @@ stops:
     body: arm
     limit: 99
     side: above
-    restitution: {speeds: [0, 180], values: [0.8, 0.6]}
+    restitution: 0.7
     ground: table
 initial_state: {position: [10], velocity: [-30]}
 """

@@ -62,7 +62,7 @@ def rig(name: str) -> Model:
     """A model of the samples, or one with another stop."""
     if name == "without rebound":
         return parse_model(PRESSED.replace("0.4}", "0}"), name)
-    others = {"hits of 4 ms": "contact_time: 0.004", "a stop that drives": "velocity_offset: 0.2"}
+    others = {"hits of 4 ms": "contact_time: 0.004"}
     if name in others:
         text = sample("two_mass").text()
         key = f"{others[name]}\n  restitution: "
@@ -526,7 +526,6 @@ def test_ball_from_its_bounce_times_alone() -> None:
     [
         ("ball_on_table", 1.0, [0.0, 0.21, 0.55, 0.93]),
         ("hits of 4 ms", 12.0, [0.0, 2.0, 7.1]),
-        ("a stop that drives", 12.0, [0.0, 2.0, 7.1]),
     ],
 )
 def test_states_are_exact_on_stops_that_move_or_drive_and_while_hits_last(

@@ -36,9 +36,6 @@ stops:
      restitution: {value: 0.7, speed: 1.0, exponent: -0.1}}
 initial_state: {position: [0.1, -0.2], velocity: [0.5, 0]}
 """
-DRIVEN = CURVED.replace("{value: 0.7, speed: 1.0, exponent: -0.1}", "0.7").replace(
-    "contact_time: 0.01", "velocity_offset: 0.1"
-)
 PUSHED = system(
     np.diag([1.0, 2.0]),
     [[0.6, -0.1], [-0.1, 0.3]],
@@ -110,13 +107,6 @@ CASES: dict[str, tuple[Callable[[], ParametricFamily], Array, float]] = {
         lambda: parametric_family(
             parse_model(CURVED, "curved").system,
             ("restitution", "restitution-exponent", "contact-time", "gap"),
-        ),
-        np.array([0.1, -0.2, 0.5, 0.0]),
-        8.0,
-    ),
-    "a driven stop": (
-        lambda: parametric_family(
-            parse_model(DRIVEN, "driven").system, ("velocity-offset", "restitution", "mass-scale")
         ),
         np.array([0.1, -0.2, 0.5, 0.0]),
         8.0,

@@ -5,12 +5,8 @@ from impact_observer.model.document import Section
 from impact_observer.model.rebounds.constant_restitution import ConstantRestitution
 from impact_observer.model.rebounds.power_law import PowerLaw
 from impact_observer.model.rebounds.rebound_law import ReboundLaw
-from impact_observer.model.rebounds.restitution_table import RestitutionTable
-from impact_observer.model.rebounds.velocity_offset import VelocityOffset
 
 LAWS: tuple[type[ReboundLaw], ...] = (
-    VelocityOffset,
-    RestitutionTable,
     PowerLaw,
     ConstantRestitution,
 )

@@ -112,14 +112,6 @@ class ReboundLaw(ABC):
         """Whether the slope of ``r`` lies in [-1, 1]: then an impact alone never raises V."""
         return True
 
-    @property
-    def drives(self) -> bool:
-        """Whether the stop hits a body that touches it at rest: ``r(0) < 0``.
-
-        Then impacts can add energy, and no body comes to rest on the stop.
-        """
-        return False
-
     @abstractmethod
     def restitution_at(self, speed: Vector) -> Vector:
         """The coefficient of restitution at speeds >= 0, m/s, of any shape."""

@@ -77,7 +77,6 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     is_forced = is_plain and system.n <= TUNING.forced_coordinates
     parts["constant-force"] = np.array([is_forced])
     parts["gap"] = system.q_r * is_plain
-    parts["contact-time"] = np.where(system.drives, 0.0, 1.0)
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     kinds = (k for k in deviations if k not in STAND_INS and np.any(parts.get(k, 1.0)))
     found = UnknownParameters.named(system, [f"{k}={deviations[k]}" for k in kinds])
