@@ -21,7 +21,7 @@ from impact_observer.io.simulated_samples import SampleSimulation, Sampling, sam
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Options, make_observer, options_of_laws
+from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import (
     Plant,
@@ -176,8 +176,13 @@ class Sweep:
         law, sensor, model, run = map(int, np.unravel_index(number, shape))
         start = self.options.initial_state
         start = f"{RANDOM}:{self.seed + run}" if start == RANDOM else start
-        common = replace(self.options, initial_state=start, ensemble=1, epoch=self.epoch)
-        (options,) = options_of_laws(common, [self.laws[law]])
+        options = replace(
+            self.options,
+            law=self.laws[law],
+            initial_state=start,
+            ensemble=1,
+            epoch=self.epoch,
+        )
         return options, self.sensors[sensor], self.models[model], run
 
     def _metrics(self, number: int) -> dict[str, Value]:
