@@ -1,39 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Properties of a model that matter to an observer: modes, contacts, the impact law.
+"""Properties of a model that matter to an observer: modes, amplitudes, unseen motions, impacts.
 
 The modes are those of ``A`` in ``dx/dt = A x`` without contacts. Rigid-body positions are split
 off; the other states are written in energy coordinates ``(a', Omega b, b')``, with
 ``q = R a + P b`` in ``M``-orthonormal shapes. Then ``A`` has no double eigenvalue 0, and an
-undamped mode is
-orthogonal to all others, whatever shapes the damping couples.
+undamped mode is orthogonal to all others, whatever shapes the damping couples.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, optimize
 from scipy.sparse import csgraph
 
-from impact_observer.check.closing_sets import ClosingSets, SearchResult, redundant
-from impact_observer.check.impact_expansion import (
-    Growth,
-    expansive,
-    expansive_sets,
-    growth,
-    is_nonexpansive,
-)
-from impact_observer.check.undamped_modes import UndampedModes
+from impact_observer.events import Contacts
 from impact_observer.model import Model, System
-from impact_observer.model.free_parameters import is_phase, parametric_family
-from impact_observer.model.parameter_places import Place, parameter_places
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.states import Matrix, Vector, frozen
 
-__all__ = ["ModelCheck", "check_model", "expansive_sets", "is_nonexpansive"]
-
+_RIGID = 1e-12
+"""``omega^2`` that counts as zero, relative to the stiffest mode's; as for position jumps."""
 _ROUNDING = 1e-14
 """Real or imaginary part that counts as zero, relative to the largest eigenvalue, times 2n."""
 _EQUAL = 1e-8
@@ -44,8 +33,14 @@ _UNSEEN = 1e-9
 """Contact speed of a shape that counts as none, relative to the shape's speed."""
 _CLEAN = 1e-12
 """Entry of a shape that counts as rounding."""
-_RESONANCE = 1e-6
-"""Relative distance of a forcing frequency from a mode's that counts as resonance."""
+_EIGENVALUE = 1e-9
+"""Negative eigenvalue of ``G - E G E`` that counts as rounding, ``G`` having a unit diagonal."""
+_CLOSED = 1e-8
+"""Gap that counts as closed, relative to the largest gap in the rest position."""
+_MOST_PAIRS = 200
+"""Most pairs of contacts that are tried."""
+_BOUNDLESS = 1e9
+"""Amplitude that counts as a resonance without damping, m."""
 
 ComplexVector = NDArray[np.complex128]
 Basis = NDArray[Any]
@@ -65,6 +60,13 @@ class UnseenMotion(NamedTuple):
     shape: Vector
 
 
+class Growth(NamedTuple):
+    """Two contacts that can close together, and the largest factor of ``V`` at their impact."""
+
+    contacts: Contacts
+    factor: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCheck:
     """The result of a model check.
@@ -76,17 +78,15 @@ class ModelCheck:
             1/s, the slowest first; the real part is exactly 0 for an undamped mode.
         rates: real eigenvalues, ascending, 1/s; without the zeros of rigid-body positions.
         rigid: directions of rigid-body modes, shape (r, n), in coordinates.
-        resonances: harmonics that drive an undamped mode at its own frequency, so that its
-            amplitude grows without bound: index and frequency, rad/s.
         unseen: motions that move no contact.
         effective_mass: ``1 / (w^T M^-1 w)`` of each contact, shape (m,), kg.
-        feasible: whether some position is outside all stops.
-        has_clearance: whether some position is clear of all stops.
-        redundant: contacts that are linearly dependent and can close together.
-        nonexpansive: whether no impact ever raises ``V``; None if the search did not decide.
-        growths: the largest rise of ``V`` for each set of contacts whose impact can raise ``V``.
+        rest: gaps under the constant loads, shape (m,), m; NaN where nothing holds the body, or
+            where loads arrive live or sampled.
+        swing: largest amplitudes of the gaps by the harmonics, without impacts, shape (m,), m;
+            infinite at a resonance, NaN as above.
+        nonexpansive: whether no impact ever raises ``V``; None where this is not decided.
+        growths: pairs of contacts whose impact can raise ``V``.
         declared: parameters whose standard deviations the model declares, with these.
-        phases: paths and phases of the harmonics of elements and grounds, rad.
     """
 
     system: System
@@ -94,16 +94,13 @@ class ModelCheck:
     modes: ComplexVector
     rates: Vector
     rigid: Matrix
-    resonances: tuple[tuple[int, float], ...]
     unseen: tuple[UnseenMotion, ...]
     effective_mass: Vector
-    feasible: bool
-    has_clearance: bool
-    redundant: SearchResult
+    rest: Vector
+    swing: Vector
     nonexpansive: bool | None
     growths: tuple[Growth, ...]
     declared: tuple[tuple[ModelParameter, float], ...]
-    phases: tuple[tuple[Place, float], ...]
 
     @property
     def damped(self) -> bool:
@@ -118,52 +115,78 @@ def check_model(model: Model | System) -> ModelCheck:
     spectrum = _Spectrum(system)
     values = spectrum.values
     modes = values[values.imag > 0]
-    closing = ClosingSets(system)
-    raising = expansive(closing)
+    lengths = np.sqrt(np.sum(system.W * linalg.solve(system.M, system.W), axis=0))
+    rest, swing = spectrum.amplitudes()
+    nonexpansive, growths = _expansion(system, lengths)
+    known = model.uncertainty
+    declared = (
+        ()
+        if known is None
+        else zip(
+            parametric_family(system, known.names, model.elements).parameters,
+            known.deviations.tolist(),
+            strict=True,
+        )
+    )
     return ModelCheck(
         system=system,
         undamped=frozen(spectrum.undamped),
         modes=modes[np.argsort(np.abs(modes), kind="stable")],
         rates=frozen(np.sort(values[values.imag == 0].real)),
         rigid=_readable(spectrum.rigid).T,
-        resonances=spectrum.resonances(),
-        unseen=spectrum.unseen(closing.lengths),
-        effective_mass=frozen(closing.lengths**-2.0),
-        feasible=closing.feasible,
-        has_clearance=closing.has_clearance,
-        redundant=redundant(ClosingSets(system)),
-        nonexpansive=_nonexpansive(system, raising.is_empty),
-        growths=tuple(growth(closing, contacts) for contacts in raising.sets),
-        declared=tuple(_declared(model)),
-        phases=tuple(_phases(model)),
+        unseen=spectrum.unseen(lengths),
+        effective_mass=frozen(lengths**-2.0),
+        rest=frozen(rest),
+        swing=frozen(swing),
+        nonexpansive=nonexpansive,
+        growths=growths,
+        declared=tuple(declared),
     )
 
 
-def _declared(model: Model) -> Iterator[tuple[ModelParameter, float]]:
-    if known := model.uncertainty:
-        parameters = parametric_family(model.system, known.names, model.elements).parameters
-        yield from zip(parameters, known.deviations.tolist(), strict=True)
+def _expansion(system: System, lengths: Vector) -> tuple[bool | None, tuple[Growth, ...]]:
+    """Whether no impact raises V, and pairs of contacts whose impact can.
 
-
-def _phases(model: Model) -> Iterator[tuple[Place, float]]:
-    frame = model.system.frame
-    written = {} if frame is None else {"grounds": frame.grounds.written}
-    for place in parameter_places({**model.element_form, **written}, model.system):
-        if is_phase(place.name):
-            yield place.path, place.offset
-
-
-def _nonexpansive(system: System, constant: bool | None) -> bool | None:
-    """Whether no impact raises V.
-
-    Args:
-        system: the model.
-        constant: the answer if the slope of every rebound law were constant.
+    An impact of the contacts A never raises ``V`` when ``H = G - E G E`` is positive semidefinite,
+    with ``G = W_A^T M^-1 W_A`` and ``E = diag(eps)``. Pairs that cannot close together are in none
+    of the sets to be tested: their entries of H do not count.
     """
     bent = [law for law in system.rebounds if not law.is_affine]
     if not all(law.is_nonexpansive for law in bent):
-        return False
-    return None if bent and system.m > 1 and constant else constant
+        return False, ()
+    W, eps = system.W / lengths, system.eps
+    G = W.T @ linalg.solve(system.M, W)
+    H = (1.0 - np.outer(eps, eps)) * G
+    diagonal = np.diag(H)
+    apart = np.hypot((diagonal[:, None] - diagonal) / 2, H)
+    fails = (diagonal[:, None] + diagonal) / 2 - apart < -_EIGENVALUE
+    growths = list[Growth]()
+    pairs = np.argwhere(np.triu(fails & (eps[:, None] != eps), k=1)).tolist()
+    for i, j in pairs[:_MOST_PAIRS]:
+        if abs(G[i, j]) > 1.0 - _EIGENVALUE or not _can_close(system, lengths, (i, j)):
+            H[i, j] = H[j, i] = 0.0  # of parallel contacts an impact has one only
+        else:
+            at, E = np.ix_((i, j), (i, j)), np.diag(eps[[i, j]])
+            factor = linalg.eigh(E @ G[at] @ E, G[at], eigvals_only=True)[-1]
+            growths.append(Growth((i, j), float(factor)))
+    if growths:
+        return False, tuple(growths)
+    is_decided = not system.m or linalg.eigvalsh(H)[0] >= -_EIGENVALUE * system.m
+    is_decided = bool(is_decided or np.ptp(eps) == 0)
+    return (True if is_decided and not (bent and system.m > 1) else None), ()
+
+
+def _can_close(system: System, lengths: Vector, contacts: Contacts) -> bool:
+    """Whether ``{q: g_A = 0, g >= 0}`` is not empty for the ``contacts`` A, by a linear programme.
+
+    Coordinates are divided by the roots of their masses, and gaps by the largest.
+    """
+    rows = system.W.T / np.outer(lengths, np.sqrt(np.diag(system.M)))
+    gap = system.q_r / lengths
+    gap = gap / (float(np.max(np.abs(gap))) or 1.0)
+    index = list(contacts)
+    found = optimize.linprog(rows[index].sum(axis=0), -rows, gap, bounds=(None, None))
+    return bool(found.status == 0 and found.fun + gap[index].sum() <= _CLOSED * len(index))
 
 
 class _Spectrum:
@@ -171,11 +194,10 @@ class _Spectrum:
 
     def __init__(self, system: System) -> None:
         self._system = system
-        modes = UndampedModes.of_system(system)
-        self._shapes = np.hstack([modes.rigid, modes.elastic])
-        self.rigid: Matrix = modes.rigid
-        self._r = modes.rigid.shape[1]
-        self.undamped: Vector = np.sqrt(np.append(np.zeros(self._r), modes.squares))
+        squares, shapes = linalg.eigh(system.K, system.M)
+        self._r = int(np.sum(squares <= _RIGID * max(float(squares[-1]), 0.0)))
+        self._shapes, self.rigid = shapes, shapes[:, : self._r]
+        self.undamped: Vector = np.sqrt(np.append(np.zeros(self._r), squares[self._r :]))
         values, vectors = linalg.eig(self._matrix())
         zero = _ROUNDING * len(values) * float(np.max(np.abs(values)))
         real = np.where(np.abs(values.real) <= zero, 0.0, np.minimum(values.real, 0.0))
@@ -195,21 +217,29 @@ class _Spectrum:
         matrix[n:, r:n] = -elastic
         return matrix
 
-    def resonances(self) -> tuple[tuple[int, float], ...]:
-        """Harmonics at the frequency of an undamped mode, with a force along it.
+    def amplitudes(self) -> tuple[Vector, Vector]:
+        """Gaps under constant loads and largest amplitudes of the gaps, m, shape (m,) each.
 
-        An undamped mode is orthogonal to the others, so the force along it drives it alone.
+        ``K q_0 = f_0``, and for each harmonic ``(K - omega^2 M + i omega C) q_k = f_k``. Grounds
+        that move are part of the forcing; a drive turns at its nominal frequency.
         """
-        forcing = self._system.forcing
-        forces = self._shapes.T @ (forcing.cosine - 1j * forcing.sine).T
-        resonances = set()
-        for i in np.flatnonzero((self.values.real == 0) & (self.values.imag > 0)):
-            frequency = float(self.values[i].imag)
-            for k in np.flatnonzero(abs(forcing.frequency - frequency) <= _RESONANCE * frequency):
-                along = abs(self._speeds[:, i].conj() @ forces[:, k])
-                if along > _UNSEEN * np.linalg.norm(forces[:, k]):
-                    resonances.add((int(k), float(forcing.frequency[k])))
-        return tuple(sorted(resonances))
+        system, forcing, W = self._system, self._system.forcing, self._system.W
+        live = system.live is not None and (system.live.inputs or system.live.grounds)
+        if forcing.sampled is not None or live:
+            return np.full(system.m, np.nan), np.full(system.m, np.nan)
+        elastic = self._shapes[:, self._r :] / self.undamped[self._r :]
+        rest = system.q_r + W.T @ elastic @ (elastic.T @ forcing.constant)
+        rest[np.any(np.abs(W.T @ self.rigid) > _CLEAN, axis=1)] = np.nan
+        swing = np.zeros(system.m)
+        for omega, force in zip(
+            forcing.frequency, forcing.cosine - 1j * forcing.sine, strict=True
+        ):
+            stiffness = system.K - omega**2 * system.M + 1j * omega * system.C
+            try:
+                swing += np.abs(W.T @ np.linalg.solve(stiffness, force))
+            except np.linalg.LinAlgError:
+                swing += np.inf
+        return rest, np.where(swing > _BOUNDLESS, np.inf, swing)
 
     def unseen(self, lengths: Vector) -> tuple[UnseenMotion, ...]:
         """The Popov-Belevitch-Hautus test, with gaps and contact speeds as outputs."""

@@ -1,43 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model check as text with tables, and as values for ``--json``."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import isfinite, tau
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.check.forced_motion import forced_motion
 from impact_observer.check.model_check import ModelCheck
-from impact_observer.check.model_findings import findings
 from impact_observer.draw.reports import (
+    ReportLine,
     TextTable,
     counted,
+    figure,
     listed,
     print_facts,
     print_table,
 )
-from impact_observer.model import Forcing, System
+from impact_observer.filter.uncertainty import suggested_deviation
+from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
-from impact_observer.model.grounds import MovingFrame
-from impact_observer.model.parametric_family import ModelParameter
 from impact_observer.model.system import UNITS, unit_of
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
-_FORCE = "force on "
 _ENDS = 4
 """Rows shown at either end of a long table."""
+_SHOWN = 3
+"""Most remarks of one kind, and most terms of a list, that are shown."""
 
 
 def for_json(checked: ModelCheck) -> dict[str, object]:
     """The values of ``--json``: SI units, contacts by name, None for an undecided question."""
     system = checked.system
-    motion = forced_motion(system)
-
-    def names(contacts: Iterable[int]) -> list[str]:
-        return [system.contact_names[i] for i in contacts]
-
+    rows = zip(
+        system.contacts,
+        system.rebounds,
+        checked.effective_mass.tolist(),
+        *([x if isfinite(x) else None for x in each] for each in (checked.rest, checked.swing)),
+        strict=True,
+    )
     return {
         "name": system.name,
         "n": system.n,
@@ -54,7 +56,6 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
         ],
         "real_eigenvalues": checked.rates.tolist(),
         "rigid_modes": checked.rigid.tolist(),
-        "resonances": [{"harmonic": k, "frequency": omega} for k, omega in checked.resonances],
         "unseen": [
             {"decay": abs(value.real), "frequency": value.imag, "shape": shape.tolist()}
             for value, shape in checked.unseen
@@ -62,81 +63,40 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
         "excitations": [excitation._asdict() for excitation in _excitations(system)],
         "contacts": [
             {
-                "name": c.name,
-                "gap": c.gap,
+                "name": contact.name,
+                "gap": contact.gap,
                 **law.document,
                 "effective_mass": mass,
                 "gap_under_load": rest,
                 "swing": swing,
-                "swing_speed": speed,
             }
-            for c, law, mass, rest, swing, speed in zip(
-                system.contacts,
-                system.rebounds,
-                checked.effective_mass.tolist(),
-                *map(_finite, (motion.rest, motion.swing, motion.speed)),
-                strict=True,
-            )
+            for contact, law, mass, rest, swing in rows
         ],
-        "redundant": [names(contacts) for contacts in checked.redundant.sets],
-        "redundant_decided": checked.redundant.decided,
         "nonexpansive": checked.nonexpansive,
         "expansive": [
-            {
-                "contacts": names(growth.contacts),
-                "factor": growth.factor,
-                "contact_speeds": [growth.one.tolist(), growth.two.tolist()],
-            }
-            for growth in checked.growths
+            {"contacts": [system.contact_names[i] for i in each.contacts], "factor": each.factor}
+            for each in checked.growths
         ],
-        **({"deviations": [*_deviations(checked)]} if checked.declared else {}),
-        "findings": [remark._asdict() for remark in findings(checked)],
+        "deviations": [
+            {"name": each.name, "value": each.value, "deviation": deviation, "unit": each.unit}
+            for each, deviation in checked.declared
+        ],
+        "findings": [remark._asdict() for remark in _findings(checked)],
     }
-
-
-def _deviations(checked: ModelCheck) -> Iterator[dict[str, object]]:
-    for each, deviation in checked.declared:
-        value = {"value": each.value, "deviation": deviation, "unit": each.unit}
-        yield {"name": each.name, **value}
-
-
-def _finite(values: Vector) -> list[float | None]:
-    """Finite values; None for an unknown value or one that grows without bound."""
-    return [value if isfinite(value) else None for value in values.tolist()]
 
 
 def print_check(checked: ModelCheck) -> None:
     """Print the tables of a model and the remarks on it."""
     system = checked.system
     say(
-        f"{system.name}: {counted(system.n, 'coordinate')}, {counted(system.m, 'contact')},"
-        f" {_forcing(system.own_forcing)}; SI units"
+        f"{system.name}: {counted(system.n, 'coordinate')}, {counted(system.m, 'contact')};"
+        " SI units"
     )
-    if system.frame is not None:
-        say(f"moving grounds: {listed(_grounds(system.frame))}")
     for table in _tables(checked):
         say("")
         print_table(table)
     say("")
-    print_facts(findings(checked))
-
-
-def _forcing(forcing: Forcing) -> str:
-    """The kinds of forces, in words."""
-    kinds = [
-        *(["constant force"] if forcing.constant.any() else []),
-        *([counted(forcing.frequency.size, "harmonic")] if forcing.frequency.size else []),
-        *([f"sampled force to {forcing.end:g} s"] if forcing.sampled is not None else []),
-    ]
-    return f"forcing: {listed(kinds)}"
-
-
-def _grounds(frame: MovingFrame) -> Iterator[str]:
-    """Names of moving grounds, each with the form of its motion."""
-    grounds = frame.grounds
-    for k, name in enumerate(grounds.names):
-        harmonics = grounds.owner.count(k)
-        yield f"{name} ({counted(harmonics, 'harmonic') if harmonics else 'a table'})"
+    print_facts(_findings(checked))
 
 
 class _Excitation(NamedTuple):
@@ -150,13 +110,13 @@ class _Excitation(NamedTuple):
 def _excitations(system: System) -> Iterator[_Excitation]:
     """All excitations: constants, harmonics of forces, then harmonics of grounds."""
     frame, forcing = system.frame, system.own_forcing
-    for name, value in zip(system.coordinates, forcing.constant.tolist(), strict=True):
+    forces = [f"force on {name}" for name in system.coordinates]
+    for name, value in zip(forces, forcing.constant.tolist(), strict=True):
         if value:
-            yield _Excitation(f"{_FORCE}{name}", value, 0.0)
-    moving = [(forcing, [f"{_FORCE}{name}" for name in system.coordinates])]
+            yield _Excitation(name, value, 0.0)
+    moving = [(forcing, forces)]
     if frame is not None:
-        grounds = frame.grounds
-        moving.append((grounds.motion, [f"ground {name}" for name in grounds.names]))
+        moving.append((frame.grounds.motion, [f"ground {each}" for each in frame.grounds.names]))
     for motion, names in moving:
         amplitudes = np.hypot(motion.cosine, motion.sine)
         for k, i in np.argwhere(amplitudes).tolist():
@@ -164,24 +124,18 @@ def _excitations(system: System) -> Iterator[_Excitation]:
 
 
 def _tables(checked: ModelCheck) -> Iterator[TextTable]:
-    """Forces and grounds, frequencies without damping, modes with damping, contacts."""
+    """Excitations, modes, contacts, declared deviations."""
     length = checked.system.unit if checked.system.unit in UNITS else ""
-    of_force, of_mass = (unit_of(each, length) if length else "" for each in ("N", "kg"))
-    excitations = [
+    force, mass = (unit_of(each, length) if length else "" for each in ("N", "kg"))
+    if excitations := [
         (
             name,
-            f"{amplitude:.6g} {of_force if name.startswith(_FORCE) else length}".rstrip(),
+            f"{amplitude:.6g} {force if name.startswith('force') else length}".rstrip(),
             *(f"{x:.6g}" if x else "" for x in (omega, omega / tau)),
         )
         for name, amplitude, omega in _excitations(checked.system)
-    ]
-    if excitations:
+    ]:
         yield _shortened(("excitation", "amplitude", "rad/s", "Hz"), excitations)
-    undamped = [
-        (str(i) if omega else f"{i} (rigid body)", f"{omega:.6g}", f"{omega / tau:.6g}")
-        for i, omega in enumerate(checked.undamped, start=1)
-    ]
-    yield _shortened(("without damping", "rad/s", "Hz"), undamped)
     modes = [
         (
             str(i),
@@ -196,51 +150,35 @@ def _tables(checked: ModelCheck) -> Iterator[TextTable]:
         ("overdamped" if rate else "free", "", "", "", f"{-1 / rate:.4g}" if rate else "never")
         for rate in reversed(checked.rates)
     ]
-    yield _shortened(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
+    yield _shortened(("mode", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
     if checked.system.contacts:
-        yield _contact_table(checked, length, of_mass)
+        yield _contact_table(checked, length, mass)
     if checked.declared:
         declared = [
-            (each.name, f"{each.value:.6g}", f"{deviation:.3g}", each.unit, _use(each, deviation))
+            (
+                *(each.name, f"{each.value:.6g}", f"{deviation:.3g}", each.unit),
+                *("uncertain" if deviation and is_observed(each.name) else "exact",),
+            )
             for each, deviation in checked.declared
         ]
-        headings = ("parameter", "value", "deviation", "unit", "an observer takes it")
+        headings = ("parameter", "value", "deviation", "unit", "an observer takes it as")
         yield TextTable(headings, declared, words=headings[-2:])
 
 
-def _use(parameter: ModelParameter, deviation: float) -> str:
-    """What an observer makes of a parameter with this deviation."""
-    if not deviation:
-        return "as exact"
-    return "as uncertain" if is_observed(parameter.name) else "as exact: only identify learns it"
-
-
-def _contact_table(checked: ModelCheck, length: str, of_mass: str) -> TextTable:
-    """The contacts: gap, restitution, effective mass, and the motion of the gap."""
-    system, motion = checked.system, forced_motion(checked.system)
-    computed = np.transpose([checked.effective_mass, motion.rest, motion.swing, motion.speed])
+def _contact_table(checked: ModelCheck, length: str, mass: str) -> TextTable:
+    """The contacts: gap, restitution, effective mass, and the amplitude of the gap."""
+    system = checked.system
+    computed = np.transpose([checked.effective_mass, checked.rest, checked.swing]).tolist()
     rows = [
-        (
-            contact.name,
-            f"{contact.gap:g}",
-            law.text,
-            *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact),
-        )
-        for contact, law, of_contact in zip(
-            system.contacts, system.rebounds, computed.tolist(), strict=True
+        (name, f"{gap:g}", law.text, *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact))
+        for name, gap, law, of_contact in zip(
+            system.contact_names, system.q_r.tolist(), system.rebounds, computed, strict=True
         )
     ]
-    speed = f"{length}/s" if length else ""
-    headings = (
-        ("contact", ""),
-        ("gap", length),
-        ("restitution", ""),
-        ("eff. mass", of_mass),
-        ("under load", length),
-        ("swing", length),
-        ("at" if speed else "at speed", speed),
-    )
-    return _shortened([f"{name} [{unit}]" if unit else name for name, unit in headings], rows)
+    units = ("", length, "", mass, length, length)
+    words = ("contact", "gap", "restitution", "eff. mass", "under load", "swing")
+    pairs = zip(words, units, strict=True)
+    return _shortened([f"{word} [{unit}]" if unit else word for word, unit in pairs], rows)
 
 
 def _shortened(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> TextTable:
@@ -249,3 +187,50 @@ def _shortened(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Text
         gap = (f"... {left_out} more in --json", *[""] * (len(headings) - 1))
         rows = [*rows[:_ENDS], gap, *rows[-_ENDS:]]
     return TextTable(headings, rows)
+
+
+def _findings(checked: ModelCheck) -> Iterator[ReportLine]:
+    """Remarks: each a fact with its consequence for an observer."""
+    system = checked.system
+    for growth in checked.growths[:_SHOWN]:
+        names = listed([system.contact_names[i] for i in growth.contacts])
+        yield ReportLine(
+            "warning",
+            f"An impact of {names} together can raise V by a factor of {growth.factor:.4g}: give"
+            " them one restitution.",
+        )
+    if checked.nonexpansive and system.m:
+        yield ReportLine("ok", "No impact raises V.")
+    elif checked.nonexpansive is None:
+        yield ReportLine("warning", "Whether an impact of several contacts can raise V is open.")
+    if count := len(checked.rigid):
+        shapes = "; ".join(_shape(system, each) for each in checked.rigid[:_SHOWN])
+        modes = counted(count, "rigid-body mode")
+        yield ReportLine("note", f"{modes}, which V does not see: {shapes}.")
+    if checked.damped:
+        slowest = -max([*checked.modes.real, *checked.rates])
+        lasts = figure(0.5 / slowest, "s")
+        yield ReportLine("ok", f"V falls between impacts too, by a factor e in {lasts} at least.")
+    else:
+        yield ReportLine("note", "Not all motion is damped: there only impacts reduce V.")
+    if not system.m:
+        yield ReportLine("warning", "Without contacts no event ever corrects an estimate.")
+        return
+    for value, shape in checked.unseen[:_SHOWN]:
+        mode = f"the mode at {abs(value):.4g} rad/s" if value else "the rigid-body mode"
+        text = f"No contact moves in {mode}, {_shape(system, shape)}: no impact corrects it."
+        yield ReportLine("warning", text)
+    if not checked.unseen:
+        text = "Every mode moves some contact: enough impacts determine the whole state."
+        yield ReportLine("ok", text)
+    if suggested := suggested_deviation(system):
+        text = f"The start of an observer of this size of rig: --deviation {suggested}."
+        yield ReportLine("note", text)
+
+
+def _shape(system: System, shape: Vector) -> str:
+    """The largest entries of a mode's shape, by coordinate."""
+    largest = sorted(range(system.n), key=lambda i: -abs(shape[i]))[: 2 * _SHOWN]
+    shown = [f"{system.coordinates[i]} {shape[i]:.3g}" for i in sorted(largest) if shape[i]]
+    more = int(sum(shape != 0)) - len(shown)
+    return f"({', '.join(shown)}{f' and {more} more' if more else ''})"

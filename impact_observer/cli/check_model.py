@@ -87,15 +87,15 @@ def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     """The check of a model for ``--json``; otherwise it is printed."""
     from impact_observer.check.model_check import check_model
     from impact_observer.check.model_report import for_json, print_check
-    from impact_observer.check.robot_report import check_robot, print_robot, robot_json
+    from impact_observer.check.robot_report import print_robot, robot_json
 
     if read.misfit and not as_json:
         say(f"warning: {read.misfit}")
     if read.robot is not None:
-        robot = check_robot(read)
+        values = robot_json(read)
         if not as_json:
-            print_robot(robot)
-        return robot_json(robot)
+            print_robot(values)
+        return values
     checked = check_model(read)
     if not as_json:
         print_check(checked)

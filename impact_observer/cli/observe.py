@@ -18,6 +18,7 @@ from impact_observer.cli.arguments import (
     add_part,
     observer_options,
 )
+from impact_observer.options import AUTO, VERDICTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -51,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
     add_measurements(parser)
+    add(
+        "--measurement-verdicts",
+        choices=VERDICTS,
+        default=AUTO,
+        help="verdicts on samples: of sensors up to 50 Hz, of all, or of none (default auto)",
+    )
     add_part(parser)
     add_estimates(parser)
     add_bag_output(parser)
@@ -76,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        measured = MeasuredTopics.read(reader, sensors)
+        measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
         used = measured.samples if law_named(chosen.law).uses_measurements else ()
         events = events_from(reader, chosen.epoch)
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)

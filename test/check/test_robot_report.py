@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What check-model says of a robot: inertias that lack, torques nobody sees, unused limits."""
+"""What check-model says of a robot: torques nobody sees, unused limits."""
 
 from pathlib import Path
 
@@ -8,9 +8,8 @@ from arms import DOUBLE, PENDULUM, joint, link, model_of, urdf, wall
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
-from impact_observer.check.robot_report import check_robot, robot_json
+from impact_observer.check.robot_report import robot_json
 from impact_observer.cli.main import main
-from impact_observer.errors import ModelError
 from impact_observer.model import Model
 
 LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="5"/>'
@@ -25,57 +24,9 @@ CHAIN = urdf(
 
 def findings(model: Model) -> list[str]:
     """The remarks on a model, each after its kind."""
-    found = robot_json(check_robot(model))["findings"]
+    found = robot_json(model)["findings"]
     assert isinstance(found, list)
     return [f"{each['kind']} {each['text']}" for each in found]
-
-
-def test_links_without_inertia_are_named_with_the_joint_that_moves_them() -> None:
-    """A frame that is fixed to a body is a note; a body without any mass is a warning."""
-    bare = CHAIN.replace("foot", "toe").replace(
-        link("toe", 0.5, "0 0 -0.1"), '<link name="toe"/>' + link("far", 0.5, "0 0 -0.1")
-    )
-    bare = bare.replace("</robot>", joint("last", "toe", "far", xyz="0.1 0 0") + "</robot>")
-    found = findings(model_of(bare, "hip, ankle, last"))
-    assert "note Without an inertial, so counted as points of others: knee_cap." in found
-    assert (
-        "warning No mass in the URDF in the model: toe, which ankle moves; give an inertial, or"
-        " the motion of ankle is not the robot's." in found
-    )
-    assert not [each for each in findings(model_of(CHAIN, "hip, ankle")) if "No mass" in each]
-
-
-@pytest.mark.parametrize(
-    ("moments", "line"),
-    [
-        ("0.1 0.1 0.3", "warning No body has the inertia of foot in the URDF in the model"),
-        ("0.1 0.1 -0.1", "warning No body has the inertia of foot in the URDF in the model"),
-        ("0 0 0", "note Moments of inertia are zero, so a point mass: foot."),
-        ("0.1 0.1 0.1", ""),
-        ("0.1 0.1 0.2", ""),
-    ],
-)
-def test_moments_of_inertia_that_no_body_has_are_named(moments: str, line: str) -> None:
-    """A moment above the sum of the others, as of mixed axes or units; zeros are a point."""
-    foot = link("foot", 0.5, "0 0 -0.1")
-    text = CHAIN.replace(foot, link("foot", 0.5, "0 0 -0.1", moments))
-    said = [each for each in findings(model_of(text, "hip, ankle")) if "foot" in each]
-    assert [each.startswith(line) for each in said] == [True] * bool(line)
-
-
-def test_a_mass_matrix_that_is_singular_where_the_arm_is_straight_is_a_warning() -> None:
-    """A point mass at the end of two links without mass: one direction has none of it there."""
-    text = urdf(
-        '<link name="near"/>' + link("far", 1.0, "0 0 -0.5", "0 0 0"),
-        joint("one", "base", "near") + joint("two", "near", "far", xyz="0 0 -0.5"),
-    )
-    start = "{position: [0.3, 3.14159265], velocity: [0, 0]}"
-    with pytest.raises(ModelError, match="the mass matrix is singular"):
-        check_robot(model_of(text, "one, two"))  # straight where all coordinates are zero
-    bent = text.replace('<origin xyz="0 0 -0.5" rpy', '<origin xyz="0 0 -0.5" old="" rpy')
-    bent = bent.replace('old="" rpy="0 0 0"', 'rpy="0 1 0"')
-    found = findings(model_of(bent, "one, two", initial_state=start.replace("3.14159265", "-1")))
-    assert [each for each in found if "singular but for rounding at one 0.3, two -1" in each]
 
 
 def test_forcing_that_no_observer_sees_is_a_warning() -> None:

@@ -12,8 +12,6 @@ from impact_observer.model.document import Section, Value, finite
 from impact_observer.model.rebounds.rebound_law import (
     ReboundLaw,
     ReboundParameter,
-    ReboundRemark,
-    never_raises,
 )
 from impact_observer.states import Vector
 
@@ -135,7 +133,3 @@ class PowerLaw(ReboundLaw):
             return 0.0, 0.0
         ratio = abs(gamma) / self.speed
         return float(ratio**self.exponent) * gamma, unlimited * float(np.log(ratio)) * gamma
-
-    def remark(self, contact: str) -> ReboundRemark:
-        """A proof of no rise of V."""
-        return never_raises(contact)

@@ -42,18 +42,6 @@ class ReboundParameter(NamedTuple):
     place: tuple[str, ...]
 
 
-class ReboundRemark(NamedTuple):
-    """A line of ``check-model``.
-
-    Attributes:
-        kind: ``ok``, ``note`` or ``warning``.
-        text: a fact with its consequence for an observer.
-    """
-
-    kind: str
-    text: str
-
-
 @dataclass(frozen=True, slots=True)
 class ReboundLaw(ABC):
     """The rebound of one contact, ``gamma+ = -r(gamma-)``.
@@ -152,17 +140,6 @@ class ReboundLaw(ABC):
         """``dr`` by each parameter at one contact speed, m/s."""
         del gamma
         return ()
-
-    def remark(self, contact: str) -> ReboundRemark | None:
-        """What ``check-model`` says of a ``contact`` of this name; None for nothing."""
-        del contact
-        return None
-
-
-def never_raises(contact: str) -> ReboundRemark:
-    """The remark on a ``contact`` whose restitution depends on the speed, and raises no V."""
-    text = f"No impact of {contact} alone raises V: eps(v) v never rises faster than v."
-    return ReboundRemark("ok", text)
 
 
 def checked_restitution(key: str, value: float) -> float:

@@ -26,6 +26,7 @@ class Geometric(ReplicaLaw):
     """
 
     name: ClassVar[str] = "geometric"
+    has_bound: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -26,7 +26,6 @@ from systems import (
 )
 
 from impact_observer.check.model_check import check_model
-from impact_observer.check.model_findings import findings
 from impact_observer.dynamics import ImpactLaw, lyapunov
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
@@ -224,8 +223,5 @@ def test_a_law_that_is_too_steep_has_no_certified_bound() -> None:
 def test_of_several_contacts_check_model_says_that_v_is_not_proved() -> None:
     """And no bound is certified where they hit together."""
     model = with_curve(sample("three_mass").system, POWER)
-    checked = check_model(model)
-    assert checked.nonexpansive is None
-    warnings = [each.text for each in findings(checked) if each.kind == "warning"]
-    assert any("no proof excludes that V rises" in text for text in warnings)
+    assert check_model(model).nonexpansive is None
     assert not ImpactLaw(model).is_nonexpansive((0, 1))
