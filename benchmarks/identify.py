@@ -133,7 +133,6 @@ def errors(found: Identification, model: System) -> np.ndarray:
     for contact in model.contacts:
         true[f"restitution.{contact.name}"] = contact.restitution
         true[f"gap.{contact.name}"] = contact.gap
-        true[f"contact-time.{contact.name}"] = contact.contact_time
         if isinstance(contact.rebound, PowerLaw):
             true[f"restitution-exponent.{contact.name}"] = contact.rebound.exponent
     return np.asarray(found.values - np.array([true[name] for name in found.family.names]))

@@ -81,7 +81,6 @@ contacts:
     normal: [1, 0, 0]
     offset: -0.35
     restitution: {value: 0.4, deviation: 0.05}
-    contact_time: 0.001
 forces: {topic: /joint_states, field: effort}
 forcing:
   harmonics:
@@ -152,7 +151,7 @@ class Truth(NamedTuple):
         kinds = (Kind.IMPACT, Kind.CLOSE)
         return [each.stamp for each in self.events if each.switches[0].kind in kinds]
 
-    def recorded(self, seed: int, contact_time: float = 1e-3) -> "Recording":
+    def recorded(self, seed: int, contact_time: float = 0.0) -> "Recording":
         """What encoders and the sensor of impacts record; hits last for ``contact_time``, s."""
         rng, after = np.random.default_rng([51, seed]), np.zeros(self.stamps.size, dtype=np.bool_)
         begin, end = from_seconds(contact_time + BEFORE), from_seconds(AFTER)
@@ -219,13 +218,12 @@ class Case:
         model = read_model(MODEL) if self.joints < len(LINKS) else three_joints()
         assert model.robot is not None, "a robot"
         robot = replace(model.robot, torque_deviation=np.full(model.robot.n, TORQUES))
-        contacts = tuple(replace(c, contact_time=self.contact_time) for c in robot.contacts)
-        return replace(model, robot=replace(robot, contacts=contacts))
+        return replace(model, robot=robot)
 
     @property
     def contact_time(self) -> float:
         """How long a hit lasts, s."""
-        return 1e-3 if self.contact is None else self.contact.seconds
+        return 0.0 if self.contact is None else self.contact.seconds
 
     def truth(self, seconds: float) -> Truth:
         """The motion of the plant."""

@@ -48,8 +48,7 @@ SEVEN_JOINTS = """
 damping: {{{damping}}}
 rotor_inertia: {{{inertia}}}
 contacts:
-  - {{name: wall, frame: link6, normal: [1, 0, 0], offset: -0.3, restitution: 0.4,
-     contact_time: 0.001}}
+  - {{name: wall, frame: link6, normal: [1, 0, 0], offset: -0.3, restitution: 0.4}}
 forces: {{topic: /joint_states, field: effort}}
 torque_deviation: 0.02
 forcing:

@@ -133,12 +133,6 @@ def press(force: float = 4.5, restitution: float = 0.3) -> Model:
     )
 
 
-def softened(model: System, seconds: float) -> System:
-    """The model with hits that last so long."""
-    contacts = [replace(each, contact_time=seconds) for each in model.contacts]
-    return replace(model, contacts=tuple(contacts))
-
-
 def chain(n: int, stiffness: float = 10.0, damping: float = 0.1, **others: object) -> System:
     """``n`` unit masses between two walls, joined by equal springs and dampers."""
     laplacian = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)

@@ -50,7 +50,7 @@ _NUMBERS = {
     " switch 0.005, of an arrival 0)",
     "decay": "time constant of the ringing after a peak, s: a peak counts only if it is 1.5 times"
     " higher than what is left of the one before (default 0: any peak counts)",
-    "latency": "constant latency, which is subtracted from the stamps, s",
+    "latency": "constant latency, which is subtracted from the stamps, s; may be negative",
     "min_contact_duration": "least closed time of a switch in persistent contact (default 0.05 s)",
 }
 

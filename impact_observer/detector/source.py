@@ -74,7 +74,8 @@ class Source:
         dead_time: the time after an event without another event, s.
         decay: time constant of the ringing after a peak, s; 0 for none. A peak counts only if it
             is ``RINGING`` times higher than what is left of the peak before.
-        latency: delay of the stamps, which is subtracted, s.
+        latency: delay of the stamps, which is subtracted, s; negative where stamps are early, such
+            as minus half of the time for which impacts last.
         min_contact_duration: a closure that lasts longer is persistent contact, s; with 0
             every closure is.
         inverted: whether the switch is closed when its value is low.
@@ -115,7 +116,10 @@ class Source:
 
     def _check_numbers(self) -> None:
         """Raise if a number that is given is out of range."""
-        for key in ("baseline", "dead_time", "decay", "latency", "min_contact_duration"):
+        if not abs(self.latency) <= LONGEST:
+            wanted = f"expected -{LONGEST:g} to {LONGEST:g} s"
+            raise self.wrong("latency", f"{self.latency:g} found; {wanted}")
+        for key in ("baseline", "dead_time", "decay", "min_contact_duration"):
             value = getattr(self, key)
             if value is not None and not 0 <= value <= LONGEST:
                 raise self.wrong(key, f"{value:g} found; expected 0 to {LONGEST:g} s")

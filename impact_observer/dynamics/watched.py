@@ -25,7 +25,6 @@ class End(IntEnum):
     """The kinds of guard functions: how a phase ends."""
 
     GAP = auto()
-    STOP = auto()
     SPEED = auto()
     LOAD = auto()
     REACTION = auto()
@@ -84,13 +83,6 @@ class Watched:
         if phase is not None and phase.fixed:
             a, d = a @ phase.Q, d + a @ phase.rest
         return cls(_each(End.GAP, which), a, np.zeros_like(a), np.zeros_like(a), d)
-
-    @classmethod
-    def within(cls, system: System, contacts: Iterable[int]) -> "Watched":
-        """The gaps of ``contacts`` with the other sign: below zero a stop is left."""
-        gaps = cls.gaps(system, contacts)
-        ends = _each(End.STOP, contacts)
-        return cls(ends, -gaps.position, gaps.velocity, gaps.force, -gaps.constant)
 
     @classmethod
     def speeds(cls, system: System, contacts: Iterable[int]) -> "Watched":

@@ -4,8 +4,8 @@
 The equations are those of the kernel's ``Impact``, which takes impacts of one contact while none
 is closed, with harmonic forces and constant restitutions. There an impact changes a root by a few
 products of a column and a row, and a hypothesis costs 5 us instead of 0.8 ms. ``Conditioning``
-takes all other events: several contacts, rests and releases, sampled forces, contact times, and
-parameters of masses and forces. Tests compare both wherever both apply.
+takes all other events: several contacts, rests and releases, sampled forces, and parameters of
+masses and forces. Tests compare both wherever both apply.
 """
 
 import math
@@ -22,7 +22,6 @@ from impact_observer.filter.members import Member, Members
 from impact_observer.filter.resting import rested
 from impact_observer.filter.saltation import STATE_ROUNDING
 from impact_observer.filter.square_root import lengths, product, triangular
-from impact_observer.filter.tuning import TUNING
 from impact_observer.kernel._kernel import (
     BACK,
     MOST_STEPS,
@@ -158,18 +157,6 @@ class Conditioning:
                 break
         return found
 
-    def before(
-        self, change: ContactChange, state: GaussianState, clock: float
-    ) -> tuple[Vector, Matrix]:
-        """The state at the stamp of an event, corrected by it, if it had not happened yet.
-
-        (q, u), shape (2n,), and a root of its covariance, shape (2n, any).
-        """
-        found = self.joint_posterior(change, self.joint_prior(change, state, clock))
-        s = change.t - found.t
-        found = self._propagated(self.members.of_estimate(found), change.before, found, s)
-        return found.x, found.own[1:]
-
     def after_jump(
         self, change: ContactChange, joint: Joint, leftover: float = 0.0
     ) -> GaussianState:
@@ -178,13 +165,11 @@ class Conditioning:
         A contact that closes may neglect the speed ``leftover`` before it rested, m/s; where that
         is infinite, the state is at rest afterwards, and nothing is measured by that.
         """
-        joint = self.at_jump(change, joint)
         member = self.members.of_estimate(joint)
-        turned = self._is_turned(member, change, joint)
-        after = self._jumped(change, joint, soft=turned or bool(change.delay(self.system)))
+        after = self._jumped(change, joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
-            new = () if turned or math.isinf(leftover) else new
+            new = () if math.isinf(leftover) else new
             short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
             member = self.members.of_estimate(after)
@@ -232,7 +217,7 @@ class Conditioning:
 
     def jump_remainder(self, change: ContactChange, joint: Joint) -> Matrix:
         """What is not linear in the jump of ``joint``: a root of its second moment, (2n, any)."""
-        jump = self._expanded_jump(change, joint, soft=bool(change.delay(self.system)))
+        jump = self._expanded_jump(change, joint)
         return np.column_stack([jump.mean, jump.noise])
 
     def guard_remainder(self, change: ContactChange, contacts: Contacts, joint: Joint) -> Matrix:
@@ -243,15 +228,6 @@ class Conditioning:
         rates = member.moving.rates_at(joint.t, joint.x, change.before)
         expansion = rows.expanded(rates, joint.x, member.moving.forces(joint.t))
         return np.column_stack(product(joint.own, expansion.D, expansion.E))
-
-    def at_jump(self, change: ContactChange, joint: Joint) -> Joint:
-        """``joint`` when the velocities jump, which in an impact that lasts is later."""
-        if not (late := change.delay(self.system)):
-            return joint
-        found = self._propagated(self.members.of_estimate(joint), change.before, joint, late)
-        z = found.z.copy()
-        z[0] -= late  # the jump is as early as the onset
-        return found._replace(z=z)
 
     def neglected(self, member: Member, before: Contacts, x: Vector, t: float) -> Vector:
         """Speeds of all contacts that a plant may neglect to come to rest at ``x``, (m,), m/s.
@@ -284,10 +260,8 @@ class Conditioning:
 
         ``member`` is the one of ``view``.
         """
-        turned = self._is_turned(member, change, about)
         hit = bool(change.hit)
         rows = member.guard(change.before, contacts, view.t, about.x, hit=hit)
-        rows = member.speeds(contacts, about.x) if turned else rows
         forces = member.moving.forces(view.t)
         rates = member.moving.rates_at(view.t, about.x, change.before)
         expansion = rows.expanded(rates, about.x, forces)
@@ -300,25 +274,11 @@ class Conditioning:
         return Expected(
             about.x,
             expansion,
-            np.zeros_like(sensitivity) if turned else sensitivity,
+            sensitivity,
             -(value + mean),
             nonlinear,
             rows.rounding(self._scales.sizes(x) if hit else x, forces[0]),
         )
-
-    def _is_turned(self, member: Member, change: ContactChange, joint: Joint) -> bool:
-        """Whether a contact closes that has not reopened since a hit that lasted.
-
-        The plant puts it on its stop where its speed comes down to zero, so that its gap says
-        nothing of the instant. It is inside by more than the deviation explains.
-        """
-        if len(change.hit) != 1 or change.hit[0] not in change.closed:
-            return False
-        if not self.system.contact_time[change.hit[0]]:
-            return False
-        gap = member.gaps(change.hit, joint.x)
-        (deviation,) = lengths(gap.c @ joint.root[1 : 1 + joint.size])
-        return float(gap.value(joint.x)[0]) < -TUNING.inside * deviation
 
     def _at_estimated_instant(
         self, change: ContactChange, joint: Joint, member: Member | None = None
@@ -357,13 +317,10 @@ class Conditioning:
         other = sensitivity @ (joint.theta - member.values)
         return joint.propagated(s, x + other, map_, sensitivity)
 
-    def _jumped(self, change: ContactChange, joint: Joint, *, soft: bool) -> GaussianState:
-        """The state after the jump, at the instant of ``joint``: saltation.
-
-        A ``soft`` one leaves positions as they are.
-        """
+    def _jumped(self, change: ContactChange, joint: Joint) -> GaussianState:
+        """The state after the jump, at the instant of ``joint``: saltation."""
         size = joint.size
-        x, H, E, mean, noise, whole, by_theta = self._expanded_jump(change, joint, soft=soft)
+        x, H, E, mean, noise, whole, by_theta = self._expanded_jump(change, joint)
         x = x + mean
         if e := joint.e:
             x += e * (H[:, 0] + E * (e / 2))
@@ -378,12 +335,11 @@ class Conditioning:
         constants = joint.z[1 + size :]
         return GaussianState(x, constants, root, differences, change.closed, joint.parameters)
 
-    def _expanded_jump(self, change: ContactChange, joint: Joint, *, soft: bool) -> _Jump:
-        """The jump of ``joint``, about its state; a ``soft`` one leaves positions as they are."""
+    def _expanded_jump(self, change: ContactChange, joint: Joint) -> _Jump:
+        """The jump of ``joint``, about its state."""
         member, size = self.members.of_estimate(joint), joint.size
         pressed, moving = member.pressed(change, joint.x), member.moving
         mirror = member.mirror_about(joint.x, pressed)
-        mirror = mirror.soft if soft else mirror
         before = moving.rates_at(joint.t, joint.x, change.before)
         after = moving.rates_at(joint.t, mirror.landed(joint.x), change.closed)
         x, H, D, E = mirror.expanded(before, after, joint.x, moving.forces(joint.t))
@@ -396,7 +352,7 @@ class Conditioning:
         whole = leading(joint.root, joint.of_theta.start, joint.parameters)
         own = joint.of_theta
         sensitivity = Sensitivity(
-            lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
+            lambda theta: self.members.impact(theta, joint.x, pressed),
             joint.theta,
             self.members.parameters.steps(joint.theta, joint.root[own], joint.differences[own]),
         )

@@ -73,20 +73,11 @@ class ContactChange(NamedTuple):
         opened = set(self.before) - set(self.closed)
         return self._replace(before=before, closed=tuple(sorted(stay - opened)))
 
-    def delay(self, system: System) -> float:
-        """How long after the instant the velocities jump, s: half the contact time.
-
-        Only the impact of one contact lasts, while none is closed, and none stays closed.
-        """
-        if len(self.hit) != 1 or self.before or self.closed:
-            return 0.0
-        return float(system.contact_time[self.hit[0]]) / 2
-
     def is_plain(self, system: System) -> bool:
-        """Whether one contact hits while none is closed, by Newton's law and at once."""
+        """Whether one contact hits while none is closed, by Newton's law."""
         if len(self.hit) != 1 or self.before or self.closed:
             return False
-        return system.is_plain(self.hit) and not system.contact_time[self.hit[0]]
+        return system.is_plain(self.hit)
 
     @property
     def is_nothing(self) -> bool:

@@ -256,7 +256,7 @@ class ImpactFilter:
     def is_alone(self, change: ContactChange) -> bool:
         """Whether an event is an impact of one contact while none is closed: for the kernel.
 
-        One that lasts is not, nor is one by another law than a constant restitution.
+        One by another law than a constant restitution is not.
         """
         return self._is_free and change.is_plain(self.system)
 

@@ -6,7 +6,6 @@ Members that differ only by gaps and restitutions share the motion between impac
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Protocol
 
@@ -389,9 +388,7 @@ class Members:
         loads = phase.loads[[phase.held.index(i) for i in contacts]]
         return np.asarray(-loads @ self._force_sensitivity(member, closed, x, t))
 
-    def impact(
-        self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
-    ) -> tuple[Vector, Matrix]:
+    def impact(self, values: Vector, x: Vector, pressed: Contacts) -> tuple[Vector, Matrix]:
         """The state after an impact of ``pressed``, and its derivative by the state."""
         key = tuple(values.tolist())
         if self.family.system.is_plain(pressed):
@@ -399,7 +396,6 @@ class Members:
         else:
             moving, numbers = self._heavy(key)
             mirror = _mirror_about(moving.newton, numbers, x, pressed)
-        mirror = mirror.soft if soft else mirror
         return mirror.landed(x), mirror.J
 
     def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
@@ -407,15 +403,7 @@ class Members:
         theta, weighed = np.array(values), self._nominal
         if any(self._weighs):
             weighed = np.where(self._weighs, theta, weighed)
-        return self.motion(weighed), self._beyond(self.family.coefficients_at(theta))
-
-    def _beyond(self, numbers: Coefficients) -> Coefficients:
-        """``numbers`` with the contact times less those of the model.
-
-        After these an impact is computed at its own instant; the rest is an offset of positions.
-        """
-        given = self.family.system.contact_time
-        return replace(numbers, contact_time=numbers.contact_time - given)
+        return self.motion(weighed), self.family.coefficients_at(theta)
 
     def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
         heavy, numbers = self._heavy(values)

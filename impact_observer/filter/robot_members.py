@@ -42,7 +42,6 @@ class TangentRobot:
         W: gradients of the gaps, shape (n, m).
         q_r: gaps where all coordinates are zero, linearly, shape (m,), m.
         eps: nominal restitution coefficients, shape (m,).
-        contact_time: durations of impacts, shape (m,), s.
         rebounds: how the contacts rebound.
     """
 
@@ -52,7 +51,7 @@ class TangentRobot:
         self._robot, self._q = robot, x[: self.n]
         gaps, self.W = robot.gaps_and_directions(self._q)
         self.q_r = gaps - self._q @ self.W
-        self.eps, self.contact_time = robot.eps, robot.contact_time
+        self.eps = robot.eps
         self.rebounds: tuple[ReboundLaw, ...] = robot.rebounds
 
     @cached_property
@@ -309,19 +308,16 @@ class RobotMembers(Members):
         names = self.family.names[: self.moving]
         return FirstOrder(self.motion(theta).by_parameters(t, x, s, closed, names).T)
 
-    def impact(
-        self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False
-    ) -> tuple[Vector, Matrix]:
+    def impact(self, values: Vector, x: Vector, pressed: Contacts) -> tuple[Vector, Matrix]:
         """The state after an impact of ``pressed``, and its derivative by the state."""
         weighs = np.where(self._damps, self._nominal, values)  # an impact takes no time
-        return self._jumped(tuple(weighs.tolist()), x.tobytes(), pressed, soft)
+        return self._jumped(tuple(weighs.tolist()), x.tobytes(), pressed)
 
     def _jump(
-        self, values: tuple[float, ...], state: bytes, pressed: Contacts, soft: bool
+        self, values: tuple[float, ...], state: bytes, pressed: Contacts
     ) -> tuple[Vector, Matrix]:
         x, member = np.frombuffer(state), self.at(np.array(values))
         mirror = member.mirror_about(x, pressed)
-        mirror = mirror.soft if soft else mirror
         return mirror.landed(x), mirror.J
 
 

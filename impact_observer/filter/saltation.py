@@ -192,8 +192,8 @@ class Mirror(NamedTuple):
     ) -> "Mirror":
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
-        ``numbers`` have the gaps instead of the system's, the contact times beyond the model's,
-        and impulses beside those of the contacts.
+        ``numbers`` have the gaps instead of the system's, contact times, and impulses beside those
+        of the contacts.
         """
         n, P = system.n, list(pressed)
         if P and numbers is not None and np.any(aside := numbers.aside[P]):
@@ -215,7 +215,7 @@ class Mirror(NamedTuple):
 
     @property
     def soft(self) -> "Mirror":
-        """The same in an impact that lasts: its gap is not zero, and positions stay."""
+        """The same jump of the velocities while positions stay, whatever the gap is."""
         n = len(self.offset) // 2
         J, offset = self.J.copy(), self.offset.copy()
         J[:n, :n], offset[:n] = np.eye(n), 0.0

@@ -73,8 +73,6 @@ def settled(
     if is_long or len(change.hit) != 1 or change.hit[0] in change.closed:
         return None
     contact = change.hit[0]
-    if filter_.system.contact_time[contact]:
-        return None
     speed = filter_.speed(contact, after)
     fall = filter_.fall(change.t, contact, after)
     if not (fall > 0 and 2 * speed < TUNING.unresolved_flight * clock * fall):

@@ -195,10 +195,6 @@ class Tuning:
     """Longest flight after a missed impact that counts as rest, where its height is within the
     deviation of the gap, relative to the time scale.
     """
-    inside: float = 4.0
-    """Depth of a contact inside its stop, after a hit that lasts, that no error of the estimate
-    explains, in deviations.
-    """
 
     # Error of the model
     jump_errors: tuple[float, ...] = (0.05, 0.3, 1.0)

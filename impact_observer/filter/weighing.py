@@ -148,11 +148,11 @@ def _haste(filter_: ImpactFilter, draft: Draft, root_energy: float) -> float:
 
 
 def _may_bounce(filter_: ImpactFilter, here: ContactChange) -> bool:
-    """Whether one contact closes that has a restitution, and none that lasts."""
+    """Whether one contact closes that has a restitution."""
     if len(here.hit) != 1 or here.before or here.closed != here.hit:
         return False
     i, system = here.hit[0], filter_.system
-    return float(system.eps[i]) > 0 and not system.contact_time[i]
+    return float(system.eps[i]) > 0
 
 
 def _unresolved(filter_: ImpactFilter, h: Hypothesis, here: ContactChange) -> float:

@@ -156,9 +156,6 @@ def penetrations(
         speeds = np.maximum(
             np.max(np.abs(motion.states(s)[:, system.n :] @ system.W), axis=0), 1e-30
         )
-        for hit in moment.hit:
-            if system.contact_time[hit]:  # a body stays within its stop until the gap reopens
-                gaps[: int(np.argmax(gaps[:, hit] >= 0)), hit] = 0.0
         reach = np.max(np.abs(gaps), axis=0)
         deep = -np.min(gaps, axis=0)
         for i in np.flatnonzero(deep > _GATE * deviation * speeds + _PRECISION * reach):

@@ -170,14 +170,14 @@ class Recording:
         for change in self._changes():
             inserted = any((change.stamp, i) in unmeasured for i in change.hit)
             moments.append(FlightEnd.of_change(change, newton, phases, measured=not inserted))
-        sensors = self._certain(float(np.max(family.system.contact_time, initial=0.0)))
+        sensors = self._certain()
         clock = self.clock, self.is_declared
         problem = Problem(family, moments, self.start, sensors, *clock, self.instants, self.report)
         return problem if self.prior is None else problem.with_prior(self.prior, self.first_clock)
 
-    def _certain(self, lasts: float) -> tuple[CountedSamples, ...]:
-        """Samples that are certain to be outside any impact; an impact ``lasts`` so many s."""
+    def _certain(self) -> tuple[CountedSamples, ...]:
+        """Samples that are certain to be outside any impact."""
         hits = [key.stamp for key in self.episode.keys] + [stamp for stamp, _ in self.inserted]
         impacts = np.array([seconds_between(self.episode.epoch, s) for s in sorted({*hits})])
         margin = NEAR * self.clock
-        return tuple(each.away_from(impacts, margin, lasts) for each in self.sensors)
+        return tuple(each.away_from(impacts, margin) for each in self.sensors)

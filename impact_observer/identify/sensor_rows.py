@@ -53,9 +53,9 @@ class CountedSamples(NamedTuple):
         """The samples that ``kept`` selects."""
         return self._replace(t=self.t[kept], values=self.values[kept])
 
-    def away_from(self, impacts: Vector, margin: float, lasts: float) -> "CountedSamples":
-        """The samples farther than ``margin``, s, from ``impacts``, which may last."""
-        after = max(margin, lasts, self.sensor.blanking)
+    def away_from(self, impacts: Vector, margin: float) -> "CountedSamples":
+        """The samples farther than ``margin``, s, from ``impacts``."""
+        after = max(margin, self.sensor.blanking)
         i = np.searchsorted(impacts, self.t, side="right")
         ago = self.t - np.append(-np.inf, impacts)[i]
         until = np.append(impacts, np.inf)[i] - self.t

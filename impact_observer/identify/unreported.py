@@ -267,5 +267,5 @@ def _resting(row: list[tuple[int, Kind]]) -> list[tuple[int, Kind]]:
 
 
 def _may_bounce(system: System, contact: int) -> bool:
-    """Whether a contact has a restitution, and does not last."""
-    return float(system.eps[contact]) > 0 and not system.contact_time[contact]
+    """Whether a contact has a restitution."""
+    return float(system.eps[contact]) > 0

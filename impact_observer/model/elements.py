@@ -231,7 +231,7 @@ def _sum(
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
     """A stop, and the factors of ground displacements in the gap, shape (grounds,)."""
-    keys = ("contact_time", "body", "limit", "side", "ground", "between", "gap")
+    keys = ("body", "limit", "side", "ground", "between", "gap")
     stop = Section(key, value, ("name", *REBOUND_KEYS, *keys))
     if "between" in stop:
         for name in ("body", "limit", "side", "ground"):
@@ -248,5 +248,5 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         sign = -1.0 if side == "above" else 1.0
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
         moving = -sign * line.ground(stop)
-    law, lasts = read_rebound(stop), stop.number("contact_time", 0.0)
-    return Contact(stop.text("name"), direction, gap, law.nominal, law, lasts), moving
+    law = read_rebound(stop)
+    return Contact(stop.text("name"), direction, gap, law.nominal, law), moving

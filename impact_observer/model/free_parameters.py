@@ -14,11 +14,10 @@ from impact_observer.model.elements import Element
 from impact_observer.model.live_samples import LiveSamples
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.rebounds import REBOUND_UNITS
-from impact_observer.model.system import LONGEST_CONTACT, System, unit_of
+from impact_observer.model.system import System, unit_of
 from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
-CONTACT_TIME = "contact-time"
 UNITS = {
     **REBOUND_UNITS,
     "gap": "m",
@@ -39,7 +38,7 @@ UNITS = {
     "ground-phase": "rad",
     "ground-frequency": "rad/s",
     OFFSET: "s",
-    CONTACT_TIME: "s",
+    "contact-time": "s",
 }
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
 _OWNERS = {
@@ -63,13 +62,13 @@ _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
 """Kinds that only ``identify`` learns: an observer takes clock and grounds from the model."""
-STAND_INS = {"harmonic-force", "forcing-quadrature", "impulse-aside"}
+STAND_INS = {"contact-time", "harmonic-force", "forcing-quadrature", "impulse-aside"}
 """Kinds that stand for errors of a model, and are none of a model file."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale; the least value is the inverse."""
 _LONGEST = 0.1
-"""Largest offset of a clock, s."""
+"""Largest offset of a clock, and largest duration of an impact, s."""
 _WRONG_FREQUENCY = 0.1
 """Error that makes a frequency useless, relative to the frequency."""
 
@@ -136,7 +135,7 @@ def parametric_family(
 def parameters_beside(family: ParametricFamily) -> tuple[ModelParameter, ...]:
     """What could be free beside the parameters of ``family``, elements apart.
 
-    A ``contact-time`` of 0 is none. A scale does not stand beside the parts of its matrix.
+    A scale does not stand beside the parts of its matrix.
     """
     kinds = {name.partition(".")[0] for name in family.names}
     is_framed, is_sampled = family.system.frame is not None, family.system.forcing.sampled
@@ -144,7 +143,6 @@ def parameters_beside(family: ParametricFamily) -> tuple[ModelParameter, ...]:
         each
         for each in _all(family.system, ())
         if each.name not in family.names
-        and not (each.name.startswith(CONTACT_TIME) and not each.value)
         and not (each.name.endswith("-scale") and (is_framed or each.name[:-6] in kinds))
         and not (each.name == OFFSET and is_sampled is not None)
     )
@@ -208,8 +206,6 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
             change = np.outer(one, column)
             yield parameter(own, each.value, bounds, each.size, rebound=change)
         yield parameter(f"gap.{name}", gap, _FREE, abs(gap) or 1.0, gap=one)
-        most, lasts = (0.0, LONGEST_CONTACT), contact.contact_time
-        yield parameter(f"{CONTACT_TIME}.{name}", lasts, most, LONGEST_CONTACT, contact_time=one)
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
             yield parameter(f"{kind}-scale", 1.0, _RATIO, 1.0, **{part: whole})
@@ -268,6 +264,14 @@ def harmonic_forces(system: System) -> Iterator[ModelParameter]:
             one[k, i] = 1.0
             name = f"harmonic-force.{system.coordinates[i]}.{word}{k + 1}"
             yield parameter(name, 0.0, _FREE, force, **{part: one})
+
+
+def impact_durations(system: System) -> Iterator[ModelParameter]:
+    """How long an impact of each contact lasts, which models take for no time."""
+    for name, one in zip(system.contact_names, np.eye(system.m), strict=True):
+        bounds = 0.0, _LONGEST
+        own = f"contact-time.{name}"
+        yield _parameter(system, own, 0.0, bounds, _LONGEST, contact_time=one)
 
 
 def impulses_aside(system: System) -> Iterator[ModelParameter]:

@@ -10,6 +10,7 @@ GONE = {
         f"{contacts}.{key}": purpose
         for contacts in ("stops", "contacts")
         for key, purpose in {
+            "contact_time": "the duration of an impact",
             "velocity_offset": "the speed of a stop that drives what it hits",
             "restitution.speeds": "a table of restitutions by speed",
             "restitution.values": "a table of restitutions by speed",

@@ -230,7 +230,6 @@ def _matrix_form(s: System) -> dict[str, Value]:
                 "direction": c.direction.tolist(),
                 "gap": c.gap,
                 **s.rebounds[i].document,
-                **({"contact_time": c.contact_time} if c.contact_time else {}),
                 **({"motion": _motion_of(s, moving[i])} if moving else {}),
             }
             for i, c in enumerate(s.contacts)
@@ -541,7 +540,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     n = len(names)
     section.value("contacts")
     motions = read_grounds(section, (), folder)
-    keys = ("name", "direction", "gap", *REBOUND_KEYS, "contact_time", "motion")
+    keys = ("name", "direction", "gap", *REBOUND_KEYS, "motion")
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
     forcing, pushed, inputs, turning = _forcing(section, names, motions, folder)
     system = System(
@@ -617,7 +616,6 @@ def _contact(contact: Section, n: int) -> Contact:
         contact.number("gap"),
         law.nominal,
         law,
-        contact.number("contact_time", 0.0),
     )
 
 

@@ -62,11 +62,10 @@ def _of_harmonic(
 def _of_contact(
     place: Place, contact: Mapping[str, Any], system: System, i: int
 ) -> Iterator[ParameterPlace]:
-    """How a contact rebounds, where it is, and how long an impact lasts."""
+    """How a contact rebounds, and where it is."""
     name = contact["name"]
     for each in system.rebounds[i].parameters:
         yield ParameterPlace(f"{each.kind}.{name}", (*place, *each.place))
-    yield ParameterPlace(f"contact-time.{name}", (*place, "contact_time"))
     key, sign = (
         "gap" if "gap" in contact else "limit",
         -1.0 if contact.get("side") == "below" else 1.0,

@@ -39,7 +39,8 @@ class Coefficients:
         constant: constant force, shape (n,), N.
         cosine: cosines at the frequencies of the harmonics beside these, shape (h, n), N.
         sine: sines at the frequencies of the harmonics beside these, shape (h, n), N.
-        contact_time: duration of an impact, shape (m,), s.
+        contact_time: duration of an impact, shape (m,), s; zero in a model. Velocities jump half
+            of it after the gap is zero.
         aside: impulse beside that of a contact, one row a contact, over the one that stops the
             contact, shape (m, n); zero in a model.
     """
@@ -69,7 +70,7 @@ class Coefficients:
         rebound = np.zeros((system.m, max((1, *map(len, numbers)))))
         for row, own in zip(rebound, numbers, strict=True):
             row[: len(own)] = own
-        last = system.contact_time, np.zeros((system.m, system.n))
+        last = np.zeros(system.m), np.zeros((system.m, system.n))
         return cls(system.M, system.C, system.K, system.q_r, rebound, *harmonics, *last)
 
     @property
@@ -255,7 +256,6 @@ class ParametricFamily:
         laws = coefficients.laws(self.system)
         return self.system.unchecked(
             q_r=coefficients.gap,
-            contact_time=coefficients.contact_time,
             rebounds=laws,
             eps=frozen([each.nominal for each in laws]),
             **self._changed(coefficients, laws),
@@ -263,10 +263,10 @@ class ParametricFamily:
 
     def _changed(self, coefficients: Coefficients, laws: tuple[ReboundLaw, ...]) -> dict[str, Any]:
         """The fields of the system with these ``coefficients``, among them rebound ``laws``."""
-        numbers = (coefficients.gap.tolist(), coefficients.contact_time.tolist())
+        gaps = coefficients.gap.tolist()
         contacts = tuple(
-            Contact(c.name, c.direction, gap, law.nominal, None if law.is_plain else law, lasts)
-            for c, law, gap, lasts in zip(self.system.contacts, laws, *numbers, strict=True)
+            Contact(c.name, c.direction, gap, law.nominal, None if law.is_plain else law)
+            for c, law, gap in zip(self.system.contacts, laws, gaps, strict=True)
         )
         forcing, frame = self._unturned(coefficients)
         amplitude, phase = coefficients.amplitude, coefficients.phase

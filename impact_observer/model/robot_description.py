@@ -11,7 +11,7 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Value, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.rebounds import ReboundLaw
-from impact_observer.model.system import LONGEST_CONTACT, unit_of
+from impact_observer.model.system import unit_of
 from impact_observer.model.urdf_file import FIXED, UNITS_BY_TYPE, Urdf, UrdfJoint
 from impact_observer.states import Vector, frozen
 
@@ -34,8 +34,6 @@ class PlaneContact:
         normal: of unit length, into the free side, in the root frame, shape (3,).
         offset: of the plane along the normal, m.
         rebound: how the contact rebounds.
-        contact_time: duration of an impact, s; velocities jump half this time after the gap is
-            zero.
     """
 
     name: str
@@ -43,7 +41,6 @@ class PlaneContact:
     normal: Vector
     offset: float
     rebound: ReboundLaw
-    contact_time: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,10 +362,6 @@ def _checked_contact(i: int, contact: PlaneContact) -> PlaneContact:
     length = math.sqrt(normal.dot(normal))
     if abs(length - 1.0) > _UNIT_LENGTH:
         raise ModelError(f"{key}.normal", f"has the length {length:g}; expected 1")
-    lasts = float(finite(f"{key}.contact_time", contact.contact_time, (), "a number, s"))
-    if not 0.0 <= lasts <= LONGEST_CONTACT:
-        wanted = f"expected a number in [0, {LONGEST_CONTACT:g}], s"
-        raise ModelError(f"{key}.contact_time", f"is {lasts:g}; {wanted}")
     law = contact.rebound.checked(key)
     offset = float(finite(f"{key}.offset", contact.offset, (), "a number, m"))
-    return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law, lasts)
+    return PlaneContact(contact.name, contact.frame, frozen(normal / length), offset, law)

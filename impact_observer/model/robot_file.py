@@ -23,7 +23,7 @@ ROBOT_KEYS = (
     *("torque_deviation", "gravity", "forcing"),
 )
 _URDF = "urdf"
-_CONTACT_KEYS = ("name", "frame", "normal", "offset", *REBOUND_KEYS, "contact_time")
+_CONTACT_KEYS = ("name", "frame", "normal", "offset", *REBOUND_KEYS)
 _HARMONIC = ("frequency", "cosine", "sine")
 
 
@@ -131,7 +131,6 @@ def _contact(contact: Section) -> PlaneContact:
         contact.vector("normal", 3),
         contact.number("offset"),
         read_rebound(contact),
-        contact.number("contact_time", 0.0),
     )
 
 

@@ -38,8 +38,6 @@ _OF_ANGLES = {
 """The units that quantities of angles have, by those of the same quantities of lengths."""
 LARGEST_STATE = 1e9
 """Largest accepted magnitude of a coordinate or velocity."""
-LONGEST_CONTACT = 0.1
-"""Longest duration of an impact, s."""
 _INSIDE = 1e-12
 """Largest gap that counts as rounding, relative to the terms of the gap."""
 _SYMMETRY = 1e-9
@@ -75,8 +73,6 @@ class Contact:
         gap: ``q_r``, gap in the rest position, m or rad.
         restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of another law.
         rebound: how the contact rebounds; None for Newton's law with ``restitution``.
-        contact_time: duration of an impact, s; velocities jump half this time after the gap is
-            zero.
     """
 
     name: str
@@ -84,7 +80,6 @@ class Contact:
     gap: float
     restitution: float
     rebound: ReboundLaw | None = None
-    contact_time: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +103,6 @@ class System:
         rebounds: how each contact rebounds. Derived.
         special: indices of the contacts whose law is not a constant coefficient. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of special contacts. Derived.
-        contact_time: durations of impacts, shape (m,), s. Derived.
 
     Raises:
         ModelError: a value is wrong; the error names the key of the model file.
@@ -129,7 +123,6 @@ class System:
     rebounds: tuple[ReboundLaw, ...] = field(init=False)
     special: frozenset[int] = field(init=False)
     eps: Vector = field(init=False)
-    contact_time: Vector = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check all fields, and derive the others."""
@@ -156,7 +149,6 @@ class System:
             "W": frozen(W),
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
-            "contact_time": frozen([c.contact_time for c in contacts]),
             "rebounds": tuple(c.rebound or ConstantRestitution(c.restitution) for c in contacts),
             "special": frozenset(i for i, c in enumerate(contacts) if c.rebound),
         }
@@ -310,16 +302,6 @@ class System:
         return checked_parts(position, velocity, self.n)
 
 
-def refuse_contact_time(system: System, what: str) -> None:
-    """Raise UsageError if an impact of the ``system`` has a duration; ``what`` cannot take one."""
-    for each in system.contacts:
-        if each.contact_time:
-            raise UsageError(
-                f"{system.name}: a hit of {each.name!r} lasts {each.contact_time:g} s, which"
-                f" {what} cannot take; expected a model without contact_time"
-            )
-
-
 def moving_system(system: System, grounds: Grounds) -> System:
     """The ``system``, which has no grounds yet, on moving ``grounds``.
 
@@ -416,12 +398,6 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     if not np.any(direction):
         raise ModelError(f"{key}.direction", "is zero; a contact must involve some coordinate")
     gap = float(finite(f"{key}.gap", contact.gap, (), "a number, m"))
-    lasts = float(finite(f"{key}.contact_time", contact.contact_time, (), "a number, s"))
-    if not 0.0 <= lasts <= LONGEST_CONTACT:
-        raise ModelError(
-            f"{key}.contact_time",
-            f"is {lasts:g}; expected a number in [0, {LONGEST_CONTACT:g}], s",
-        )
     law = (contact.rebound or ConstantRestitution(contact.restitution)).checked(key)
     own = None if law.is_plain else law
-    return Contact(contact.name, direction, gap, law.nominal, own, lasts)
+    return Contact(contact.name, direction, gap, law.nominal, own)

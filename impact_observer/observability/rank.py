@@ -10,8 +10,7 @@ come down to zero, which is one more row. So every event adds rows, times ``T``,
 values say how much of a wrong initial state the recorded gaps show, and its null space what they
 never show, to any law.
 
-Where hits last, ``d`` is carried to the jump and back to the onset, as replicas are. What sensors
-measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
+What sensors measure beside the impacts is a linear function of ``d``, too: each sample adds a row.
 
 An instant with several impacts counts as if all of them were equally fast. Inequalities (``g >=
 0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.

@@ -56,7 +56,6 @@ class RankRows:
         orders = [2 if each.acceleration else 1 if each.velocity else 0 for each in declared]
         self._scales = [self._timescale**order for order in orders]
         self.at = TangentState(0.0, np.zeros(scale.size), np.diag(scale)[:, scale > 0])
-        self._before, self._jump = self.at, 0.0  # the onset of a hit that lasts, and its jump
 
     def informative(self, change: ContactChange) -> Contacts:
         """The contacts that add rows: those that hit, or a single one that opens by itself."""
@@ -76,7 +75,6 @@ class RankRows:
         at = system.flight(self.at, change.t) if change.t > self.at.t else self.at
         if change.hit:
             rows = [system.gaps(at, change.hit)[1]]
-            self._before, self._jump = at, change.t + change.delay(self._newton.system)
             end = FlightEnd.of_change(change, self._newton, self._phases)
             jump = system.impact(at.x, end.pressed) if closed else system.jump(at, end)[0]
             at = at.mapped(jump, change.t, closed)
@@ -98,11 +96,8 @@ class RankRows:
         ``samples`` are instants, s since the start, and indices of sensors.
         """
         rows = [np.zeros((0, self.at.X.shape[1]))]
-        inside = [self._before.t <= t < self._jump for t, _ in samples]
-        for at, here in ((self._before, True), (self.at, False)):
-            some = [each for each, within in zip(samples, inside, strict=True) if within is here]
-            times = [np.array([t for t, i in some if i == k]) for k in range(len(self._scales))]
-            found = self._samples.rows(at, times) if some else []
-            for scale, (_, table) in zip(self._scales, found, strict=False):
-                rows.append(scale * table @ at.X)
+        times = [np.array([t for t, i in samples if i == k]) for k in range(len(self._scales))]
+        found = self._samples.rows(self.at, times) if samples else []
+        for scale, (_, table) in zip(self._scales, found, strict=False):
+            rows.append(scale * table @ self.at.X)
         return np.vstack(rows)

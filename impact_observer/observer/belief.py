@@ -80,20 +80,15 @@ class Fallback(NamedTuple):
 
 
 class Onset(NamedTuple):
-    """A state before an impact, until its velocities jump.
+    """A state before an impact.
 
     Attributes:
-        x: (q, u) at the stamp, shape (2n,); of an impact that lasts, as the impact corrected it.
-        root: root of the covariance, shape (2n, any); None for a law without covariance, and for
-            an impact that does not last.
-        lasts: time until the velocities jump, s.
+        x: (q, u) at the stamp, shape (2n,).
         hit: the contacts that hit.
     """
 
     x: Vector
-    root: Matrix | None
-    lasts: float
-    hit: Contacts = ()
+    hit: Contacts
 
 
 class Account(NamedTuple):
@@ -154,8 +149,8 @@ class Belief(NamedTuple):
         behind: when the fallback holds, s since the epoch, and how many seconds ago that was.
         account: estimates with other parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty without misfit.
-        onset: the onset of an impact that lasts, or has an uncertain instant; the other states are
-            those after the jump, carried back to the onset.
+        onset: the state before an impact that has an uncertain instant; the other states are those
+            after the jump.
         unmeasured: how long ago each coordinate was measured, shape (n,), s, infinite before the
             first time; None for a law that does not use it.
     """

@@ -118,7 +118,7 @@ class EventUpdate:
         stamp = samples[0].stamp
         since, s = self._since(previous, stamp), seconds_between(previous.since, stamp)
         readings = [self._reading(previous, each) for each in samples]
-        if not any(_silenced(each, previous) for each in readings):
+        if not any(each.is_blanked for each in readings):
             made = self.law.followed(readings, previous.belief, since, s)
             if made is not None:
                 return _entries(previous, samples, *made)
@@ -131,7 +131,9 @@ class EventUpdate:
 
     def _measured_alone(self, previous: Entry, event: EventKey, reading: Reading) -> Entry:
         """The entry of a sample; a sample that is not used leaves the motion unchanged."""
-        if reason := _silenced(reading, previous):
+        if reading.is_blanked:
+            ago, blanking = reading.since_impact, reading.sensor.measurement.blanking
+            reason = f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
             outcome = SampleOutcome(0.0, -1.0, False, reason)
             return replace(previous, key=event, overruled=(), outcome=outcome)
         s = seconds_between(previous.since, event.stamp)
@@ -215,14 +217,3 @@ def _rejected_after(
         elif outcome.normalized >= 0:
             rejected[event.sensor] = rejected.get(event.sensor, 0) + 1
     return rejected
-
-
-def _silenced(reading: Reading, previous: Entry) -> str:
-    """Why a sample is too soon after an impact to be used; empty if not too soon."""
-    onset, ago = previous.belief.onset, reading.since_impact
-    if onset is not None and ago < 2 * onset.lasts:
-        return f"contact: an impact that lasts {2 * onset.lasts:.3g} s was {ago:.3g} s ago"
-    if reading.is_blanked:
-        blanking = reading.sensor.measurement.blanking
-        return f"blanking: an impact was {ago:.3g} s ago; {blanking:g} s are left out"
-    return ""

@@ -74,13 +74,13 @@ class ImpactSides:
                     self._error((near.t, x), share, -lost * self._kicks(system)[:, i], ago, closed)
                 )
         onset = near.onset
-        if onset is None or not clock or s - onset.lasts > REACH * clock:
+        if onset is None or not clock or s > REACH * clock:
             return found
         i, hit = onset.hit[0], list(onset.hit)
-        away, ago = abs(s - onset.lasts) / clock, 0.0
+        away, ago = s / clock, 0.0
         if i in closed:
             ago = -clock  # a motion that is stopped does not tell when
-        elif not onset.lasts and speeds[i] > 0:
+        elif speeds[i] > 0:
             away = gaps[i] / max(gap_deviation_near(system, i, root), TINY)
             ago = min(gaps[i] / speeds[i], 0.0)
         jump = system.W[:, hit].T.dot(onset.x[n:] - near.after[n:])

@@ -161,7 +161,6 @@ class Observer:
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
         self._scales = law.moving.scales
-        self._lasts = from_seconds(float(np.max(system.contact_time, initial=0.0)))
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = whole_stamp(epoch, "epoch")
@@ -361,7 +360,7 @@ class Observer:
         if self.live is not None and self.epoch:
             changed = self.live.follow(self.epoch)
             if changed is not None:
-                self._run.rerun(changed, self._lasts)
+                self._run.rerun(changed)
         if waiting and not self.lacking and (self.epoch or not self.system.depends_on_time):
             outcomes, revised = self._run.measure(waiting)
             waiting.clear()

@@ -18,7 +18,6 @@ from impact_observer.events import (
 )
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.readings import SampleOutcome
-from impact_observer.filter.tuning import TUNING
 from impact_observer.observer.deviation_sources import VariancePart, variance_parts
 from impact_observer.observer.encoder_start import EncoderStart
 from impact_observer.observer.episode import require_epoch
@@ -80,7 +79,6 @@ class RunHistory:
         self._first_entry, self._history = first_entry, history
         self._system = update.law.system
         self._scales = update.law.moving.scales
-        self._soft = np.flatnonzero(self._system.contact_time).tolist()
         self._names = self._system.contact_names
         self._sides = ImpactSides(update.law)
         self._issued = IssuedVerdicts(self._names)
@@ -110,19 +108,16 @@ class RunHistory:
         """Make later beliefs by another ``law`` for the same system."""
         self.update.law, self._sides = law, ImpactSides(law)
 
-    def rerun(self, stamp: int, lasts: int = 0) -> None:
-        """Take note that live signals have changed from ``stamp`` (ns) on.
-
-        Impacts last for at most ``lasts``, ns.
-        """
+    def rerun(self, stamp: int) -> None:
+        """Take note that live signals have changed from ``stamp`` (ns) on."""
         timeline = self.timeline
         if timeline is None:
             return
         start = timeline.start.stamp
-        if stamp - lasts <= start and timeline.is_complete and not self._is_state_given:
+        if stamp <= start and timeline.is_complete and not self._is_state_given:
             timeline.restart(self._first_entry(start))
         else:
-            timeline.rerun(stamp, lasts=lasts)
+            timeline.rerun(stamp)
 
     def restart(self, first: Entry) -> None:
         """Go on from another state, which holds after all events of its stamp."""
@@ -308,9 +303,7 @@ class RunHistory:
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         if root is None and law.has_covariance:  # the root after a sample is computed on request
             root = prediction.root(0.0)
-        x, root = self._before_jump(entry, s, x, root)
         closed, silence = prediction.closed(s), prediction.silence(s)
-        root = self._with_missed_rests(entry, s, x, root, closed)
         covariance = NO_COVARIANCE
         if root is not None:
             both, sizes = self._both_sides(entry, s, x, root, closed), self._scales.sizes(x, s)
@@ -328,7 +321,7 @@ class RunHistory:
             synchronized=law.uses_events
             and not silence
             and belief.fit.is_established
-            and test.is_synchronized(entry.synchronization, self._tested(entry, s, x, root)),
+            and test.is_synchronized(entry.synchronization, self._tested(entry, s, root)),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
             misfit=belief.misfit or silence,
@@ -372,9 +365,7 @@ class RunHistory:
         if law.has_covariance:
             after = max(seconds_between(entry.since, stamp), 0.0)
             prediction = self.update.prediction(entry)
-            root, x = prediction.root(after), prediction.state(after)
-            root = self._with_missed_rests(entry, after, x, root, prediction.closed(after))
-            root = self._tested(entry, after, x, root)
+            root = self._tested(entry, after, prediction.root(after))
             if prediction.silence(after):
                 return "predicted impacts are not reported"
         return fit.doubt or self.update.test.obstacle(entry.synchronization, root) or fit.untested
@@ -384,54 +375,15 @@ class RunHistory:
         entry = self._entry(stamp)
         return self.update.prediction(entry).silence(seconds_between(entry.since, stamp))
 
-    def _tested(self, entry: Entry, s: float, x: Vector, root: Matrix | None) -> Matrix | None:
+    def _tested(self, entry: Entry, s: float, root: Matrix | None) -> Matrix | None:
         """The root that is tested for the flag: of those ``agreeing`` where ``root`` is wide."""
         if root is None or not self.update.test.is_wide(entry.synchronization, root):
             return root
-        prediction = self.update.prediction(entry)
-        agreed = prediction.agreeing_root(s)
-        return self._with_missed_rests(entry, s, x, agreed, prediction.closed(s))
-
-    def _before_jump(
-        self, entry: Entry, s: float, x: Vector, root: Matrix | None
-    ) -> tuple[Vector, Matrix | None]:
-        """``x`` and ``root``; within an impact that lasts, those before the velocities jump."""
-        onset = entry.belief.onset
-        if onset is None or s >= onset.lasts:
-            return x, root
-        t = self._start_of(entry)
-        x, map_ = self.update.law.moving.moved(t, onset.x, s, ())
-        return x, root if onset.root is None else map_ @ onset.root
+        return self.update.prediction(entry).agreeing_root(s)
 
     def _start_of(self, entry: Entry) -> Elapsed:
         """When an entry begins, s since the epoch."""
         return Elapsed(entry.since - (self.update.epoch or entry.since))
-
-    def _with_missed_rests(
-        self, entry: Entry, s: float, x: Vector, root: Matrix | None, closed: Contacts | None
-    ) -> Matrix | None:
-        """``root`` with the error of an unreported rest on a contact as further columns.
-
-        After a hit that lasted a body leaves its stop, or rests on the stop. If an estimate moves
-        or stays inside by more than its deviation explains, its error is the change that would
-        bring the body to rest on the stop.
-        """
-        onset, n, moving = entry.belief.onset, self._system.n, self.update.law.moving
-        if root is None or not self._soft or (onset is not None and s < onset.lasts):
-            return root
-        columns, closed = [root], entry.closed if closed is None else closed
-        near = self.update.law.near(x)
-        for i in self._soft:
-            w = near.W[:, i]
-            gap, speed = float(w @ x[:n]) + float(near.q_r[i]), float(w @ x[n:])
-            leaves = self._system.contact_time[i] / max(self._system.eps[i], 1e-3)
-            is_leaving = speed >= 0 and s < leaves  # twice what it takes without forces
-            if i in closed or is_leaving or gap >= -TUNING.inside * np.linalg.norm(w @ root[:n]):
-                continue
-            shift = -gap * moving.shifts(x, (i,))[:, 0]
-            kick = -speed * moving.stops(x, (i,))[:, 0]
-            columns.append(np.concatenate([shift, kick])[:, None])
-        return np.hstack(columns) if len(columns) > 1 else root
 
     def _both_sides(
         self, entry: Entry, s: float, x: Vector, root: Matrix, closed: Contacts | None
@@ -455,9 +407,6 @@ class RunHistory:
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
                 states = prediction.states(s)
-                if entry.belief.onset is not None:
-                    for k in np.flatnonzero(s < entry.belief.onset.lasts).tolist():
-                        states[k] = self._before_jump(entry, float(s[k]), states[k], None)[0]
                 later = self._from_frame(stamps[1:count], states)
                 x = np.concatenate([x, np.where(s[:, None] > 0, later, x)])
             yield Estimates(first, stamps[:count], x)

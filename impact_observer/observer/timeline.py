@@ -276,15 +276,12 @@ class Timeline:
         last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
         self.entries = [last]
 
-    def rerun(self, stamp: int, lasts: int = 0) -> None:
+    def rerun(self, stamp: int) -> None:
         """Apply the events after ``stamp`` (ns) again with changed samples of forces.
 
-        An impact of as little as ``lasts`` (ns) before is still going on then. An event that
-        cannot be applied any more is left out.
+        An event that cannot be applied any more is left out.
         """
         first = max(self._after(stamp), 1)
-        lasting = range(max(self._after(stamp - lasts), 1), first)
-        first = next((k for k in lasting if self.entries[k].has_impact), first)
         previous = self.entries[first - 1]
         if previous.prediction is not None and not previous.prediction.follows_samples:
             previous.prediction = None

@@ -53,9 +53,6 @@ class Plant:
     _watch: Watch
     _next: Switching | None
     _moving: PhaseMotion | None
-    _pending: list[tuple[Instant, int]]
-    _inside: tuple[int, ...]
-    _left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None
 
     def __init__(
         self,
@@ -100,7 +97,7 @@ class Plant:
         self._instant_changes = 0
         self._watch_of = lru_cache(KEPT)(self._watched)
         self._switches = lru_cache(KEPT)(partial(switches, system))
-        gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)), ())
+        gaps = self._watch_of(self._phases.phase(), tuple(range(system.m)))
         self.impacts = PlainImpacts(self._phases, self._law, gaps.guards, self._zeno.shortest, LOW)
         self._energetic = 0.0
         self.restart(epoch, np.concatenate([q, u]))
@@ -112,7 +109,6 @@ class Plant:
             ImpactLawError: contacts are closed there and their impact has no solution.
         """
         system, start, (q, u) = self.system, Instant(stamp), np.split(x, 2)
-        self._pending, self._inside, self._left = [], (), None
         grip = persistent_contacts(self._phases, (), self._time(start), x, ())
         self._begin(start, x, grip)
         if touching := system.closed_at(q):
@@ -159,8 +155,6 @@ class Plant:
                 self._crossing = self.impacts.left
             else:
                 self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
-        if self._pending:
-            return self._jump_or_end(limit)
         return self._end(limit)
 
     def _plain_switching(self, hit: Hit) -> Switching:
@@ -174,8 +168,6 @@ class Plant:
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
-        if self._left is not None:
-            (self._pending, self._inside), self._left = self._left, None
         if not self._is_plain:
             self._begin(switching.instant, switching.after, Grip(switching.closed, switching.held))
             return
@@ -199,13 +191,12 @@ class Plant:
     def _begin(self, instant: Instant, x: Vector, grip: Grip) -> None:
         self._start = instant
         self.closed = grip.closed
-        busy = {*grip.closed, *self._inside, *(i for _, i in self._pending)}
-        opened = tuple(i for i in range(self.system.m) if i not in busy)
+        opened = tuple(i for i in range(self.system.m) if i not in grip.closed)
         self._phase = self._phases.phase(grip.held)
-        self._watch = self._watch_of(self._phase, opened, self._inside)
+        self._watch = self._watch_of(self._phase, opened)
         self._state = x
         self._moving = None
-        self._flies = not busy
+        self._flies = not grip.closed
         if self._flies:
             self.impacts.start(self._time(instant), x)
         else:
@@ -225,16 +216,9 @@ class Plant:
     def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
-    def _watched(self, phase: Phase, opened: tuple[int, ...], inside: tuple[int, ...]) -> Watch:
-        """The guard functions of a phase: gaps of the contacts ``opened``, and loads.
-
-        Contacts ``inside`` their stops add gaps, which open again, and speeds.
-        """
-        system = self.system
-        watched = [Watched.loads(phase)]
-        if inside:
-            watched += [Watched.within(system, inside), Watched.speeds(system, inside)]
-        return Watched.gaps(system, opened).and_also(*watched).along(phase)
+    def _watched(self, phase: Phase, opened: tuple[int, ...]) -> Watch:
+        """The guard functions of a phase: gaps of the contacts ``opened``, and loads."""
+        return Watched.gaps(self.system, opened).and_also(Watched.loads(phase)).along(phase)
 
     def _end(self, limit: int) -> Switching | None:
         """The end of the phase, if it is computed and its stamp is not after ``limit`` (ns)."""
@@ -248,11 +232,7 @@ class Plant:
         )
         self._check_progress(s, instant)
         if hit := self._hit(x, crossed):
-            if len(hit) == 1 and self._lasts(*hit):
-                return self._onset(instant, x, *hit)
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
-        if out := crossed[End.STOP] | crossed[End.SPEED]:
-            return self._out(instant, x, crossed[End.STOP], out)
         switching, phase = self._switched(instant, x, x, (), self.closed), self._phase
         if switching.held != phase.held:
             return switching
@@ -270,42 +250,6 @@ class Plant:
             return hit
         opens = self.system.contact_speed(x[n:]) > self._phases.speed_tolerance(x[n:])
         return {i for i in hit if not opens[i]}
-
-    def _lasts(self, contact: int) -> bool:
-        """Whether the velocities jump after the onset, as a contact is hit now."""
-        return bool(self.system.contact_time[contact]) and not self.closed
-
-    def _onset(self, instant: Instant, x: Vector, contact: int) -> Switching:
-        """The onset of an impact that lasts: nothing changes before the velocities jump."""
-        late = float(self.system.contact_time[contact]) / 2
-        pending = [*self._pending, (instant.shifted_by(late), contact)]
-        self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
-        grip = Grip((), self._phase.held)
-        return self._gripped(instant, x, x, (contact,), grip)
-
-    def _jump_or_end(self, limit: int) -> Switching | None:
-        """The jump of the velocities of a contact that was hit, or an earlier switching."""
-        (due, contact), *others = self._pending
-        s = self._start.until(due.stamp) + due.remainder
-        if self._crossing is not None and self._crossing[0] < s:
-            return self._end(limit)
-        if due.stamp > limit:
-            return None
-        x, n = self._motion.state(max(s, 0.0)), self.system.n
-        u = self._law.velocity_after(x[n:], tuple(sorted({*self.closed, contact})))
-        after = np.concatenate([x[:n], u])
-        self._left = others, self._inside
-        if self.system.contact_speed(u)[contact] <= self._phases.speed_tolerance(x[n:])[contact]:
-            return self._impact(due, after, tuple(sorted({*self.closed, contact})))
-        self._left = others, (*self._inside, contact)
-        return self._switched(due, x, after, (), self.closed)
-
-    def _out(self, instant: Instant, x: Vector, reopened: set[int], out: set[int]) -> Switching:
-        """Contacts ``out`` of their stops; contacts that have not ``reopened`` come to rest."""
-        self._left = self._pending, tuple(i for i in self._inside if i not in out)
-        if turned := out - reopened:
-            return self._impact(instant, x, tuple(sorted({*self.closed, *turned})))
-        return self._switched(instant, x, x, (), self.closed)
 
     def _check_progress(self, s: float, instant: Instant) -> None:
         """Raise where contacts change again and again at one instant."""

@@ -61,8 +61,7 @@ class PlainImpacts:
         )
         self._phases, self._law = phases, law
         self._flights: Flights | None = None
-        simple = (system.eps > 0) & (system.contact_time == 0)
-        self._unknown = set(np.flatnonzero(simple).tolist()) - system.special
+        self._unknown = set(np.flatnonzero(system.eps > 0).tolist()) - system.special
         self._most = max(16, _NUMBERS // (4 * system.n))
         self._hits: deque[Hit] = deque()
         self.left: tuple[float, tuple[int, ...]] | None = None

@@ -51,9 +51,6 @@ class RobotPlant:
         self._rest = RobotRest(robot)
         self._accumulation = AccumulationDetector(self._rest.shortest)
         self._instant_changes = 0
-        self._pending: list[tuple[Instant, int]] = []
-        self._inside: Contacts = ()
-        self._left: tuple[list[tuple[Instant, int]], Contacts] | None = None
         start = Instant(self.epoch)
         self._begin(start, np.concatenate([q, u]), ())
         if touching := robot.closed_at(q):
@@ -86,8 +83,6 @@ class RobotPlant:
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
-        if self._left is not None:
-            (self._pending, self._inside), self._left = self._left, None
         self._begin(switching.instant, switching.after, switching.closed)
 
     def states(self, stamps: Stamps) -> Vector:
@@ -105,18 +100,14 @@ class RobotPlant:
         self._start, self._state, self.closed = instant, x, closed
         time = Elapsed(instant.stamp - self.epoch, instant.remainder)
         self._flight = RobotFlight(self.system, time, x, closed)
-        busy = {*closed, *self._inside, *(i for _, i in self._pending)}
-        self._opened = tuple(i for i in range(self.system.m) if i not in busy)
-        inside, robot = len(self._inside), self.system
-        loads = np.zeros(0)
+        self._opened = tuple(i for i in range(self.system.m) if i not in closed)
+        robot, loads = self.system, np.zeros(0)
         if closed:
             n, tau = robot.n, self._flight.torques(0.0)
             loads = robot.loads(x[:n], x[n:], tau, closed)
         tolerance = np.concatenate(
             [
                 self._rest.lowest[list(self._opened)],
-                self._rest.lowest[list(self._inside)],
-                np.zeros(inside),
                 np.full(len(closed), _LOAD * float(np.max(np.abs(loads), initial=0.0))),
             ]
         )
@@ -125,30 +116,22 @@ class RobotPlant:
         self._next = None
 
     def _guard_values(self, states: Matrix, times: Vector) -> Matrix:
-        """Gaps; of contacts inside, depths and speeds; loads of closed contacts."""
-        robot, n, inside = self.system, self.system.n, list(self._inside)
+        """Gaps, and loads of closed contacts."""
+        robot, n = self.system, self.system.n
         values = np.empty((self._guards.tolerance.size, times.size))
         for k, (x, s) in enumerate(zip(states.T, times.tolist(), strict=True)):
-            gaps = robot.gaps(x[:n], (*self._opened, *inside))
+            gaps = robot.gaps(x[:n], self._opened)
             values[: gaps.size, k] = gaps
-            if inside:
-                values[len(self._opened) : gaps.size, k] *= -1.0
-                speeds = robot.contact_speeds(x)[inside]
-                values[gaps.size : gaps.size + len(inside), k] = speeds
             if self.closed:
                 tau = self._flight.torques(s)
-                values[gaps.size + len(inside) :, k] = robot.loads(x[:n], x[n:], tau, self.closed)
+                values[gaps.size :, k] = robot.loads(x[:n], x[n:], tau, self.closed)
         return values
 
     def _soon(self, limit: int) -> Switching | None:
         """The next switching, if it is computed or its stamp is not after ``limit`` (ns)."""
         if self._crossing is None:
             until = self._start.until(limit) + 0.5e-9
-            if self._pending:
-                until = min(until, self._start.until(self._pending[0][0].stamp) + 1e-9)
             self._crossing = self._flight.first_crossing(self._guards, until)
-        if self._pending:
-            return self._jump_or_end(limit)
         return self._end(limit)
 
     def _end(self, limit: int) -> Switching | None:
@@ -158,52 +141,14 @@ class RobotPlant:
         s, which = self._crossing
         instant, x = self._start.shifted_by(s), self._flight.state(s)
         self._check_progress(s, instant)
-        opened, inside = len(self._opened), len(self._inside)
+        opened = len(self._opened)
         if which < opened:
-            hit = self._opened[which]
-            if self.system.contact_time[hit] and not self.closed:
-                return self._onset(instant, x, hit)
-            return self._impact(instant, x, tuple(sorted({*self.closed, hit})))
-        if which < opened + 2 * inside:
-            reopened = which < opened + inside
-            return self._out(instant, x, self._inside[(which - opened) % inside], reopened)
-        released = self.closed[which - opened - 2 * inside]
+            return self._impact(instant, x, tuple(sorted({*self.closed, self._opened[which]})))
+        released = self.closed[which - opened]
         x = held_state(self.system, x, self.closed)
         kept = tuple(i for i in self.closed if i != released)
         tau = self._flight.torques(s)
         return self._switched(instant, x, x, (), self._rest.staying(x, tau, kept))
-
-    def _onset(self, instant: Instant, x: Vector, contact: int) -> Switching:
-        """The onset of an impact that lasts: nothing changes before the velocities jump."""
-        late = float(self.system.contact_time[contact]) / 2
-        pending = [*self._pending, (instant.shifted_by(late), contact)]
-        self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
-        return self._switched(instant, x, x, (contact,), ())
-
-    def _jump_or_end(self, limit: int) -> Switching | None:
-        """The jump of the velocities of a contact that was hit, or an earlier switching."""
-        (due, contact), *others = self._pending
-        s = self._start.until(due.stamp) + due.remainder
-        if self._crossing is not None and self._crossing[0] < s:
-            return self._end(limit)
-        if due.stamp > limit:
-            return None
-        robot, n = self.system, self.system.n
-        x, contacts = self._flight.state(s), tuple(sorted({*self.closed, contact}))
-        after = np.concatenate([x[:n], robot.velocity_after(x[:n], x[n:], contacts)])
-        self._left = others, self._inside
-        slow = self._rest.speed_tolerance(x)[contact]
-        if robot.contact_speeds(after)[contact] <= slow:
-            return self._impact(due, after, contacts)
-        self._left = others, (*self._inside, contact)
-        return self._switched(due, x, after, (), self.closed)
-
-    def _out(self, instant: Instant, x: Vector, contact: int, reopened: bool) -> Switching:
-        """A ``contact`` leaves its plane; if it has not ``reopened``, it comes to rest."""
-        self._left = self._pending, tuple(i for i in self._inside if i != contact)
-        if reopened:
-            return self._switched(instant, x, x, (), self.closed)
-        return self._impact(instant, x, tuple(sorted({*self.closed, contact})))
 
     def _impact(self, instant: Instant, x: Vector, contacts: Contacts) -> Switching:
         """The impact of ``contacts``; plastic where their impacts accumulate."""

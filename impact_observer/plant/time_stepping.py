@@ -13,7 +13,6 @@ from impact_observer.dynamics.contact.moreau import MoreauScheme, TimeStep
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.live_signals import refused
-from impact_observer.model.system import refuse_contact_time
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, whole_stamp
 from impact_observer.states import Stamps, Vector
@@ -70,7 +69,6 @@ class TimeSteppingPlant:
             ImpactLawError: the law has no solution in the first step.
         """
         refused(system, "the integrator moreau")
-        refuse_contact_time(system, "the integrator moreau")
         q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch = whole_stamp(epoch, "epoch")

@@ -70,7 +70,6 @@ class Robot:
         strongest: largest torques and forces by the URDF, shape (n,); infinity without a limit.
         damping: ``D``, shape (n,), N m s/rad or N s/m.
         eps: nominal restitution coefficients, shape (m,).
-        contact_time: durations of impacts, shape (m,), s.
         forcing: torques and forces of the drives, N m or N: those of the plant, or as measured.
     """
 
@@ -110,7 +109,6 @@ class Robot:
         self.rebounds = tuple(each.rebound for each in description.contacts)
         self._special = {i for i, law in enumerate(self.rebounds) if not law.is_plain}
         self.eps = frozen([law.nominal for law in self.rebounds])
-        self.contact_time = frozen([each.contact_time for each in description.contacts])
         self._held: HeldTorques | None = None
         self.forcing = description.forcing
         self._world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -249,7 +249,7 @@ class Arc(Linearised):
         """
         if not moment.change.contacts:
             return -1.0
-        return _MARGIN * moment.clock + 2 * moment.change.delay(self.filter.system)
+        return _MARGIN * moment.clock
 
     def _places(self, path: Path) -> tuple[Vector, Vector]:
         """The instants of all moments of a path, and their margins for samples, s."""

@@ -297,8 +297,6 @@ class _Run:
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
         """The likeliest of ``best`` and accounts that are retraced from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
-        if np.any(law.system.contact_time):
-            return best  # hits begin before
         count, given = len(known.moments), best.smoothed.known
         if known.decisions == known.as_reported().decisions:
             return best

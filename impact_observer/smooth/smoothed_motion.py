@@ -30,7 +30,7 @@ from impact_observer.smooth.chain import Normal
 from impact_observer.smooth.linearised import IMPOSSIBLE
 from impact_observer.smooth.sensor_summary import SensorSummary, sensor_summaries
 from impact_observer.smooth.smoother import Smoothed, at_samples
-from impact_observer.stamps import Elapsed, from_seconds
+from impact_observer.stamps import Elapsed
 from impact_observer.stamps import text as stamp_text
 from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector
 
@@ -120,8 +120,6 @@ class SmoothedMotion:
         self._applied = sorted(applied)
         self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
         self._spread, self._kick = cache(self._spread_of), cache(self._kick_of)
-        delays = [from_seconds(each.change.delay(law.system)) for each in account.moments]
-        self._jumps = self._instants + np.array(delays, dtype=np.int64)
 
     def impacts(self) -> Iterator[SmoothedImpact]:
         """All impacts and releases, in the order of the moments."""
@@ -155,7 +153,7 @@ class SmoothedMotion:
         for k, moment in enumerate(self.account.moments):
             if not (change := moment.change).hit:
                 continue
-            joint = arc.filter.conditioning.at_jump(change, self._joint(k))
+            joint = self._joint(k)
             sizes = self._law.filter.scales.sizes(joint.x)
             least = self._uncertainty.least_deviations(joint.x, sizes)
             # Where contacts rest, the jump has no other error.
@@ -186,7 +184,7 @@ class SmoothedMotion:
                 first = replace(each.first, law=LAW, synchronized=False, misfit=misfit)
                 yield replace(each, first=first)
             return
-        order = np.maximum.accumulate(self._jumps) if self._jumps.size else self._jumps
+        order = np.maximum.accumulate(self._instants) if self._instants.size else self._instants
         flights = np.searchsorted(order, stamps, side="right") - 1
         last = len(self.account.moments) - 1
         flown = {k: stamps[flights == k] for k in np.unique(flights).tolist()}
@@ -304,13 +302,13 @@ class SmoothedMotion:
         near = partial(self._is_near, stamp)
         before, after = range(k, -1, -1), range(k + 1, len(self.account.moments))
         for j in chain(takewhile(near, before), takewhile(near, after)):
-            away = abs(stamp - int(self._jumps[j])) * 1e-9 / self._spread(j)
+            away = abs(stamp - int(self._instants[j])) * 1e-9 / self._spread(j)
             yield side_error(float(special.ndtr(-away)), self._kick(j))
 
     def _is_near(self, stamp: int, k: int) -> bool:
         """Whether the instant of the ``k``-th moment may be before ``stamp`` or after that."""
         spread = self._spread(k)
-        return spread > EXACT and abs(stamp - int(self._jumps[k])) * 1e-9 < REACH * spread
+        return spread > EXACT and abs(stamp - int(self._instants[k])) * 1e-9 < REACH * spread
 
     def _spread_of(self, k: int) -> float:
         """The standard deviation of the instant of the ``k``-th moment, s."""

@@ -79,13 +79,8 @@ class LinearisedRobot:
     ) -> tuple[TangentMap, Vector]:
         """As ``LinearisedSystem.jump``."""
         t, x, _, before = at
-        lasts = end.lasts and not before
-        late = float(self._robot.contact_time[end.hit[0]]) / 2 if lasts else 0.0
-        onward = self.flow(t, x, late, before)
-        map_ = self.impact(onward.x, end.pressed, reflects=is_measured and not late)
+        map_ = self.impact(x, end.pressed, reflects=is_measured)
         if end.held and not is_measured:
             map_ = self.at_rest(map_.x, end.held).preceded_by(map_)
-        ahead = self.moving.rate_of(t + late, map_.x, end.held)
-        xi = ahead - map_.Phi.dot(self.moving.rate_of(t + late, onward.x, before))
-        back = self.flow(t + late, map_.x, -late, end.held)
-        return back.preceded_by(map_.preceded_by(onward)), back.Phi @ xi
+        ahead = self.moving.rate_of(t, map_.x, end.held)
+        return map_, ahead - map_.Phi.dot(self.moving.rate_of(t, x, before))

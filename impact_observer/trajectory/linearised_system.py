@@ -57,11 +57,6 @@ class FlightEnd(NamedTuple):
         pressed = change.pressed(newton, -np.ones(len(change.hit))) if change.hit else ()
         return cls(change.t, change.hit, pressed, phases.independent(change.closed), measured)
 
-    @property
-    def lasts(self) -> bool:
-        """Whether the moment can be an impact that lasts: of one contact, which stays open."""
-        return len(self.hit) == 1 and self.pressed == self.hit and not self.held
-
 
 class TangentMap(NamedTuple):
     """A state as a function of an earlier state and of the parameters, near a motion.
@@ -152,8 +147,6 @@ class LinearisedSystem:
         inverse = linalg.inv(self.numbers.M) if self._moves else None
         self.moving = moving or MovingSystem(own, inverse)
         self._is_driven = bool(self._moves) and self.moving.is_plain
-        lasting = [family.system.contact_time, *(each.contact_time for each in effects)]
-        self._lasts = bool(np.any(lasting))
         self._flight_maps = dict[tuple[Contacts, float], np.ndarray]()
         self._generators = cache(self._generators_of)
         self._stops = cache(self._stops_of)
@@ -311,28 +304,16 @@ class LinearisedSystem:
     ) -> tuple[TangentMap, Vector]:
         """The jump at ``end``; see ``switch``.
 
-        Contacts that stay closed have no speed afterwards. An impact that lasts jumps half its
-        contact time later, and is followed back to its onset. Where a gap, and the gap and speed
-        of a contact that stays closed, ``is_measured`` by the user, such an impact leaves the
-        speed as it is, and ``reflects`` what is left of the gap.
+        Contacts that stay closed have no speed afterwards. Where a gap, and the gap and speed of a
+        contact that stays closed, ``is_measured`` by the user, such an impact leaves the speed as
+        it is, and ``reflects`` what is left of the gap.
         """
         t, x, _, before = at
-        lasts = self._lasts and end.lasts and not before
-        late = float(self.numbers.contact_time[end.hit[0]]) / 2 if lasts else 0.0
-        onward = self.flow(t, x, late, before) if late else None
-        start = x if onward is None else onward.x
-        map_ = self.impact(start, end.pressed, reflects=is_measured and not late)
+        map_ = self.impact(x, end.pressed, reflects=is_measured)
         if end.held and not is_measured:
             map_ = self.at_rest(map_.x, end.held).preceded_by(map_)
-        ahead = self.moving.rate_of(t + late, map_.x, end.held)
-        xi = ahead - map_.Phi.dot(self.moving.rate_of(t + late, start, before))
-        if onward is not None:
-            back = self.flow(t + late, map_.x, -late, end.held)
-            map_, xi = back.preceded_by(map_.preceded_by(onward)), back.Phi @ xi
-        if lasts:
-            times = [each.effect.contact_time[end.hit[0]] for each in self.family.parameters]
-            map_ = map_._replace(Gamma=map_.Gamma - np.outer(xi, times) / 2)
-        return map_, xi
+        ahead = self.moving.rate_of(t, map_.x, end.held)
+        return map_, ahead - map_.Phi.dot(self.moving.rate_of(t, x, before))
 
     def distance(self, j: int) -> float:
         """The difference of the ``j``-th parameter of the two systems that are ``beside``."""

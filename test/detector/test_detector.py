@@ -61,13 +61,14 @@ def test_a_restart_is_a_new_episode_without_state() -> None:
     assert detected.event == ImpactEvent(5, (Switch("floor"),), 1, 1)
 
 
-def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
-    """All three events of a closure are stamped earlier by the latency."""
+@pytest.mark.parametrize("latency", [0.0123, -0.0123])
+def test_the_latency_is_subtracted_from_stamps_and_not_from_durations(latency: float) -> None:
+    """All three events of a closure are stamped earlier by the latency; later if negative."""
     signal = [(START, 1.0), (START + 60 * MS, 1.0), (START + 70 * MS, 0.0)]
     plain = detections(switch(), signal)
-    early = detections(switch(latency=0.0123), signal)
+    early = detections(switch(latency=latency), signal)
     assert [d.decided for d in early] == [d.decided for d in plain]
-    moved = [(stamp - 12_300_000, kind) for stamp, kind in events(plain)]
+    moved = [(stamp - round(latency * 1e9), kind) for stamp, kind in events(plain)]
     assert events(early) == moved
 
 
@@ -249,7 +250,7 @@ MISTAKES: list[tuple[str, str, str]] = [
             ("kind: magic", "kind: 'magic' found; expected one of switch, peak, arrival"),
             ("stamp: now", "stamp: 'now' found; expected one of header, receive"),
             ("inverted: 1", "inverted: 1 found; expected true or false"),
-            ("latency: -1", "latency: -1 found; expected 0 to 10 s"),
+            ("latency: -11", "latency: -11 found; expected -10 to 10 s"),
             ("dead_time: 11", "dead_time: 11 found; expected 0 to 10 s"),
             ("latency: .nan", "latency: is not finite; expected a number"),
             ("dead_time: soon", "dead_time: 'soon' found; expected a number"),

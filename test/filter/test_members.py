@@ -140,7 +140,7 @@ def test_a_member_moves_and_jumps_as_its_system_does() -> None:
     all_ = members(model, *wanted)
     values = all_.family.nominal + 0.01 * np.arange(1, len(all_.family.nominal) + 1)
     other, found = all_.family.system_at(values), all_.at(values)
-    for name in ("M", "C", "K", "W", "q_r", "eps", "contact_time", "directions"):
+    for name in ("M", "C", "K", "W", "q_r", "eps"):
         np.testing.assert_array_equal(getattr(found.system, name), getattr(other, name))
     x = np.arange(2.0 * model.n) / model.n
     for s in (0.5, -0.5):

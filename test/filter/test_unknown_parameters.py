@@ -343,9 +343,9 @@ def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
 
 
 def test_a_contact_that_rests_leaves_parameters_within_their_bounds() -> None:
-    """To the last digit: a contact time of -1e-21 s is none."""
+    """To the last digit: a restitution of -1e-21 is none."""
     model, rng = sample("two_mass").system, np.random.default_rng(1)
-    unknowns = UnknownParameters.named(model, ["contact-time=0.01", "restitution=0.3"])
+    unknowns = UnknownParameters.named(model, ["gap=0.01", "restitution=0.3"])
     members, nothing = ImpactFilter(model, 0.0, unknowns).members, np.zeros((2, 0))
     for _ in range(50):
         x, root = np.append(0.1 * rng.normal(size=2), rng.normal(size=2)), rng.normal(size=(6, 6))

@@ -25,7 +25,7 @@ from impact_observer.trajectory.linearised_system import FlightEnd
 
 Array = NDArray[np.float64]
 SCALES = ("stiffness-scale", "damping-scale", "mass-scale")
-EVERYTHING = ("restitution", "gap", "contact-time", *SCALES)
+EVERYTHING = ("restitution", "gap", *SCALES)
 OF_FORCING = ("forcing-amplitude", "forcing-phase", "forcing-frequency", "clock-offset")
 
 

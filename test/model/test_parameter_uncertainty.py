@@ -115,7 +115,7 @@ forces:
   - {body: b, amplitude: FORCE, frequency: FREQUENCY, phase: PHASE}
   - {body: a, constant: CONSTANT}
 stops:
-  - {name: up, body: b, limit: LIMIT, side: above, restitution: RESTITUTION, contact_time: TIME}
+  - {name: up, body: b, limit: LIMIT, side: above, restitution: RESTITUTION}
   - {name: low, body: b, limit: -0.4, side: below, restitution: LOW}
 """
 NUMBERS = {
@@ -129,7 +129,6 @@ NUMBERS = {
     "CONSTANT": ("constant-force.a", -1.5, 0.3, 0.3),
     "LIMIT": ("gap.up", 0.5, 0.002, 0.002),
     "RESTITUTION": ("restitution.up", 0.7, 0.01, 0.01),
-    "TIME": ("contact-time.up", 0.002, 0.0005, 0.0005),
 }
 """By the word that stands for it: parameter, number, its deviation, that of the parameter."""
 LOW = "{value: 0.6, speed: 1, exponent: -0.1}"

@@ -19,7 +19,7 @@ from benchmarks.robot_filter import encoders
 from impact_observer.cli.arguments import installed_laws
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import Kind
 from impact_observer.model import Model, System, read_model
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Observer, law_named, law_names, make_observer
@@ -40,11 +40,10 @@ Array = NDArray[np.float64]
 
 
 def hammer() -> Model:
-    """The sample, whose hits take no time and whose torques are known."""
+    """The sample, whose torques are known."""
     model = read_model("hammer_arm")
     assert model.robot is not None
-    contacts = tuple(replace(each, contact_time=0.0) for each in model.robot.contacts)
-    return replace(model, robot=replace(model.robot, forces=None, contacts=contacts))
+    return replace(model, robot=replace(model.robot, forces=None))
 
 
 def pressed() -> Model:
@@ -220,28 +219,6 @@ def test_replicas_agree_after_three_hits() -> None:
     expected = [f"agreement at {k} of 3 impacts in a row" for k in (1, 2)]
     assert obstacles == [*expected, ""]
     assert observer.estimate(int(stamps[-1])).synchronized
-
-
-def test_no_impact_that_lasts_is_used_before_its_jump() -> None:
-    """Until half the contact time the estimate has the velocity before the hit."""
-    robot = Robot("hammer_arm")
-    assert robot.contact_time[0] == 0.001
-    observer = make_observer(
-        "hammer_arm",
-        Options("measured-position", initial_state="-0.62,0.3,-2,-1", epoch=EPOCH, ensemble=1),
-        measurements=encoders_of(robot),
-    )
-    hit = EPOCH + 10**6
-    before = observer.estimate(hit).u
-    observer.receive(ImpactEvent(hit, (Switch("wall"),), 1, 0, EPOCH))
-    early = observer.estimate(hit + 400_000)
-    late = observer.estimate(hit + 600_000)
-    assert np.linalg.norm(early.u - before) < 0.1
-    x, u = early.q, early.u
-    np.testing.assert_allclose(late.u, robot.velocity_after(x, u, (0,)), atol=0.2)
-    assert np.linalg.norm(late.u - before) > 1.0
-    observer.measure([SensorSample(0, hit + 900_000, 0.0)])
-    assert observer.samples.counts[0]["unused"] == 1
 
 
 @pytest.mark.parametrize(

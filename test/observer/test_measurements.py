@@ -513,20 +513,6 @@ def test_a_wrong_name_is_one_line() -> None:
         make_observer(sample("two_mass").system, Options(), measurements=[encoder("x9")])
 
 
-def test_samples_say_nothing_while_a_contact_lasts() -> None:
-    """For the contact time after the stamp of an impact; its jump is not in them yet."""
-    model, whole = truth("two_mass", 4.0)
-    model = replace(model, contacts=tuple(replace(c, contact_time=0.01) for c in model.contacts))
-    observer = watcher(model, LAW, whole.states[0], [encoder()])
-    stamp = whole.events[0].stamp
-    observer.receive(whole.events[0])
-    before = x_of(observer, stamp + NS_PER_S)
-    observer.measure([SensorSample(0, stamp + NS_PER_S // 200, 0.3)])
-    (verdict,) = observer.samples.take()
-    assert verdict.reason.startswith("contact: an impact that lasts 0.01 s was 0.005 s ago")
-    np.testing.assert_array_equal(x_of(observer, stamp + NS_PER_S), before)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("trouble", ["outliers", "stuck"])
 def test_a_bad_sensor_is_survived(trouble: str) -> None:

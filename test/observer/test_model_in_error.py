@@ -13,7 +13,6 @@ from systems import EPOCH, run, sample, started
 from benchmarks.fast_bags import fast_model
 from benchmarks.filter_cost import DRILL
 from benchmarks.misfit_motion import Motion, Truth
-from benchmarks.misfit_plants import plants
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
@@ -198,23 +197,6 @@ def test_warning_ends_when_the_model_fits_again() -> None:
     assert not last.misfit
     assert "restitution.stop" not in {name for name, *_ in last.parameters}
     assert last.synchronized
-
-
-@pytest.mark.slow
-def test_contact_time_is_found() -> None:
-    """Of stops that give way for 2 ms; the plant is integrated by scipy.
-
-    The impulse of a stop with damping is a little before the middle.
-    """
-    (plant,) = (each for each in plants() if each.name == "drill-finite-contact-0.002")
-    wanted = {"law": "minimum-variance", "estimate_parameters": ("contact-time=0.005",)}
-    declared = {"clock_error": 1e-4, **TRUSTED}
-    chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
-    recording = plant.run(0, 12.0)
-    watcher = fed(make_observer(plant.model, chosen), recording.events(plant.model))
-    learned = {name: value for name, value, _ in watcher.estimate(watcher.last_event).parameters}
-    assert learned["contact-time.anvil"] == pytest.approx(0.0018, rel=0.15)
-    assert learned["contact-time.rock"] == pytest.approx(0.0018, rel=0.15)
 
 
 def test_impacts_that_accumulate_count_once() -> None:

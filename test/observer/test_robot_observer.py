@@ -112,8 +112,7 @@ def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
         cosine=np.zeros((1, 2)),
         sine=np.array([[6.0, 0.0]]),
     )
-    rigid = tuple(replace(each, contact_time=0.0) for each in model.robot.contacts)
-    robot = replace(model.robot, forcing=pressing, contacts=rigid)
+    robot = replace(model.robot, forcing=pressing)
     start = model.initial_state()
     recording = Truth.of_plant(Robot(robot), start, CASE.rate, 1.4).recorded(seed=0)
     kinds = {switch.kind for event in recording.events for switch in event.switches}

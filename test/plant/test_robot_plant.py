@@ -176,21 +176,6 @@ def test_two_dips_within_one_step_are_not_missed() -> None:
     assert hit[0] == pytest.approx(-deep, abs=1e-9)
 
 
-def test_a_hit_that_lasts_jumps_half_its_time_after_its_onset() -> None:
-    """The event is the onset; velocities jump at its stamp plus half the contact time."""
-    model = model_of(SLIDER, "rail", contacts=wall(normal="[0, 0, 1]", contact_time=0.004))
-    run = run_of(model, [0.5], [0.0], 0.6)
-    onset, jump = run.switchings[:2]
-    fall = np.sqrt(2 * 0.5 / 9.81)
-    assert (onset.instant.stamp - EPOCH) * 1e-9 == pytest.approx(fall, abs=1e-9)
-    assert run.events[0].stamp == onset.instant.stamp
-    assert np.array_equal(onset.before, onset.after)
-    assert jump.instant.stamp - onset.instant.stamp == pytest.approx(2_000_000, abs=1)
-    assert jump.after[1] == pytest.approx(0.5 * 9.81 * (fall + 0.002), rel=1e-9)
-    assert jump.before[0] < -0.005
-    assert len(run.events) == 1
-
-
 def test_equal_seconds_after_any_epoch_are_equal_runs() -> None:
     """Harmonics count from the epoch; stamps are whole nanoseconds."""
     model = read_model("hammer_arm")

@@ -62,11 +62,6 @@ def rig(name: str) -> Model:
     """A model of the samples, or one with another stop."""
     if name == "without rebound":
         return parse_model(PRESSED.replace("0.4}", "0}"), name)
-    others = {"hits of 4 ms": "contact_time: 0.004"}
-    if name in others:
-        text = sample("two_mass").text()
-        key = f"{others[name]}\n  restitution: "
-        return parse_model(text.replace("restitution: ", key), name)
     return sample(name)
 
 
@@ -130,7 +125,6 @@ def about(x: Vector, deviation: float, **others: object) -> Options:
         ("two_mass", 0, {}),
         ("three_mass", 20, {}),
         ("without rebound", 20, {}),
-        ("hits of 4 ms", 10, {}),
         (
             "two_mass",
             10,
@@ -175,7 +169,6 @@ def test_states_are_those_of_conditioning_on_all_events(
         ("two_mass", {}),
         ("two_mass", {"clock_offset_error": 0.02}),
         ("without rebound", {}),
-        ("hits of 4 ms", {}),
     ],
 )
 def test_states_are_those_of_conditioning_on_exact_stamps(
@@ -212,12 +205,9 @@ def test_states_are_those_of_conditioning_on_exact_stamps(
     ("name", "rate", "learned"),
     [
         ("two_mass", 0, ()),
-        ("hits of 4 ms", 0, ()),
         ("two_mass", 10, ()),
-        ("hits of 4 ms", 10, ()),
         ("two_mass", 0, ("mass-scale", "restitution")),
         ("two_mass", 10, ("gap", "stiffness-scale")),
-        ("hits of 4 ms", 0, ("contact-time",)),
     ],
 )
 def test_start_is_that_of_a_fit_of_simulated_instants(
@@ -525,7 +515,6 @@ def test_ball_from_its_bounce_times_alone() -> None:
     ("name", "until", "seconds"),
     [
         ("ball_on_table", 1.0, [0.0, 0.21, 0.55, 0.93]),
-        ("hits of 4 ms", 12.0, [0.0, 2.0, 7.1]),
     ],
 )
 def test_states_are_exact_on_stops_that_move_or_drive_and_while_hits_last(

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from arms import DOUBLE, model_of, random_arm, wall
+from arms import random_arm
 from scipy.integrate import solve_ivp
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
@@ -54,28 +54,6 @@ def test_jump_of_a_gap_that_is_zero_is_the_saltation(seed: int, is_measured: boo
     wanted = robot.saltation(x, robot.torques(0.0), 0)
     np.testing.assert_allclose(whole, wanted, atol=1e-9 * np.abs(wanted).max())
     np.testing.assert_allclose(map_.x, robot.jumped(x, (0,)), atol=1e-12)
-
-
-def test_jump_that_lasts_is_that_of_the_integrated_motion() -> None:
-    """By the state, by the instant, and by the restitution."""
-    contacts = wall(contact_time=0.004, offset=-0.2)
-    robot = Robot(model_of(DOUBLE, "shoulder, elbow", contacts=contacts))
-    x, made = closing(robot, 5), linearised(robot, "restitution.wall")
-
-    def after(start: Vector, early: float = 0.0, eps: float = 0.5) -> Vector:
-        """The state at the instant of ``start``, if the jump begins ``early`` seconds before."""
-        own = robot.with_parameters({"restitution.wall": eps})
-        jumped = own.jumped(moved(robot, start, 0.002 - early), (0,))
-        return moved(robot, jumped, early - 0.002)
-
-    map_, xi = made.jump(made.begin(0.0, x), FlightEnd(0.0, (0,), (0,)), is_measured=True)
-    np.testing.assert_allclose(map_.x, after(x), atol=1e-7)
-    for k, unit in enumerate(STEP * np.eye(4)):
-        slope = (after(x + unit) - after(x - unit)) / (2 * STEP)
-        np.testing.assert_allclose(map_.Phi[:, k], slope, atol=2e-5)
-    np.testing.assert_allclose(xi, (after(x, STEP) - after(x, -STEP)) / (2 * STEP), atol=2e-4)
-    by_eps = (after(x, eps=0.5 + STEP) - after(x, eps=0.5 - STEP)) / (2 * STEP)
-    np.testing.assert_allclose(map_.Gamma[:, 0], by_eps, atol=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(3))

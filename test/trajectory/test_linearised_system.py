@@ -32,7 +32,7 @@ springs:
   - {between: [x1, x2], stiffness: 20, damping: 0.2}
 forces: [{body: x2, amplitude: 4, frequency: 2.5}]
 stops:
-  - {name: above, body: x2, limit: 0.2, side: above, contact_time: 0.01,
+  - {name: above, body: x2, limit: 0.2, side: above,
      restitution: {value: 0.7, speed: 1.0, exponent: -0.1}}
 initial_state: {position: [0.1, -0.2], velocity: [0.5, 0]}
 """
@@ -103,10 +103,10 @@ CASES: dict[str, tuple[Callable[[], ParametricFamily], Array, float]] = {
         np.array([0.1, -0.2, 0.5, 0.0]),
         8.0,
     ),
-    "curved and lasting impacts": (
+    "curved impacts": (
         lambda: parametric_family(
             parse_model(CURVED, "curved").system,
-            ("restitution", "restitution-exponent", "contact-time", "gap"),
+            ("restitution", "restitution-exponent", "gap"),
         ),
         np.array([0.1, -0.2, 0.5, 0.0]),
         8.0,

@@ -38,16 +38,14 @@ class SweepingProcess:
         self.projection = UnilateralProjection(clutches.phases)
         self.opened = lru_cache(KEPT)(self._open)
 
-    def motion(
-        self, t: float, x: Vector, closed: tuple[int, ...], *, without: tuple[int, ...] = ()
-    ) -> Motion:
+    def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
         """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
 
         The state (q, u), shape (2n,), has ``g = 0`` and ``gamma >= 0`` on them, and no gap
         negative. Without such a position no plant can have this ``chi``: then the other gaps may
-        become negative. The gaps of contacts ``without`` a stop may always be negative.
+        become negative.
         """
-        return _SweepingMotion(self, t, x, closed, without)
+        return _SweepingMotion(self, t, x, closed)
 
     def stopped(
         self,
@@ -100,17 +98,12 @@ class SweepingProcess:
 
 class _SweepingMotion(Piecewise):
     def __init__(
-        self,
-        process: SweepingProcess,
-        t: float,
-        x: Vector,
-        closed: tuple[int, ...],
-        without: tuple[int, ...],
+        self, process: SweepingProcess, t: float, x: Vector, closed: tuple[int, ...]
     ) -> None:
         self._process = process
         system = process.clutches.system
         possible = process.projection.is_possible(closed)
-        others = {*range(system.m)} - {*closed, *without}
+        others = {*range(system.m)} - {*closed}
         self._kept = tuple(sorted(others)) if possible else ()
         super().__init__(process.clutches, t, x, closed, fixed=closed)
 

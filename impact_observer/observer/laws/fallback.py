@@ -57,14 +57,11 @@ class FallbackReplica:
         if not change.hit:
             return before
         x, n = self._geometric.impact(before.x, change.active, change.closed), self._system.n
-        after = (
-            self._geometric.soft_impact(change, before.x)[0] if change.delay(self._system) else x
-        )
         near = Ensemble(before.x, _DIFFERENCE * before.errors)
         near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
         errors = near.differences / _DIFFERENCE
         errors[:n, -1] -= self._lag(change.hit).dot(x[n:])
-        return Fallback(after, np.maximum(before.largest, np.abs(x)), errors)
+        return Fallback(x, np.maximum(before.largest, np.abs(x)), errors)
 
     def beside(self, before: Fallback, x: Vector) -> Fallback:
         """The replica beside an estimate ``x``, which is another motion."""

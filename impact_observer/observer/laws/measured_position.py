@@ -24,7 +24,7 @@ from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.readings import Place, Reading, SampleOutcome
 from impact_observer.filter.robot_members import tangent
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Onset, Prediction
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.replica_law import OwnMotions
 from impact_observer.robots.robot import Robot
@@ -56,16 +56,11 @@ class MeasuredPosition(Law):
         return Belief(Ensemble.of(np.array(held)), unmeasured=np.full(n, math.inf))
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
-        """Every replica after its own impact, at the positions that encoders have given it.
-
-        The jump of an impact that lasts comes after half of it, and is carried back to the onset.
-        """
+        """Every replica after its own impact, at the positions that encoders have given it."""
         if not change.hit:
             return prior
-        late = change.delay(self.system)
-        after = [self._jumped(change, x, late) for x in prior.replicas]
-        onset = Onset(prior.x, None, late) if late else None
-        return prior._replace(ensemble=Ensemble.of(np.array(after)), onset=onset)
+        after = [self._jumped(change, x) for x in prior.replicas]
+        return prior._replace(ensemble=Ensemble.of(np.array(after)))
 
     def measure(self, reading: Reading, prior: Belief) -> tuple[Belief, SampleOutcome]:
         """Every replica after the sample of an encoder of one joint; no others are used."""
@@ -106,13 +101,11 @@ class MeasuredPosition(Law):
         motions = [self.moving.motion(t, x, closed) for x in posterior.replicas]
         return _Unmeasured(motions, posterior)
 
-    def _jumped(self, change: ContactChange, x: Vector, late: float) -> Vector:
-        """A replica ``x``, shape (2n,), after its impact ``late`` seconds after the onset."""
-        n, moved = self._robot.n, self.moving.moved
-        x = moved(change.t, x, late, ())[0] if late else x
+    def _jumped(self, change: ContactChange, x: Vector) -> Vector:
+        """A replica ``x``, shape (2n,), after its impact."""
+        n = self._robot.n
         u = self._robot.velocity_after(x[:n], x[n:], change.active)
-        x = self._held(x[:n], u, change.closed)
-        return moved(change.t + late, x, -late, ())[0] if late else x
+        return self._held(x[:n], u, change.closed)
 
     def _moved_to(self, x: Vector, j: int, shift: float, h: float, closed: Contacts) -> Vector:
         """A replica whose joint ``j`` is shifted, ``h`` seconds after the sample before."""

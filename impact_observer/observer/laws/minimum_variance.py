@@ -150,26 +150,7 @@ class MinimumVariance(Law):
             return corrected
         if corrected.clock.late != belief.clock.late:
             return corrected
-        late = change.delay(self.system)
-        onset = (
-            self._onset(change, belief, corrected, late) if late else Onset(belief.x, None, 0.0)
-        )
-        return corrected._replace(onset=onset._replace(hit=change.hit))
-
-    def _onset(
-        self, change: ContactChange, prior: Belief, corrected: Belief, late: float
-    ) -> Onset:
-        """The state until the velocities jump, with the clock that is the likeliest after it.
-
-        A fallback that is published is not corrected.
-        """
-        if prior.fit.is_compared or not prior.hypotheses:
-            return Onset(prior.x, corrected.root, late)
-        clock = corrected.hypotheses[0].clock
-        same = (h for h in prior.hypotheses if h.clock == clock)
-        state = next(same, prior.hypotheses[0]).state
-        here = change.from_closed(state.closed)
-        return Onset(*self._bank.filter.conditioning.before(here, state, clock), late)
+        return corrected._replace(onset=Onset(belief.x, change.hit))
 
     def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
@@ -260,7 +241,6 @@ class MinimumVariance(Law):
             change = change.from_closed(state.closed)
             early = conditioning.joint_prior(change, state, clock)
             joint = conditioning.joint_posterior(change, early)
-        joint = conditioning.at_jump(change, joint)
         sizes = self.filter.scales.sizes(joint.x)
         least = self.uncertainty.least_deviations(joint.x, sizes)
         kicks = np.zeros_like(joint.x)[:, None]

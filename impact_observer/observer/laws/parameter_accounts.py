@@ -32,6 +32,7 @@ from impact_observer.model.free_parameters import (
     UNITS,
     forcing_quadratures,
     harmonic_forces,
+    impact_durations,
     impulses_aside,
     usual_force,
 )
@@ -80,7 +81,8 @@ def doubted(system: System, *, is_wide: bool = False) -> UnknownParameters:
     parts["restitution"] = system.eps * ["restitution" in law.units for law in system.rebounds]
     kinds = (k for k in deviations if k not in STAND_INS and np.any(parts.get(k, 1.0)))
     found = UnknownParameters.named(system, [f"{k}={deviations[k]}" for k in kinds])
-    others = [*forcing_quadratures(system)] if is_plain and not is_wide else []
+    others = [*impact_durations(system)]
+    others += [*forcing_quadratures(system)] if is_plain and not is_wide else []
     others += [*harmonic_forces(system)] if is_forced and is_wide else []
     may_rub = is_forced and system.n <= TUNING.aside_coordinates
     others += [*impulses_aside(system)] if may_rub and is_wide else []

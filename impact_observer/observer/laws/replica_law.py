@@ -18,7 +18,7 @@ from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.moving_system import MovingSystem
 from impact_observer.filter.uncertainty import Uncertainty
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Onset, Prediction
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
 
@@ -135,43 +135,16 @@ class ReplicaLaw(Law):
         if not change.hit:
             return prior
         before, active, closed = prior.ensemble, change.active, change.closed
-        onset = None
-        if change.delay(self.system):
-            x, onset = self.soft_impact(change, before.x)
-            after, on_stop = Ensemble(x, before.columns), onset.x
-            if before.others:
-                others = [self.soft_impact(change, other)[0] for other in before.replicas[1:]]
-                after = Ensemble.of(np.array([x, *others]))
+        x = self.impact(before.x, active, closed)
+        if before.others:
+            after = self.impact_ensemble(before, x, active, closed)
         else:
-            x = on_stop = self.impact(before.x, active, closed)
-            if before.others:
-                after = self.impact_ensemble(before, x, active, closed)
-            else:
-                after = Ensemble(x, before.columns)
+            after = Ensemble(x, before.columns)
         bound = prior.bound
         if bound is not None:
-            removed = self.energy_removed(before.x, on_stop, active)
+            removed = self.energy_removed(before.x, x, active)
             bound = None if removed is None else bound - removed
-        return self._checked(Belief(after, None, bound, prior.inconsistent, onset=onset))
-
-    def soft_impact(self, change: ContactChange, x: Vector) -> tuple[Vector, Onset]:
-        """One replica through an impact that lasts: positions jump at its onset, velocities later.
-
-        Args:
-            change: the impact, whose ``delay`` is positive.
-            x: the state (q-, u-) at the onset, shape (2n,).
-
-        Returns:
-            The state after the jump of the velocities, carried back to the onset by free motion,
-            shape (2n,); and the state before the jump.
-        """
-        n, late, active = self.system.n, change.delay(self.system), change.active
-        on_stop = np.concatenate([self.impact(x, active, ())[:n], x[n:]])
-        before = self.moving.moved(change.t, on_stop, late, ())[0]
-        same = np.concatenate([on_stop[:n], before[n:]])
-        after = np.concatenate([before[:n], self.impact(same, active, ())[n:]])
-        back = self.moving.moved(change.t + late, after, -late, ())[0]
-        return back, Onset(on_stop, None, late)
+        return self._checked(Belief(after, None, bound, prior.inconsistent))
 
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts

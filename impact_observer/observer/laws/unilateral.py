@@ -4,7 +4,6 @@
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.dynamics import Motion
 from impact_observer.dynamics.contact.complementarity import complementary
@@ -13,15 +12,11 @@ from impact_observer.events import Contacts
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.ensemble import Ensemble
 from impact_observer.filter.uncertainty import Uncertainty
-from impact_observer.kernel._kernel import falls_at
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Vector
-
-_STEPS, _MOST_STEPS = 8, 1024
-"""Steps per contact time in the search for a reopening, and most steps of the search."""
 
 
 class Unilateral(Geometric):
@@ -43,8 +38,6 @@ class Unilateral(Geometric):
         super().__init__(system, uncertainty)
         self._sweeping = SweepingProcess(self._clutches)
         self._unilateral = self._sweeping.projection
-        lasts = system.contact_time.tolist()
-        self._lasts: list[float] = lasts if any(lasts) else []
 
     def admissible(self, x: Vector) -> Vector:
         """The nearest state without a negative gap."""
@@ -64,14 +57,7 @@ class Unilateral(Geometric):
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
-        inside = self._inside(x) if self._lasts and not closed else ()
-        if inside:
-            return _Reopening(self._sweeping, t, x, inside, float(np.max(self._lasts)))
         return self._sweeping.motion(t, x, closed)
-
-    def _inside(self, x: Vector) -> Contacts:
-        """Contacts within their stops: after an impact that lasts, until they have reopened."""
-        return tuple(i for i in self.system.penetrated(x[: self.system.n]) if self._lasts[i])
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact, or projected where contacts open."""
@@ -119,32 +105,3 @@ class Unilateral(Geometric):
         if impulses is None:  # dependent contacts, and rounding
             return u
         return np.asarray(u - phases.unwhite(B @ impulses))
-
-
-class _Reopening:
-    """A motion without negative gaps, except for contacts ``inside`` until their reopening."""
-
-    def __init__(
-        self, process: SweepingProcess, t: float, x: Vector, inside: Contacts, lasts: float
-    ) -> None:
-        self.t = t
-        self._first = process.motion(t, x, (), without=inside)
-        system, n = process.clutches.system, process.clutches.system.n
-
-        def deepest(s: float) -> float:
-            return float(np.min(system.gap(self._first.state(s)[:n])[list(inside)]))
-
-        steps = (k * lasts / _STEPS for k in range(1, _MOST_STEPS))
-        self._over = next((s for s in steps if deepest(s) >= 0), np.inf)
-        if self._over < np.inf:
-            since = self._over - lasts / _STEPS
-            self._over = falls_at(lambda s: -deepest(s), since, self._over)
-            self._then = process.motion(t + self._over, self._first.state(self._over), ())
-
-    def state(self, s: float, /) -> Vector:
-        """The state (q, u), shape (2n,), after ``s`` seconds."""
-        return self._first.state(s) if s < self._over else self._then.state(s - self._over)
-
-    def states(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
-        """``state`` at each of ``s`` seconds, shape (samples, 2n)."""
-        return np.array([self.state(at) for at in s.tolist()]).reshape(s.size, -1)
