@@ -168,8 +168,7 @@ class Options:
     initial_state: str = option(
         "zero",
         "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s, also where a model has"
-        " unit: deg; or random:SEED, drawn with standard deviations of 1 m and 1 m/s; or"
-        " drawn:SEED, drawn with initial_deviation; or zero",
+        " unit: deg; or random:SEED, drawn with standard deviations of 1 m and 1 m/s; or zero",
         flag="initial",
         metavar="STATE",
         live=AT_NEXT_START,

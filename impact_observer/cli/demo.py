@@ -35,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--initial",
         metavar="STATE",
         default="random:1",
-        help="of the observers: q1,..,qn,u1,..,un, random:SEED, drawn:SEED or zero"
-        " (default random:1)",
+        help="of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default random:1)",
     )
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, default=100.0, help="states, Hz (default 100)"

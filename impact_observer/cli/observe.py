@@ -25,12 +25,9 @@ if TYPE_CHECKING:
 
     from impact_observer.filter.contradiction import Contradiction
     from impact_observer.filter.unknown_parameters import UnknownParameters
-    from impact_observer.model import Model, System
+    from impact_observer.model import Model
     from impact_observer.observer import Observer
-    from impact_observer.options import Options
 
-_SMALL = 0.1
-"""Suggested deviation of a position below which a deviation of 1 m is far outside the rig, m."""
 _COMPONENTS = 12
 """Most positions and velocities whose deviations are printed."""
 _SOURCES, _SMALL_SHARE = 3, 0.05
@@ -89,8 +86,7 @@ def run(args: argparse.Namespace) -> int:
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)
         chosen = replace(chosen, epoch=chosen.epoch or assumed.stamp)
         observer = make_observer(read, chosen, measurements=sensors)
-        far = far_start(read.system, chosen) if read.robot is None else ()
-        for line in (*measured.problems, *unused_lines(observer), *far):
+        for line in (*measured.problems, *unused_lines(observer)):
             progress.line(f"warning: {line}")
         noted = [f"note: {assumed.note}"] * bool(assumed.note)
         torques = torque_lines(read) if observer.law.has_covariance else ()
@@ -226,20 +222,6 @@ def fitted_lines(model: "Model", stamps: "Iterable[int]") -> "Iterator[str]":
         yield (
             "note: the model was fitted to these impacts: its errors and those of the estimates"
             " come from the same stamps"
-        )
-
-
-def far_start(system: "System", options: "Options") -> "Iterator[str]":
-    """A line if the initial state is drawn far outside the rig."""
-    from impact_observer.filter.uncertainty import suggested_deviation
-
-    suggested = suggested_deviation(system)
-    random = options.initial_state.strip().startswith("random:")
-    if random and suggested and float(suggested.split(",")[0]) < _SMALL:
-        yield (
-            f"--initial {options.initial_state} is drawn with deviations of 1 {system.unit} and 1"
-            f" {system.speed_unit}, far outside this rig; --deviation {suggested} --initial"
-            f" drawn:{options.initial_state.partition(':')[2]} is of its size"
         )
 
 

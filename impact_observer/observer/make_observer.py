@@ -71,7 +71,7 @@ def make_observer(
     return Observer(
         system,
         law(cast(System, system), declared_by(options, system, known, encoders)),
-        *initial_state(options.initial_state, system, options.initial_deviation),
+        *initial_state(options.initial_state, system),
         epoch=options.epoch,
         history=options.history,
         ensemble=options.ensemble,
@@ -199,14 +199,11 @@ def _unknown_parameters(
     return None
 
 
-def initial_state(
-    text: str, system: System | Robot, deviation: str = "1"
-) -> tuple[Vector, Vector]:
-    """Read ``q1,..,qn,u1,..,un``, ``random:SEED``, ``drawn:SEED`` or ``zero``.
+def initial_state(text: str, system: System | Robot) -> tuple[Vector, Vector]:
+    """Read ``q1,..,qn,u1,..,un``, ``random:SEED`` or ``zero``.
 
     ``random:SEED`` is ``numpy.random.default_rng(SEED).normal(size=2n)``, q then u, in SI units
-    whatever the size of the rig; ``drawn:SEED`` is that times the ``deviation``, which is text as
-    ``deviation_of`` reads it.
+    whatever the size of the rig.
 
     Returns:
         Position and velocity, shape (n,) each.
@@ -218,19 +215,17 @@ def initial_state(
     kind, _, seed = text.strip().partition(":")
     if kind == "zero" and not seed:
         x = np.zeros(2 * n)
-    elif kind in {"random", "drawn"}:
+    elif kind == "random":
         if not (seed.isascii() and seed.isdigit()):
-            raise UsageError(f"initial state {text!r}: expected {kind}:SEED, SEED a whole number")
+            raise UsageError(f"initial state {text!r}: expected random:SEED, SEED a whole number")
         x = np.random.default_rng(int(seed)).normal(size=2 * n)
-        x = x * deviation_of(deviation, system) if kind == "drawn" else x
     else:
         order = "q1,..,qn,u1,..,un"
         try:
             x = np.array([float(part) for part in text.split(",")])
         except ValueError:
             raise UsageError(
-                f"initial state {text!r}: expected zero, random:SEED, drawn:SEED or"
-                f" {2 * n} numbers {order}"
+                f"initial state {text!r}: expected zero, random:SEED or {2 * n} numbers {order}"
             ) from None
         if x.size != 2 * n:
             raise UsageError(

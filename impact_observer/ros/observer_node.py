@@ -101,7 +101,7 @@ class ObserverNode(ManagedNode):
             self.resolve_topic_name(each.topic) for each in self._declared_sensors
         }
         system = self.observer.system
-        self._initial = initial_state(options.initial_state, system, options.initial_deviation)
+        self._initial = initial_state(options.initial_state, system)
         self._names = system.coordinates
         self._restarts = 0
         self._lag = from_seconds(values.number("lag"))
@@ -256,7 +256,7 @@ class ObserverNode(ManagedNode):
             law, system = self.observer.law, self.observer.system
             encoders = encoder_start(options, self.observer.robot, self._declared_sensors)
             known = declared_by(options, system, law.uncertainty, encoders)
-            initial = initial_state(options.initial_state, system, options.initial_deviation)
+            initial = initial_state(options.initial_state, system)
             self._declared = _NewStart(type(law)(system, known), initial, encoders)
 
     def _change(self, values: Mapping[str, Value]) -> None:

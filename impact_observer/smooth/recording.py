@@ -373,7 +373,7 @@ class _Run:
         if self._encoders is not None:
             x = self._encoders.state
         else:
-            x = np.concatenate(initial_state(given.initial_state, system, given.initial_deviation))
+            x = np.concatenate(initial_state(given.initial_state, system))
         if system.frame is not None:
             (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
         prior = law.prior(x, law.uncertainty.root(system.n))

@@ -301,21 +301,6 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
     assert not output.exists()
 
 
-def test_a_random_start_far_outside_a_small_rig_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The warning has a deviation that suits the rig, and a start drawn with it."""
-    text = shared("config").joinpath("two_mass.yaml").read_text(encoding="utf-8")
-    small = text.replace("gap: 0.5", "gap: 0.005").replace("[0.1, -0.2]", "[0, 0]")
-    model, bag = tmp_path / "small.yaml", str(tmp_path / "bag")
-    model.write_text(small, encoding="utf-8")
-    assert main(["simulate", str(model), "--duration", "1", "-o", bag]) == 0
-    observed = ["observe", bag, "-o", str(tmp_path / "out"), "--initial"]
-    assert main([*observed, "random:1"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "far outside this rig; --deviation 0.01,0.01,0.04,0.04 --initial drawn:1" in said
-
-
 def test_compare_without_estimates_names_the_remedy(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -151,7 +151,7 @@ def test_lines_of_an_observer_have_units_of_rotation(
     )
     made, fit = "--duration 8 --rate 20 -o bag", "--model arm.yaml --free gap,stiffness"
     assert main(["simulate", "arm.yaml", *made.split()]) == 0
-    law = "--law minimum-variance --initial drawn:1 --estimate-parameters gap.right=0.01"
+    law = "--law minimum-variance --estimate-parameters gap.right=0.01"
     assert main(f"observe bag {law} -o out".split()) == 0
     printed = capsys.readouterr().out
     assert "considered: gap.left [rad] 0.0524 +- 0.0017" in printed
