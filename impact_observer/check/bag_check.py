@@ -7,7 +7,7 @@ the epoch; a truth that does not fit the model or the impacts.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +19,8 @@ from impact_observer.draw.reports import counted, listed, print_facts
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
-from impact_observer.io.messages import AnyMessage, MessageError, read_event, read_joint_state
-from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.io.reader import BagReader
+from impact_observer.io.state_arrays import JointStates
 from impact_observer.model import System, parse_model
 from impact_observer.model.robot_description import RobotDescription
 from impact_observer.plain_text import say
@@ -137,13 +137,11 @@ def check_bag(
     counts = Counter[str]()
     try:
         with BagReader(path) as reader:
-            check = _BagCheck(reader, system)
             for done, raw in enumerate(reader.raw()):
                 counts[raw.topic] += 1
-                check.take(raw)
                 progress(done, reader.message_count)
-            found = [*_incomplete(reader), *check.findings()]
-            content = summary_of(reader, check.events.valid)
+            found, events = _findings(reader, system)
+            content = summary_of(reader, events)
     except BagError as error:
         reason = str(error).removeprefix(f"{path}: ")
         return Report(path, False, counts, [Finding(ERROR, _name(path), reason)])
@@ -153,6 +151,59 @@ def check_bag(
 
 def _name(path: Path) -> str:
     return path.name or str(path)
+
+
+def _findings(
+    reader: BagReader, system: System | RobotDescription | None
+) -> tuple[list[Finding], list[ImpactEvent]]:
+    """All findings, and the impacts."""
+    name, found, events = _name(reader.path), [*_incomplete(reader)], list[ImpactEvent]()
+    if system is None:
+        try:
+            text_of_model, fault = reader.model_text(), "carries no model (/plant/model)"
+            system = parse_model(text_of_model, "model").subject if text_of_model else None
+        except (BagError, ModelError) as error:
+            fault = f"the model it carries is not valid ({error})"
+        if system is None:
+            found.append(Finding(WARNING, name, fault, remedy="name one with --model MODEL"))
+    if topic := _topic(reader, interfaces.IMPACTS, found):
+        try:
+            events = [*reader.events(topic)]
+            found += _event_findings(topic, events, system)
+        except BagError as error:
+            found.append(_invalid(reader, topic, error))
+    elif not any(map(interfaces.IMPACTS.fits, reader.topics)):
+        found += _lack_of_impacts(reader)
+    if topic := _topic(reader, interfaces.PLANT_JOINT_STATES, found):
+        try:
+            found += _truth_findings(topic, reader.joint_states(topic), events, system)
+        except BagError as error:
+            found.append(_invalid(reader, topic, error))
+    elif not any(map(interfaces.PLANT_JOINT_STATES.fits, reader.topics)):
+        fault = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
+        found.append(Finding(NOTE, name, fault, remedy="observe needs --rate"))
+    return found, events
+
+
+def _topic(reader: BagReader, own: interfaces.Interface, found: list[Finding]) -> str | None:
+    """The topic of an interface; its faults are added to those ``found``."""
+    candidates = own.candidates(reader.topics)
+    if len(candidates) > 1:
+        fault = f"several topics fit {own.topic}"
+        remedy = f"play the bag with one as {own.topic}, and record that"
+        found.append(Finding(ERROR, " and ".join(candidates), fault, "one of them", remedy))
+    for topic in candidates if len(candidates) == 1 else ():
+        if (kind := reader.topics[topic].type) == own.type:
+            return topic
+        found.append(Finding(ERROR, topic, f"is {kind}", own.type))
+    return None
+
+
+def _invalid(reader: BagReader, topic: str, error: BagError) -> Finding:
+    """The finding of a message that is not valid."""
+    reason = str(error).removeprefix(f"{reader.path}: ").removeprefix(topic).lstrip(", ")
+    remedy = "no command uses it; mend the sender and record again"
+    return Finding(ERROR, topic, f"not valid: {reason}", remedy=remedy)
 
 
 def _incomplete(reader: BagReader) -> Iterator[Finding]:
@@ -169,254 +220,138 @@ def _incomplete(reader: BagReader) -> Iterator[Finding]:
             yield Finding(WARNING, journal.name, fault, remedy=remedy)
 
 
-class _Faults:
-    """Counts of faults, each with the place of the first."""
-
-    def __init__(self) -> None:
-        self.counts = Counter[str]()
-        self.first = dict[str, str]()
-
-    def add(self, fault: str, where: str) -> None:
-        """Count a fault at a place."""
-        self.counts[fault] += 1
-        self.first.setdefault(fault, where)
-
-    def findings(
-        self, thing: str, severity: str, remedies: Mapping[str, str]
-    ) -> Iterator[Finding]:
-        """A finding for each fault that has a remedy here, in their order."""
-        for fault, remedy in remedies.items():
-            if count := self.counts[fault]:
-                found = f"{count} {fault}, the first is {self.first[fault]}"
-                yield Finding(severity, thing, found, remedy=remedy)
+def _lack_of_impacts(reader: BagReader) -> Iterator[Finding]:
+    """That there are no impacts, and the topics of which impacts can be made."""
+    fault = f"no impacts; topics in the bag: {listed(reader.topics, joint=', ')}"
+    wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
+    remedy = "make them of a sensor by `detect`, or of a table by `import`"
+    yield Finding(ERROR, _name(reader.path), fault, wanted, remedy)
+    detect = f"impact-observer detect {quote(str(reader.path))} --contact NAME --topic"
+    for info in reader.topics.values():
+        if info.type in _SENSORS and not interfaces.PHASE_REFERENCE.fits(info.name):
+            remedy = f"{detect} {info.name}{_SENSORS[info.type]} -o NEW"
+            yield Finding(NOTE, info.name, f"{info.type} may be a sensor", remedy=remedy)
 
 
-class _Events:
-    """The events of one topic, in bag order."""
-
-    remedies = {  # noqa: RUF012 (a constant)
-        "repeated": "each counts once",
-        "with the sequence number of another event": "expected +1 a message",
-        "before their epoch": "such events are not applied; give the epoch with --epoch S",
-        "OPEN of a contact that is not closed": "a CLOSE was lost",
-        "CLOSE or IMPACT of a closed contact": "an OPEN was lost",
-    }
-
-    def __init__(self) -> None:
-        self.faults, self.invalid = _Faults(), _Faults()
-        self.runs: defaultdict[tuple[int, int], dict[int, int]] = defaultdict(dict)
-        self.valid: list[ImpactEvent] = []
-        self.contacts, self.epochs = Counter[str](), Counter[int]()
-        self.first = self.last = 0
-        self._run: tuple[int, int] | None = None
-        self._closed: dict[str, int] = {}
-
-    def take(self, message: AnyMessage, place: int) -> None:
-        """Take a message, the number ``place`` of its topic."""
-        event = read_event(message)
-        self.valid.append(event)
-        where = f"message {place} at {text(event.stamp)} s"
-        self.epochs[event.epoch] += 1
-        if event.stamp < event.epoch:
-            self.faults.add("before their epoch", where)
-        run = event.epoch, event.episode
-        if run != self._run:
-            self._run, self._closed = run, {}
-        if (earlier := self.runs[run].get(event.sequence)) is not None:
-            same = earlier == event.stamp
-            fault = "repeated" if same else "with the sequence number of another event"
-            self.faults.add(fault, where)
-            return
-        if event.sequence:
-            self.runs[run][event.sequence] = event.stamp
-        self._take_switches(event, where)
-        self.first = min(self.first or event.stamp, event.stamp)
-        self.last = max(self.last, event.stamp)
-
-    def _take_switches(self, event: ImpactEvent, where: str) -> None:
-        """Check that CLOSE and OPEN of a contact take turns; late events are not looked at."""
-        for switch in sorted(event.switches, key=lambda each: each.kind):
-            contact, kind = switch.contact, switch.kind
-            self.contacts[contact] += 1
-            if event.stamp < self.last:
-                continue
-            closed = self._closed.get(contact)
-            if kind is Kind.OPEN:
-                if closed is None:
-                    self.faults.add("OPEN of a contact that is not closed", f"{contact}, {where}")
-                self._closed.pop(contact, None)
-                continue
-            opens = Switch(contact, Kind.OPEN) in event.switches
-            if closed is not None and closed != event.stamp and not opens:
-                self.faults.add("CLOSE or IMPACT of a closed contact", f"{contact}, {where}")
-            if kind is Kind.CLOSE:
-                self._closed[contact] = event.stamp
-
-    def missing(self) -> Iterator[tuple[int, int, int]]:
-        """Stamp after, first number and count of each gap in the sequence numbers."""
-        for stamps in self.runs.values():
-            for before, after in pairwise(sorted(stamps)):
-                if after > before + 1:
-                    yield stamps[after], before + 1, after - before - 1
-
-
-class _BagCheck:
-    """The check of all messages of a bag."""
-
-    def __init__(self, reader: BagReader, system: System | RobotDescription | None) -> None:
-        self._reader, self._system, self._name = reader, system, _name(reader.path)
-        self.events, self._truth_faults = _Events(), _Faults()
-        self._names: tuple[str, ...] = ()
-        self._stamps = [0, 0, 0]  # first, last, number
-        self._found: list[Finding] = []
-        self._places = Counter[str]()
-        self._decoders = dict[str, tuple[Callable[[bytes], AnyMessage], Callable[..., None]]]()
-        takers = {
-            interfaces.IMPACTS: self.events.take,
-            interfaces.PLANT_JOINT_STATES: self._take_state,
-        }
-        self._topics = {own: self._topic(own) for own in takers}
-        for own, take in takers.items():
-            if (topic := self._topics[own]) is not None:
-                self._decoders[topic] = reader.decoder(topic), take
-
-    def _topic(self, own: interfaces.Interface) -> str | None:
-        """The topic of an interface; its faults are findings."""
-        candidates = own.candidates(self._reader.topics)
-        if len(candidates) > 1:
-            fault = f"several topics fit {own.topic}"
-            remedy = f"play the bag with one as {own.topic}, and record that"
-            self._add(ERROR, " and ".join(candidates), fault, "one of them", remedy)
-        for topic in candidates if len(candidates) == 1 else ():
-            if (kind := self._reader.topics[topic].type) == own.type:
-                return topic
-            self._add(ERROR, topic, f"is {kind}", own.type)
-        return None
-
-    def _add(self, *parts: str) -> None:
-        self._found.append(Finding(*parts))
-
-    def take(self, raw: RawMessage) -> None:
-        """Take a message of any topic."""
-        if raw.topic in self._decoders:
-            decode, take = self._decoders[raw.topic]
-            place = self._places[raw.topic]
-            self._places[raw.topic] += 1
-            try:
-                take(decode(raw.data), place)
-            except (BagError, MessageError) as error:
-                reason = str(error).removeprefix(f"{self._reader.path}: ")
-                faults = self.events.invalid if take == self.events.take else self._truth_faults
-                faults.add("not valid", f"message {place}: {reason}")
-
-    def _take_state(self, message: AnyMessage, place: int) -> None:
-        """Take a true state."""
-        state = read_joint_state(message)
-        self._names = self._names or state.names
-        if set(state.names) != set(self._names) or len(set(state.names)) < len(state.names):
-            names = listed(state.names, joint=", ")
-            self._truth_faults.add("with other coordinates", f"message {place}: {names}")
-        first, last, count = self._stamps
-        self._stamps = [min(first or state.stamp, state.stamp), max(last, state.stamp), count + 1]
-
-    def findings(self) -> list[Finding]:
-        """All findings, after all messages."""
-        system = self._model()
-        if (topic := self._topics[interfaces.IMPACTS]) is not None:
-            self._found += self._event_findings(topic, system)
-        elif not any(map(interfaces.IMPACTS.fits, self._reader.topics)):
-            self._add_lack_of_impacts()
-        if (truth := self._topics[interfaces.PLANT_JOINT_STATES]) is not None:
-            self._found += self._truth_findings(truth, system)
-        elif not any(map(interfaces.PLANT_JOINT_STATES.fits, self._reader.topics)):
-            fault = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
-            self._add(NOTE, self._name, fault, "", "observe needs --rate")
-        return self._found
-
-    def _model(self) -> System | RobotDescription | None:
-        """The given system, else that of the model in the bag."""
-        if self._system is not None:
-            return self._system
-        try:
-            if (model := self._reader.model_text()) is not None:
-                return parse_model(model, "model").subject
-            fault = f"carries no model ({interfaces.PLANT_MODEL.topic})"
-        except (BagError, ModelError) as error:
-            fault = f"the model it carries is not valid ({error})"
-        self._add(WARNING, self._name, fault, "", "name one with --model MODEL")
-        return None
-
-    def _add_lack_of_impacts(self) -> None:
-        """Add that there are no impacts, with the topics of which impacts can be made."""
-        topics = self._reader.topics
-        fault = f"no impacts; topics in the bag: {listed(topics, joint=', ')}"
-        wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
-        remedy = "make them of a sensor by `detect`, or of a table by `import`"
-        self._add(ERROR, self._name, fault, wanted, remedy)
-        detect = f"impact-observer detect {quote(str(self._reader.path))} --contact NAME --topic"
-        for info in topics.values():
-            if info.type in _SENSORS and not interfaces.PHASE_REFERENCE.fits(info.name):
-                remedy = f"{detect} {info.name}{_SENSORS[info.type]} -o NEW"
-                self._add(NOTE, info.name, f"{info.type} may be a sensor", "", remedy)
-
-    def _event_findings(
-        self, topic: str, system: System | RobotDescription | None
-    ) -> Iterator[Finding]:
-        events = self.events
-        if not events.valid:
-            found = f"no valid events among {counted(self._places[topic], 'message')}"
-            yield Finding(ERROR, topic, found, "at least one impact")
-        remedy = "mend the sender and record again"
-        yield from events.invalid.findings(topic, ERROR, {"not valid": remedy})
-        yield from events.faults.findings(topic, WARNING, events.remedies)
-        if gaps := sorted(events.missing()):
-            stamp, number, _ = gaps[0]
-            missing = counted(sum(size for *_, size in gaps), "event")
-            found = f"{missing} missing, the first is number {number}, before {text(stamp)} s"
-            remedy = "record with reliable quality of service and a depth of 2000"
+def _event_findings(
+    topic: str, events: Sequence[ImpactEvent], system: System | RobotDescription | None
+) -> Iterator[Finding]:
+    """Events that are lost or repeated, and stamps that do not fit the epoch."""
+    if not events:
+        yield Finding(ERROR, topic, "no events", "at least one impact")
+        return
+    early = ((k, each.stamp < each.epoch) for k, each in enumerate(events))
+    faults = [(k, "before their epoch", "") for k, is_early in early if is_early]
+    places = defaultdict[str, list[str]](list)
+    for place, fault, contact in (*faults, *_event_faults(events)):
+        where = f"message {place} at {text(events[place].stamp)} s"
+        places[fault].append(f"{contact}{where}")
+    for fault, remedy in _EVENT_FAULTS.items():
+        if wheres := places[fault]:
+            found = f"{len(wheres)} {fault}, the first is {wheres[0]}"
             yield Finding(WARNING, topic, found, remedy=remedy)
-        if events.epochs[0] and system is not None and system.depends_on_time:
-            found = f"{counted(events.epochs[0], 'event')} without an epoch"
+    numbers = defaultdict[tuple[int, int], dict[int, int]](dict)
+    for each in events:
+        if each.sequence:
+            numbers[each.epoch, each.episode][each.sequence] = each.stamp
+    if gaps := [
+        (stamps[after], before + 1, after - before - 1)
+        for stamps in numbers.values()
+        for before, after in pairwise(sorted(stamps))
+        if after > before + 1
+    ]:
+        stamp, number, _ = min(gaps)
+        missing = counted(sum(size for *_, size in gaps), "event")
+        found = f"{missing} missing, the first is number {number}, before {text(stamp)} s"
+        remedy = "record with reliable quality of service and a depth of 2000"
+        yield Finding(WARNING, topic, found, remedy=remedy)
+    if system is not None:
+        without = sum(not each.epoch for each in events)
+        if without and system.depends_on_time:
+            found = f"{counted(without, 'event')} without an epoch"
             wanted = f"the stamp of t = 0, as the forcing of {system.name} depends on time"
             yield Finding(WARNING, topic, found, wanted, "give it with --epoch S")
-        if system is not None and events.valid:
-            yield from self._contact_findings(topic, system)
+        yield from _contact_findings(topic, events, system)
 
-    def _contact_findings(
-        self, topic: str, system: System | RobotDescription
-    ) -> Iterator[Finding]:
-        own, seen = system.contact_names, self.events.contacts
-        wanted = listed(own, joint=", ")
-        if unknown := [name for name in seen if name not in own]:
-            severity = ERROR if len(unknown) == len(seen) else WARNING
-            found = f"contacts that the model {system.name} does not have: {listed(unknown)}"
-            remedy = "they are not applied; name the model with --model, or rename them"
-            yield Finding(severity, topic, found, wanted, remedy)
-            if severity == ERROR:
-                return
-        if silent := [name for name in own if name not in seen]:
-            found = f"contacts of the model {system.name} never reported: {listed(silent)}"
-            yield Finding(WARNING, topic, found)
 
-    def _truth_findings(
-        self, topic: str, system: System | RobotDescription | None
-    ) -> Iterator[Finding]:
-        remedy = "observe and compare refuse it; record again, or leave the topic out"
-        remedies = dict.fromkeys(("not valid", "with other coordinates"), remedy)
-        yield from self._truth_faults.findings(topic, ERROR, remedies)
-        if self._names and system is not None and set(self._names) != set(system.coordinates):
-            found = f"states of {listed(self._names, joint=', ')}"
-            wanted = f"the coordinates {listed(system.coordinates, joint=', ')} of {system.name}"
-            yield Finding(WARNING, topic, found, wanted, "compare cannot use them")
-        (first, last, count), events = self._stamps, self.events
-        step = (last - first) // max(count - 1, 1)
-        if (
-            count
-            and events.last
-            and not first - step <= events.first <= events.last <= last + step
-        ):
-            truth = f"the truth is from {text(first)} to {text(last)} s"
-            found = f"{truth}, the impacts are from {text(events.first)} to {text(events.last)} s"
-            apart = events.last < first or last < events.first
-            remedy = f"{'nothing' if apart else 'only what is common'} can be compared"
-            yield Finding(WARNING if apart else NOTE, topic, found, remedy=remedy)
+_EVENT_FAULTS = {
+    "repeated": "each counts once",
+    "with the sequence number of another event": "expected +1 a message",
+    "before their epoch": "such events are not applied; give the epoch with --epoch S",
+    "OPEN of a contact that is not closed": "a CLOSE was lost",
+    "CLOSE or IMPACT of a closed contact": "an OPEN was lost",
+}
+"""Faults of single events, with what follows or helps."""
+
+
+def _event_faults(events: Sequence[ImpactEvent]) -> Iterator[tuple[int, str, str]]:
+    """Places of events with a fault, the fault, and the contact if the fault is one of a contact.
+
+    CLOSE and OPEN of a contact take turns; late events are not looked at.
+    """
+    seen, run, closed, last = dict[tuple[int, int, int], int](), (0, 0), dict[str, int](), 0
+    for place, event in enumerate(events):
+        if run != (event.epoch, event.episode):
+            run, closed, last = (event.epoch, event.episode), {}, 0
+        key = (*run, event.sequence)
+        if (earlier := seen.get(key)) is not None:
+            same = earlier == event.stamp
+            yield place, "repeated" if same else "with the sequence number of another event", ""
+            continue
+        if event.sequence:
+            seen[key] = event.stamp
+        is_late, last = event.stamp < last, max(last, event.stamp)
+        for switch in () if is_late else sorted(event.switches, key=lambda each: each.kind):
+            contact, since = f"{switch.contact}, ", closed.get(switch.contact)
+            if switch.kind is Kind.OPEN:
+                if since is None:
+                    yield place, "OPEN of a contact that is not closed", contact
+                closed.pop(switch.contact, None)
+                continue
+            opens = Switch(switch.contact, Kind.OPEN) in event.switches
+            if since not in (None, event.stamp) and not opens:
+                yield place, "CLOSE or IMPACT of a closed contact", contact
+            if switch.kind is Kind.CLOSE:
+                closed[switch.contact] = event.stamp
+
+
+def _contact_findings(
+    topic: str, events: Sequence[ImpactEvent], system: System | RobotDescription
+) -> Iterator[Finding]:
+    """Contacts that are not the model's, and those of the model that are silent."""
+    own = system.contact_names
+    seen = dict.fromkeys(switch.contact for each in events for switch in each.switches)
+    if unknown := [name for name in seen if name not in own]:
+        severity = ERROR if len(unknown) == len(seen) else WARNING
+        found = f"contacts that the model {system.name} does not have: {listed(unknown)}"
+        remedy = "they are not applied; name the model with --model, or rename them"
+        yield Finding(severity, topic, found, listed(own, joint=", "), remedy)
+        if severity == ERROR:
+            return
+    if silent := [name for name in own if name not in seen]:
+        found = f"contacts of the model {system.name} never reported: {listed(silent)}"
+        yield Finding(WARNING, topic, found)
+
+
+def _truth_findings(
+    topic: str,
+    truth: JointStates,
+    events: Sequence[ImpactEvent],
+    system: System | RobotDescription | None,
+) -> Iterator[Finding]:
+    """Coordinates that are not the model's, and stamps that do not cover the impacts."""
+    if system is not None and truth.stamps.size and {*truth.names} != {*system.coordinates}:
+        found = f"states of {listed(truth.names, joint=', ')}"
+        wanted = f"the coordinates {listed(system.coordinates, joint=', ')} of {system.name}"
+        yield Finding(WARNING, topic, found, wanted, "compare cannot use them")
+    if not events or not truth.stamps.size:
+        return
+    begin, end = min(each.stamp for each in events), max(each.stamp for each in events)
+    first, last = int(truth.stamps.min()), int(truth.stamps.max())
+    step = (last - first) // max(truth.stamps.size - 1, 1)
+    if not first - step <= begin <= end <= last + step:
+        covered = f"the truth is from {text(first)} to {text(last)} s"
+        found = f"{covered}, the impacts are from {text(begin)} to {text(end)} s"
+        apart = end < first or last < begin
+        remedy = f"{'nothing' if apart else 'only what is common'} can be compared"
+        yield Finding(WARNING if apart else NOTE, topic, found, remedy=remedy)
