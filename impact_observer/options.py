@@ -11,8 +11,6 @@ from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
 from impact_observer.errors import UnsetError, UsageError
 
-AUTO, ALL, NONE = VERDICTS = ("auto", "all", "none")
-"""Sensors whose verdicts on samples are published: slow sensors, all sensors, none."""
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 

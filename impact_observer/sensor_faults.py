@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The faults of simulated sensors: one table for commands, nodes and sweeps."""
+"""Simulated sensors: one table for commands, nodes and sweeps."""
 
 from impact_observer.options import Option
 
@@ -36,7 +36,7 @@ SENSOR_FAULTS = (
 )
 """The fields of ``plant.SensorModel`` in their order; the defaults are an ideal sensor."""
 
-MEASUREMENT_FAULTS = (
+SAMPLING = (
     Option("measurement_rate", 100.0, "rate of each sensor", "Hz", 0.001, 1e5),
     Option(
         "measurement_noise",
@@ -46,22 +46,5 @@ MEASUREMENT_FAULTS = (
         -1.0,
         1e9,
     ),
-    Option("measurement_dropouts", 0.0, "probability that a sample is lost", "", 0.0, 1.0),
-    Option(
-        "measurement_quantisation",
-        0.0,
-        "multiple to which samples are rounded, in their unit",
-        "",
-        0.0,
-        1e9,
-    ),
-    Option(
-        "measurement_transport",
-        0.0,
-        "mean of an exponential transport time of samples",
-        "s",
-        0.0,
-        10.0,
-    ),
 )
-"""Faults of sensors beside the impacts: the fields of ``io.SampleFaults`` in their order."""
+"""How sensors beside the impacts are simulated: the fields of ``io.Sampling`` in their order."""

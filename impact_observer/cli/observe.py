@@ -18,7 +18,6 @@ from impact_observer.cli.arguments import (
     add_part,
     observer_options,
 )
-from impact_observer.options import AUTO, VERDICTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -49,12 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
     add_measurements(parser)
-    add(
-        "--measurement-verdicts",
-        choices=VERDICTS,
-        default=AUTO,
-        help="verdicts on samples: of sensors up to 50 Hz, of all, or of none (default auto)",
-    )
     add_part(parser)
     add_estimates(parser)
     add_bag_output(parser)
@@ -80,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         sensors = read_measurements(args.measurements)
         part = (args.start, args.duration, chosen.epoch)
         read_impacts_part(reader, *part, sensors, tell=progress.line)
-        measured = MeasuredTopics.read(reader, sensors, args.measurement_verdicts)
+        measured = MeasuredTopics.read(reader, sensors)
         used = measured.samples if law_named(chosen.law).uses_measurements else ()
         events = events_from(reader, chosen.epoch)
         assumed = assumed_epoch(read.subject, events, used, chosen.epoch)

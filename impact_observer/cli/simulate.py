@@ -17,7 +17,7 @@ from impact_observer.cli.arguments import (
 )
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
-from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
+from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_option(group, each)
     group = parser.add_argument_group("measurements", "what is measured beside the impacts")
     add_measurements(group)
-    for each in MEASUREMENT_FAULTS:
+    for each in SAMPLING:
         add_option(group, each)
 
 
@@ -79,8 +79,8 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.cli.progress import Progress
     from impact_observer.io.recordings import write_run
     from impact_observer.io.simulated_samples import (
-        SampleFaults,
         SampleSimulation,
+        Sampling,
         simulated_samples,
     )
     from impact_observer.io.writer import check_free
@@ -103,11 +103,11 @@ def run(args: argparse.Namespace) -> int:
         true = plant.random_plant(model, args.random_parameters)
     stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
     sensors = read_measurements(args.measurements)
-    of_samples = {each.name: getattr(args, each.name) for each in MEASUREMENT_FAULTS}
+    of_samples = {each.name: getattr(args, each.name) for each in SAMPLING}
     if not sensors and (wrong := [name for name, v in of_samples.items() if v is not None]):
         raise UsageError(f"{wrong[0]}: given without --measurements; name a file, or leave it out")
-    faults = SampleFaults.from_values(of_samples)
-    simulation = SampleSimulation(sensors, true.system, faults, args.seed)
+    sampling = Sampling.from_values(of_samples)
+    simulation = SampleSimulation(sensors, true.system, sampling, args.seed)
     sampled = simulation.stamps(epoch, int(stamps[-1])) if sensors else stamps[:0]
     with Progress() as progress:
 

@@ -14,7 +14,6 @@ from impact_observer.message_fields import header_stamp, numbers_at
 from impact_observer.model.measurement import Measurement
 from impact_observer.model.system import LARGEST_STATE
 from impact_observer.observer.samples import SensorSample
-from impact_observer.options import ALL, AUTO
 from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import NS_PER_S, from_seconds
 
@@ -25,7 +24,7 @@ _COMPARED = 1000
 SENSOR_STATUS = "sensor "
 """Prefix of a sensor's name in the name of its diagnostic status."""
 SILENT_RATE = 50.0
-"""Rate of a sensor, Hz, beyond which the verdicts on its samples are not published by default."""
+"""Rate of a sensor, Hz, beyond which the verdicts on its samples are not published."""
 
 
 class SensorReader:
@@ -132,10 +131,8 @@ class MeasuredTopics(NamedTuple):
     problems: Sequence[str] = ()
 
     @classmethod
-    def read(
-        cls, reader: BagReader, measurements: Sequence[Measurement], verdicts: str = AUTO
-    ) -> "MeasuredTopics":
-        """Read the samples of a bag; ``verdicts`` is one of ``options.VERDICTS``.
+    def read(cls, reader: BagReader, measurements: Sequence[Measurement]) -> "MeasuredTopics":
+        """Read the samples of a bag.
 
         Raises:
             UsageError, BagError: as ``samples_in``.
@@ -147,11 +144,7 @@ class MeasuredTopics(NamedTuple):
         stamps: dict[int, list[int]] = {}
         for each in samples:
             stamps.setdefault(each.sensor, []).append(each.stamp)
-        loud = {
-            measurements[i].name
-            for i, own in stamps.items()
-            if verdicts == ALL or (verdicts == AUTO and rate_of(own) <= SILENT_RATE)
-        }
+        loud = {measurements[i].name for i, own in stamps.items() if rate_of(own) <= SILENT_RATE}
         return cls(samples, [*dict.fromkeys(topics)], frozenset(loud), problems)
 
 

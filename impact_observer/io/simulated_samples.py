@@ -21,7 +21,7 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import Run
 from impact_observer.robots.robot import Robot
 from impact_observer.robots.robot_readings import robot_readings
-from impact_observer.sensor_faults import MEASUREMENT_FAULTS
+from impact_observer.sensor_faults import SAMPLING
 from impact_observer.stamps import NS_PER_S, from_seconds
 from impact_observer.states import Stamps, Vector
 
@@ -42,33 +42,27 @@ _STREAM = 1923
 
 
 @dataclass(frozen=True, slots=True)
-class SampleFaults:
-    """Faults and rate of simulated samples; fields as in ``MEASUREMENT_FAULTS``.
+class Sampling:
+    """Rate and noise of simulated samples; fields as in ``SAMPLING``.
 
     Attributes:
         rate: of each sensor, Hz.
         noise: standard deviation, in the sensor's unit; negative for the declared one.
-        dropouts: probability that a sample is lost.
-        quantisation: values are rounded to a multiple of this; 0 for none.
-        transport: mean of an exponential transport time, s.
     """
 
     rate: float = 100.0
     noise: float = -1.0
-    dropouts: float = 0.0
-    quantisation: float = 0.0
-    transport: float = 0.0
 
     @classmethod
-    def from_values(cls, given: Mapping[str, float | None]) -> "SampleFaults":
-        """Faults from values by the names of ``MEASUREMENT_FAULTS``; None gives the default."""
-        names = (row.name.removeprefix("measurement_") for row in MEASUREMENT_FAULTS)
-        both = zip(names, (given.get(row.name) for row in MEASUREMENT_FAULTS), strict=True)
+    def from_values(cls, given: Mapping[str, float | None]) -> "Sampling":
+        """From values by the names of ``SAMPLING``; None gives the default."""
+        names = (row.name.removeprefix("measurement_") for row in SAMPLING)
+        both = zip(names, (given.get(row.name) for row in SAMPLING), strict=True)
         return cls(**{name: float(value) for name, value in both if value is not None})
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        for each, row in zip(fields(self), MEASUREMENT_FAULTS, strict=True):
+        for each, row in zip(fields(self), SAMPLING, strict=True):
             row.check(getattr(self, each.name))
 
 
@@ -151,14 +145,14 @@ class SampleSimulation:
 
     Attributes:
         types: of the messages, by absolute topic.
-        faults: how samples are taken.
+        sampling: how samples are taken.
     """
 
     def __init__(
         self,
         measurements: Sequence[Measurement],
         system: System | Robot,
-        faults: SampleFaults,
+        sampling: Sampling,
         seed: int,
         new: Callable[[str], AnyMessage] | None = None,
     ) -> None:
@@ -167,7 +161,7 @@ class SampleSimulation:
         Raises:
             UsageError: by file and key, where one cannot be simulated.
         """
-        self.faults = faults
+        self.sampling = sampling
         self._measured: LinearSensors | RobotSensors = (
             RobotSensors(measurements, system)
             if isinstance(system, Robot)
@@ -185,12 +179,12 @@ class SampleSimulation:
 
     def stamps(self, epoch: int, last: int) -> Stamps:
         """Stamps of the samples from the epoch to ``last``, ns."""
-        count = int((last - epoch) / NS_PER_S * self.faults.rate) + 1
+        count = int((last - epoch) / NS_PER_S * self.sampling.rate) + 1
         return np.array([self.stamp(epoch, k) for k in range(count)], dtype=np.int64)
 
     def stamp(self, epoch: int, k: int) -> int:
         """Stamp of the ``k``-th samples, ns; samples at the epoch have the number 0."""
-        return epoch + round(k / self.faults.rate * NS_PER_S)
+        return epoch + round(k / self.sampling.rate * NS_PER_S)
 
     def messages_at(
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
@@ -219,19 +213,12 @@ class SampleSimulation:
         self, stamp: int, epoch: int, x: Vector, closed: Contacts
     ) -> Iterator[tuple[SensorSample, int]]:
         """Samples of all sensors for a state, each with its time of reception, ns."""
-        values, faults = self._measured.values(stamp - epoch, x, closed), self.faults
+        values, given = self._measured.values(stamp - epoch, x, closed), self.sampling.noise
         for index, (declared, true) in enumerate(zip(self._declared, values, strict=True)):
             noise = float(self._random.normal())
-            lost, transport = self._random.random(2).tolist()
-            deviation = faults.noise if faults.noise >= 0 else declared.deviation
-            value = true + deviation * noise
-            if faults.quantisation:
-                value = faults.quantisation * round(value / faults.quantisation)
-            if lost < faults.dropouts:
-                continue
-            late = stamp + from_seconds(declared.delay)
-            arrival = late + round(-faults.transport * np.log1p(-transport) * NS_PER_S)
-            yield SensorSample(index, stamp, value), arrival
+            self._random.random(2)  # so that a seed gives the samples of 0.3.0
+            value = true + (given if given >= 0 else declared.deviation) * noise
+            yield SensorSample(index, stamp, value), stamp + from_seconds(declared.delay)
 
     def _message(self, declared: Measurement, stamp: int, value: float) -> AnyMessage:
         message = self._new(type_of(declared))

@@ -21,8 +21,6 @@ LARGEST = 1e15
 """Largest magnitude of any number of a model, SI units; products of larger numbers overflow."""
 _MOST_TEXT, _MOST_NUMBERS = 200_000_000, 100_000_000
 """Bytes of the text of a matrix, unpacked, and numbers in a matrix: more take minutes to read."""
-GONE = frozenset({"gain"})
-"""Keys that went in 0.4.0."""
 Value: TypeAlias = object
 """Any value in a YAML file."""
 
@@ -41,8 +39,6 @@ class Section:
         self._key = key
         self._values = value
         for name in value:
-            if name not in allowed and name in GONE:
-                raise ModelError(self.key(name), "went in 0.4.0; impact_observer 0.3.0 takes it")
             if name not in allowed:
                 raise ModelError(
                     self.key(str(name)), problem_with(self.key(str(name)), ", ".join(allowed))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The keys of a model file that version 0.4.0 took out."""
+"""The keys of a model file, or of one of measurements, that version 0.4.0 took out."""
 
 import re
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ GONE = {
             "restitution.values": "a table of restitutions by speed",
         }.items()
     },
+    "measurements.gain": "the use of samples by laws without covariance",
 }
 """What each key was for, by its place without indices, such as ``stops.gap``."""
 _INSTEAD = {"restitution": 0.0}

@@ -77,6 +77,6 @@ def _value(section: Section, key: str) -> object:
             raise ModelError(where, f"{value!r:.40} found; {wanted}")
         return tuple((str(k), number(f"{where}.{k}", each)) for k, each in value.items())
     if key == "deviation" and value == "learn":
-        wanted = "learn went in 0.4.0; impact_observer 0.3.0 takes it; expected a number"
+        wanted = "learn went in 0.4.0; impact_observer 0.3.0 has it; expected a number"
         raise ModelError(section.key(key), wanted)
     return section.number(key)

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.events import Contacts
 from impact_observer.filter.branching import Extent
@@ -211,16 +210,6 @@ class Prediction(ABC):
     @abstractmethod
     def belief(self, s: float) -> Belief:
         """The whole belief ``s`` seconds after the start: the prior of an event then."""
-
-    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
-        """All replicas at each of ``s`` seconds.
-
-        States (q, u) of the estimate, shape (samples, 2n), and how the others differ from it: as
-        products of maps, shape (2n, r, samples), with columns, shape (r, N - 1); None where the
-        maps are the differences, r = N - 1.
-        """
-        each = np.stack([self.belief(at).ensemble.differences for at in s.tolist()], axis=2)
-        return self.states(s), each, None
 
     def root(self, s: float) -> Matrix | None:
         """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""

@@ -22,13 +22,12 @@ from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
 from impact_observer.robots.robot import Robot, connected_robot, observed
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 
 def make_observer(
     model: ModelSource,
     options: Options | None = None,
-    others: Matrix | None = None,
     *,
     law: type[Law] | None = None,
     measurements: Sequence[Measurement] = (),
@@ -39,11 +38,9 @@ def make_observer(
     Of a model with elements their parameters can be estimated one by one, and parameters with
     deviations are considered. Where its file declares no number exact, published deviations
     contain small errors of all numbers; a ``System`` is exact. Of a model that was fitted they
-    contain what the fit left. ``options`` are None for the
-    defaults. The ``others`` are initial states of the replicas that run beside the estimate, shape
-    (ensemble - 1, 2n); by default they are drawn. Another ``law`` than that of the options may be
-    given. The ``measurements`` are made beside the impacts. The ``unknowns`` take the place of
-    those that options and model name.
+    contain what the fit left. ``options`` are None for the defaults. Another ``law`` than that of
+    the options may be given. The ``measurements`` are made beside the impacts. The ``unknowns``
+    take the place of those that options and model name.
 
     Raises:
         UsageError: there is no model, or an option cannot be used; the line names the option.
@@ -75,7 +72,6 @@ def make_observer(
         epoch=options.epoch,
         history=options.history,
         ensemble=options.ensemble,
-        others=others,
         agreed=options.agreed,
         live=live,
         measurements=measurements,

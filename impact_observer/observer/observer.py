@@ -8,7 +8,7 @@ from itertools import chain, pairwise
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
 from impact_observer.events import (
@@ -110,7 +110,6 @@ class Observer:
         epoch: int = 0,
         history: float = Options.history,
         ensemble: int = Options.ensemble,
-        others: Matrix | None = None,
         agreed: float = Options.agreed,
         live: LiveSignals | None = None,
         measurements: Sequence[Measurement] = (),
@@ -126,7 +125,6 @@ class Observer:
             epoch: stamp of ``t = 0`` of the forcing, ns; 0 to take it from the events.
             history: how late an event may be and still be applied, s.
             ensemble: how many replicas are run together, at least one.
-            others: initial states of the others, shape (ensemble - 1, 2n); None for drawn ones.
             agreed: V distance at which they count as synchronized, relative to the energy.
             live: the signals of ``system``, where it has live ones.
             measurements: what is measured beside the impacts.
@@ -157,7 +155,6 @@ class Observer:
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
         self.ensemble = ensemble
-        self._others = others
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
         self._scales = law.moving.scales
@@ -573,15 +570,6 @@ class Observer:
         self._follow()
         return self._run.estimates(whole_stamps(stamps), only_states=only_states)
 
-    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
-        """All replicas; see ``Prediction.replicas``.
-
-        Args:
-            stamps: at which, ns, ascending, shape (samples,); no event lies between them.
-        """
-        self._follow()
-        return self._run.replicas(stamps)
-
     def set_state(
         self,
         stamp: int,
@@ -696,11 +684,7 @@ class Observer:
     def _first_entry(self, stamp: int) -> Entry:
         encoders = self._run.encoders
         initial = self._initial if encoders is None else encoders.state
-        if self._others is None:
-            replicas = spread(initial, self._root, self.ensemble)
-        else:
-            replicas = np.vstack([initial, self._others])
-        return self._entry_of(replicas, self._root, stamp)
+        return self._entry_of(spread(initial, self._root, self.ensemble), self._root, stamp)
 
     def _entry_of(
         self,

@@ -4,7 +4,6 @@
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import (
@@ -29,7 +28,7 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, outcome
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.stamps import NS_PER_S, Elapsed, from_seconds, seconds_between, text
+from impact_observer.stamps import Elapsed, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -411,14 +410,6 @@ class RunHistory:
                 x = np.concatenate([x, np.where(s[:, None] > 0, later, x)])
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
-
-    def replicas(self, stamps: Stamps) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
-        """See ``Observer.replicas``."""
-        assert self.timeline is not None, "there is an estimate"
-        entry = self.timeline.entry_at(int(stamps[0]))
-        s = (stamps - entry.since) / NS_PER_S
-        x, maps, columns = self.update.prediction(entry).replicas(s)
-        return self._from_frame(stamps, x), maps, columns
 
     def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
         """States (q, u) at ``stamps`` (ns) from states in the frame, shape (samples, 2n)."""

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from impact_observer.errors import UnsetError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.process_end import Stop, end_with_parent, ends_within, run
-from impact_observer.ros.environment import security_warning
 from impact_observer.ros.session import refusals_of_ros, require_ros
 from impact_observer.ros.wiring import FOLLOW
 
@@ -54,7 +53,7 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
         with Stop() as stop, ends_within(_LONGEST_END):
             end_with_parent(int(os.environ.get(FOLLOW, "0")))
             given = sys.argv[1:] if args is None else args
-            require_ros(given)
+            require_ros()
             _spin(stop, module, node_class, given)
         return 0
 
@@ -134,11 +133,10 @@ def _make_node(make: "Callable[[], BaseNode]", args: Sequence[str]) -> "BaseNode
     try:
         with refusals_of_ros("--ros-args: not understood"):
             rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+        with refusals_of_ros():
             node = make()
     except UnsetError as error:
         raise UsageError(f"{error}: give --ros-args -p {error.option}:=FILE") from None
-    if warning := security_warning(args):
-        node.lines.warning(warning)
     _warn_of_unknown_parameters(node, args)
     return node
 

@@ -170,8 +170,6 @@ class ObserverNode(ManagedNode):
             now=self.stamp_now,
             past=options.history,
             future=self.values.number("future"),
-            reliable=self.values.text("measurements_reliability") == "reliable",
-            verdicts=self.values.text("measurement_verdicts"),
             on_samples=self._on_samples,
             on_problem=self.lines.error,
             before={}

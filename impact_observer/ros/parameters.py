@@ -13,14 +13,12 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.options import (
     AT_ONCE,
-    AUTO,
     OBSERVER_OPTIONS,
-    VERDICTS,
     Option,
     Options,
     Value,
 )
-from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
+from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 
 if TYPE_CHECKING:
     from rcl_interfaces.msg import ParameterDescriptor
@@ -104,7 +102,7 @@ PLANT = (
     ),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
     _MEASUREMENTS,
-    *MEASUREMENT_FAULTS,
+    *SAMPLING,
     _MAX_MESSAGE,
     _AUTOSTART,
 )
@@ -129,18 +127,6 @@ OBSERVER = (
     ),
     _INPUT_TIMEOUT,
     _MEASUREMENTS,
-    Option(
-        "measurements_reliability",
-        "best_effort",
-        "reliability of the subscriptions to sensors; reliable needs reliable publishers",
-        choices=("best_effort", "reliable"),
-    ),
-    Option(
-        "measurement_verdicts",
-        AUTO,
-        "sensors whose verdicts on samples are published; auto: sensors up to 50 Hz",
-        choices=VERDICTS,
-    ),
     Option(
         "wait_for_measurements",
         False,

@@ -16,7 +16,7 @@ from impact_observer.integrators import described
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
-from impact_observer.io.simulated_samples import SampleFaults
+from impact_observer.io.simulated_samples import Sampling
 from impact_observer.model import System, read_model
 from impact_observer.model.live_signals import LiveSignals, connected
 from impact_observer.model.measurements_file import read_measurements
@@ -27,7 +27,7 @@ from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.managed_node import ManagedNode
 from impact_observer.ros.plant_sensors import PlantPulses, PlantSensors
 from impact_observer.ros.robot_urdf import with_urdf_of_topic
-from impact_observer.sensor_faults import MEASUREMENT_FAULTS, SENSOR_FAULTS
+from impact_observer.sensor_faults import SAMPLING, SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 from impact_observer.states import Vector
 
@@ -103,9 +103,9 @@ class PlantNode(ManagedNode):
             self.publisher(interfaces.SIMULATED_CLOCK) if self._owns_clock else None
         )
         declared = read_measurements(values.text("measurements"))
-        of_samples = {each.name: values.number(each.name) for each in MEASUREMENT_FAULTS}
-        sample_faults = SampleFaults.from_values(of_samples)
-        self._sensors = PlantSensors(self, declared, self._system, sample_faults, self._seed)
+        of_samples = {each.name: values.number(each.name) for each in SAMPLING}
+        sampling = Sampling.from_values(of_samples)
+        self._sensors = PlantSensors(self, declared, self._system, sampling, self._seed)
         self._closed: Contacts = ()
         text = published_model(self._model, self._seed, how, self._sensor)
         self._model_topic.publish(self.make.model(text))

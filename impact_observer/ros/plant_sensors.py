@@ -13,7 +13,7 @@ from impact_observer.events import Contacts
 from impact_observer.io.interfaces import PHASE_REFERENCE, SENSORS
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.recordings import index_pulses
-from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation, SimulatedMessage
+from impact_observer.io.simulated_samples import SampleSimulation, Sampling, SimulatedMessage
 from impact_observer.model import System
 from impact_observer.model.live_signals import refused
 from impact_observer.model.measurement import Measurement
@@ -73,7 +73,7 @@ class PlantSensors:
         node: BaseNode,
         measurements: Sequence[Measurement],
         system: System | Robot,
-        faults: SampleFaults,
+        sampling: Sampling,
         seed: int,
     ) -> None:
         """Make a best-effort publisher for each of the ``measurements`` of a ``system``.
@@ -85,7 +85,7 @@ class PlantSensors:
             SampleSimulation,
             measurements,
             system,
-            faults,
+            sampling,
             seed,
             lambda kind: message_class(kind)(),
         )

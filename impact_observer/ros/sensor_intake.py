@@ -16,7 +16,6 @@ from impact_observer.io.measured_samples import SENSOR_STATUS, SILENT_RATE, Sens
 from impact_observer.io.messages import AnyMessage
 from impact_observer.observer import Observer
 from impact_observer.observer.samples import MOST_KEPT, SensorSample
-from impact_observer.options import AUTO, NONE
 from impact_observer.ros.ahead_of_clock import AheadOfClock
 from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.message_classes import message_class
@@ -26,6 +25,7 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _DEPTH = 2000
 """Samples of a topic that may wait: the samples of 2 s at 1 kHz."""
+_QUALITY = Quality(reliable=False, depth=_DEPTH)
 _LONGEST = 0.05
 """Time that the messages of one call may take, s; of more messages some are shed."""
 _SHARE = 1 / 3
@@ -63,8 +63,6 @@ class SensorIntake:
         now: Callable[[], int],
         past: float,
         future: float,
-        reliable: bool,
-        verdicts: str,
         on_samples: Callable[[int, Sequence[Verdict]], None],
         on_problem: Callable[[str], None],
         before: Mapping[str, Callable[[Sequence[AnyMessage]], None]] = MappingProxyType({}),
@@ -77,8 +75,6 @@ class SensorIntake:
             now: time of the node's clock, ns; 0 while there is none.
             past: how far before the clock a stamp may be, s.
             future: how far ahead of the clock a stamp may be, s.
-            reliable: whether lost samples are sent again; publishers must offer that.
-            verdicts: sensors whose verdicts are published, one of ``options.VERDICTS``.
             on_samples: called after new samples with the least of their stamps, ns, and with the
                 verdicts on events that have changed.
             on_problem: called with a line on samples that cannot be used.
@@ -87,8 +83,6 @@ class SensorIntake:
         self._before = before
         self._node, self._observer = node, observer
         self._now, self._past, self._future = now, past, future
-        self._quality = Quality(reliable=reliable, depth=_DEPTH)
-        self._verdicts = verdicts
         self._on_samples, self._on_problem = on_samples, on_problem
         self._sensors = observer.samples.sensors
         self.problems = [""] * len(self._sensors)
@@ -194,8 +188,6 @@ class SensorIntake:
 
     def is_published(self, index: int) -> bool:
         """Whether the verdicts on the samples of a sensor are to be published."""
-        if self._verdicts != AUTO:
-            return self._verdicts != NONE
         return 0 < self.rate(index) <= SILENT_RATE
 
     def without_sample(self) -> tuple[str, ...]:
@@ -211,7 +203,7 @@ class SensorIntake:
         for type_name in receiver.offers:
             if readers := [*self._readers_of(topic, type_name)]:
                 self._readers[topic] = readers
-                receiver.connect(type_name, self._quality)
+                receiver.connect(type_name, _QUALITY)
                 return
 
     def _readers_of(self, topic: str, type_name: str) -> Iterator[SensorReader]:

@@ -4,32 +4,34 @@
 import os
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import UsageError
 from impact_observer.plain_text import printable
-from impact_observer.ros.environment import SECURITY, check_environment, security_warning
 
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
 
-_LOG_FAULT = "failed to initialize logging: "
-"""Begin of the error of ROS when no folder of logs can be made."""
+_SECURITY, _STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
 
 
-def require_ros(args: Sequence[str] = ()) -> None:
-    """Check that ROS 2 is installed, and that its environment variables can be used.
+def require_ros() -> None:
+    """Check that ROS 2 is installed, and that security is enforced if security is asked for.
 
-    Args:
-        args: the arguments of a node.
+    ROS runs without security, and without a message, where these words are spelt otherwise.
 
     Raises:
-        UsageError: ``rclpy`` cannot be imported, or a variable has a value that ROS cannot use.
+        UsageError: ``rclpy`` cannot be imported, or ROS would run without security.
     """
-    check_environment(args)
+    asked = os.environ.get(_SECURITY, "")
+    if asked not in {"", "false"}:
+        for name, wanted in ((_SECURITY, "true"), (_STRATEGY, "Enforce")):
+            if (found := os.environ.get(name, "")) != wanted:
+                found = f"{found or 'nothing'} found with {_SECURITY}={asked}"
+                raise UsageError(f"{name}: {found}; expected {wanted}")
     try:
         import rclpy  # noqa: F401
     except ImportError as error:
@@ -62,15 +64,6 @@ def refusals_of_ros(what: str = "ROS") -> Iterator[None]:
         if type(error).__module__.partition(".")[0] != rclpy.__name__:
             raise
         reason = str(error).splitlines()[0]
-        if reason.startswith(_LOG_FAULT):
-            fault = reason.removeprefix(_LOG_FAULT).partition(", at /")[0]
-            expected = "expected a folder that can be written (ROS_LOG_DIR)"
-            raise UsageError(f"the log of ROS: {fault}; {expected}") from None
-        if os.environ.get(SECURITY) == "true":
-            raise UsageError(
-                f"{SECURITY} is true, but no secure node can be made: {reason};"
-                " docs/security.md says what it needs"
-            ) from None
         raise UsageError(f"{what}: {reason}") from None
 
 
@@ -102,8 +95,6 @@ def ros_node(
                 parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)],
                 start_parameter_services=False,
             )
-        if warning := security_warning():
-            node.get_logger().warning(printable(warning))
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         try:

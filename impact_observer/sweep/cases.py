@@ -17,11 +17,11 @@ from impact_observer.compare.comparison import SETTLED, compare_observer
 from impact_observer.compare.metrics import METRICS
 from impact_observer.errors import ImpactObserverError, ModelError, UsageError
 from impact_observer.io.pairing import samples_of
-from impact_observer.io.simulated_samples import SampleFaults, SampleSimulation, samples_of_run
+from impact_observer.io.simulated_samples import SampleSimulation, Sampling, samples_of_run
 from impact_observer.model import Model, parse_model
 from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
-from impact_observer.observer import Options, make_observer, options_of_laws
+from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
 from impact_observer.plant import (
     Plant,
@@ -122,7 +122,7 @@ class Sweep:
         for number in range(0, self.size, self.size // len(self.laws)):
             options = self._case(number)[0]
             make_observer(parsed(self.models[0][0]), options, measurements=self.measurements)
-        SampleSimulation(self.measurements, system, SampleFaults(), self.seed)
+        SampleSimulation(self.measurements, system, Sampling(), self.seed)
 
     def row(self, number: int) -> dict[str, Value]:
         """Labels of a case, its metrics (None for an undefined one), and its error or "".
@@ -176,8 +176,13 @@ class Sweep:
         law, sensor, model, run = map(int, np.unravel_index(number, shape))
         start = self.options.initial_state
         start = f"{RANDOM}:{self.seed + run}" if start == RANDOM else start
-        common = replace(self.options, initial_state=start, ensemble=1, epoch=self.epoch)
-        (options,) = options_of_laws(common, [self.laws[law]])
+        options = replace(
+            self.options,
+            law=self.laws[law],
+            initial_state=start,
+            ensemble=1,
+            epoch=self.epoch,
+        )
         return options, self.sensors[sensor], self.models[model], run
 
     def _metrics(self, number: int) -> dict[str, Value]:
@@ -190,8 +195,8 @@ class Sweep:
         events = sorted((each.event for each in sensed), key=lambda e: (e.stamp, e.sequence))
         samples = list[SensorSample]()
         if self.measurements:
-            faults = SampleFaults(rate=self.rate)
-            simulation = SampleSimulation(self.measurements, system, faults, seed)
+            sampling = Sampling(rate=self.rate)
+            simulation = SampleSimulation(self.measurements, system, sampling, seed)
             samples = samples_of_run(simulation, run)
         comparison = compare_observer(
             make_observer(parsed(model), options, measurements=self.measurements),

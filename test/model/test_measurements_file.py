@@ -97,7 +97,10 @@ def test_what_is_no_file_of_measurements_is_one_line(text: str, line: str) -> No
         (ENCODER % ", position: {x1: 0}", "position.x1: 0 found; expected a finite number"),
         (ENCODER % ", position: {x1: .nan}", "position.x1: is not finite"),
         (ENCODER % ", position: x1", "position: 'x1' found; expected a coefficient by coordinate"),
-        (ENCODER % ", gain: 1", "gain: went in 0.4.0; impact_observer 0.3.0 takes it"),
+        (
+            ENCODER % ", gain: 1",
+            "gain: the use of samples by laws without covariance went in",
+        ),
         (ENCODER % ", delay: -1", "delay: -1 found; expected 0 to 10 s"),
         (ENCODER % ", blanking: 11", "blanking: 11 found; expected 0 to 10 s"),
         (ENCODER % ", gate: 0", "gate: 0 found; expected a positive number"),

@@ -54,8 +54,6 @@ def test_laws_converge_on_moving_stops(law: str) -> None:
     V = distance(system, q, u)
     assert V[-1] < 1e-4 * V[0]
     np.testing.assert_array_equal(found[::100], estimates(watcher, plant.stamps[::100]))
-    x, _, _ = watcher.replicas(plant.stamps[-2:])
-    np.testing.assert_allclose(x, found[-2:], atol=1e-13)
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from std_msgs.msg import String
 
 from impact_observer.io import interfaces
 from impact_observer.io.simulated_samples import (
-    SampleFaults,
     SampleSimulation,
+    Sampling,
     samples_of_run,
 )
 from impact_observer.model import parse_model, read_model
@@ -95,7 +95,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
 def test_plant_node_publishes_what_simulated_sensors_measure(
     ros_environment: dict[str, str],
 ) -> None:
-    """The samples equal those of ``simulate`` with the same seed and faults."""
+    """The samples equal those of ``simulate`` with the same seed and noise."""
     parameters = {
         "model": "two_mass",
         "publish_clock": True,
@@ -105,8 +105,7 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
         "seed": 3,
         "measurements": "encoder",
         "measurement_rate": 20.0,
-        "measurement_dropouts": 0.2,
-        "measurement_transport": 0.01,
+        "measurement_noise": 0.002,
     }
     found: dict[int, float] = {}
     with spinning() as spinner:
@@ -128,8 +127,8 @@ def test_plant_node_publishes_what_simulated_sensors_measure(
             assert process.returncode == 0, process.communicate()
         spinner.settle()
     model, last = read_model("two_mass"), EPOCH + 2 * NS_PER_S
-    faults = SampleFaults(rate=20.0, dropouts=0.2, transport=0.01)
-    simulation = SampleSimulation(read_measurements("encoder"), model.system, faults, 3)
+    sampling = Sampling(rate=20.0, noise=0.002)
+    simulation = SampleSimulation(read_measurements("encoder"), model.system, sampling, 3)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, simulation.stamps(EPOCH, last))
     wanted = {each.stamp: each.value for each in samples_of_run(simulation, run)}

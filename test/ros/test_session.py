@@ -18,21 +18,33 @@ from impact_observer.ros.base_node import BaseNode
 from impact_observer.ros.session import require_ros, spin_once
 
 
-@pytest.mark.parametrize("domain", ["abc", "-1", "233", "1e2", "\u0661"])
-def test_a_domain_that_is_none_is_one_line(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
-    """The check comes before the middleware, which reports the domain in other words or never."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    with pytest.raises(UsageError, match=rf"ROS_DOMAIN_ID: {domain} found; expected a whole"):
+@pytest.mark.parametrize(
+    ("enable", "strategy", "line"),
+    [
+        ("TRUE", "Enforce", "ROS_SECURITY_ENABLE: TRUE found"),
+        ("1", "", "ROS_SECURITY_ENABLE: 1 found"),
+        ("true", "", "ROS_SECURITY_STRATEGY: nothing found with ROS_SECURITY_ENABLE=true"),
+        ("true", "enforce", "ROS_SECURITY_STRATEGY: enforce found"),
+        ("true", "Permissive", "ROS_SECURITY_STRATEGY: Permissive found"),
+    ],
+)
+def test_security_that_ros_would_not_enforce_is_refused(
+    monkeypatch: pytest.MonkeyPatch, enable: str, strategy: str, line: str
+) -> None:
+    """ROS would run without security, and without a message."""
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", enable)
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
+    with pytest.raises(UsageError, match=line):
         require_ros()
 
 
-@pytest.mark.parametrize("domain", ["", "0", "232"])
-def test_every_domain_is_accepted(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
-    """An empty domain is accepted too."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", "none")
-    with pytest.raises(UsageError):
-        require_ros()
-    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+@pytest.mark.parametrize("enable", ["", "false", "true"])
+def test_security_is_not_asked_for_or_enforced(
+    monkeypatch: pytest.MonkeyPatch, enable: str
+) -> None:
+    """Nothing is refused here; ROS refuses a node without an enclave."""
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", enable)
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
     require_ros()
 
 
@@ -89,10 +101,7 @@ def test_a_node_that_cannot_be_secure_says_so_and_ends(
     monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path))
     (tmp_path / "enclaves").mkdir()
     line = refusal("monitor", ["--ros-args", "-p", "model:=two_mass"], capfd)
-    assert line.startswith(
-        "monitor: ROS_SECURITY_ENABLE is true, but no secure node can be made: "
-    )
-    assert line.endswith("; docs/security.md says what it needs")
+    assert line.startswith("monitor: ROS: ")
 
 
 @pytest.mark.ros

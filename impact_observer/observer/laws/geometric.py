@@ -26,7 +26,6 @@ class Geometric(ReplicaLaw):
     """
 
     name: ClassVar[str] = "geometric"
-    has_bound: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -27,7 +27,6 @@ class Law(ABC):
     Attributes:
         name: the name by which users choose the law.
         uses_events: whether events correct the replicas. Otherwise their agreement says nothing.
-        has_bound: whether the law certifies a bound of V.
         has_covariance: whether the law estimates a covariance.
         learns: whether the law estimates unknown parameters of the model.
         uses_measurements: whether samples of sensors correct the replicas.
@@ -39,7 +38,6 @@ class Law(ABC):
 
     name: ClassVar[str]
     uses_events: ClassVar[bool] = True
-    has_bound: ClassVar[bool] = False
     has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     uses_measurements: ClassVar[bool] = False

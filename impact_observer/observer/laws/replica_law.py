@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.dynamics import Motion, Phase
@@ -31,13 +30,7 @@ class ReplicaLaw(Law):
 
     A law must define ``impact`` and may define ``motion``. The other methods make it faster for
     many replicas, or certify a bound where the energy that each event removes is known.
-
-    Attributes:
-        forgives: whether a replica other than the estimate keeps its state if its impact has no
-            solution; otherwise the error is raised.
     """
-
-    forgives: bool = True
 
     def __init_subclass__(cls) -> None:
         """Check that ``cls`` inherits no method that must agree with one that it overrides.
@@ -154,12 +147,10 @@ class ReplicaLaw(Law):
         return Ensemble.of(np.concatenate([x[None], others]))
 
     def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impacts``; see ``forgives`` for a replica whose impact has no solution."""
+        """``impacts``; a replica whose impact has no solution keeps its state."""
         try:
             return self.impacts(replicas, active, closed)
         except ImpactLawError:
-            if not self.forgives:
-                raise
             if len(replicas) == 1:
                 return replicas
             each = [self._impacts_if_solvable(x[None], active, closed) for x in replicas]
@@ -208,11 +199,6 @@ class OwnMotions(Prediction):
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
-    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
-        """States, and differences from the first."""
-        states = np.stack([motion.states(s).T for motion in self._motions], axis=1)
-        return states[:, 0].T, states[:, 1:] - states[:, :1], None
-
 
 class _CommonPhase(Prediction):
     """All replicas in one linear phase: their differences share one transition matrix."""
@@ -238,7 +224,3 @@ class _CommonPhase(Prediction):
         else:
             after = Ensemble(self._first.state(s), before.columns)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
-
-    def replicas(self, s: Vector) -> tuple[Matrix, NDArray[np.float64], Matrix | None]:
-        maps = np.stack([self._phase.transition(at) for at in s.tolist()], axis=2)
-        return self._first.states(s), maps, self._belief.ensemble.differences
