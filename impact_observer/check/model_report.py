@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model check as text with tables, and as values for ``--json``."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite, tau
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from impact_observer.draw.reports import (
 from impact_observer.filter.uncertainty import suggested_deviation
 from impact_observer.model import System
 from impact_observer.model.free_parameters import is_observed
-from impact_observer.model.system import UNITS, unit_of
 from impact_observer.plain_text import say
 from impact_observer.states import Vector
 
@@ -30,16 +29,12 @@ _SHOWN = 3
 """Most remarks of one kind, and most terms of a list, that are shown."""
 
 
-def for_json(checked: ModelCheck) -> dict[str, object]:
+def for_json(checked: ModelCheck) -> dict[str, Any]:
     """The values of ``--json``: SI units, contacts by name, None for an undecided question."""
     system = checked.system
-    rows = zip(
-        system.contacts,
-        system.rebounds,
-        checked.effective_mass.tolist(),
-        *([x if isfinite(x) else None for x in each] for each in (checked.rest, checked.swing)),
-        strict=True,
-    )
+    computed = (checked.effective_mass, checked.rest, checked.swing)
+    known = ([x if isfinite(x) else None for x in each.tolist()] for each in computed)
+    rows = zip(system.contacts, system.rebounds, *known, strict=True)
     return {
         "name": system.name,
         "n": system.n,
@@ -60,7 +55,7 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             {"decay": abs(value.real), "frequency": value.imag, "shape": shape.tolist()}
             for value, shape in checked.unseen
         ],
-        "excitations": [excitation._asdict() for excitation in _excitations(system)],
+        "excitations": [*_excitations(system)],
         "contacts": [
             {
                 "name": contact.name,
@@ -78,115 +73,72 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             for each in checked.growths
         ],
         "deviations": [
-            {"name": each.name, "value": each.value, "deviation": deviation, "unit": each.unit}
+            {
+                "name": each.name,
+                "value": each.value,
+                "deviation": deviation,
+                "unit": each.unit,
+                "observed": bool(deviation) and is_observed(each.name),
+            }
             for each, deviation in checked.declared
         ],
         "findings": [remark._asdict() for remark in _findings(checked)],
     }
 
 
-def print_check(checked: ModelCheck) -> None:
-    """Print the tables of a model and the remarks on it."""
-    system = checked.system
-    say(
-        f"{system.name}: {counted(system.n, 'coordinate')}, {counted(system.m, 'contact')};"
-        " SI units"
-    )
-    for table in _tables(checked):
-        say("")
-        print_table(table)
+def print_values(values: Mapping[str, Any], what: str) -> None:
+    """Print the lists of values that ``--json`` has as tables, and the findings below them.
+
+    Args:
+        values: of a model or of a robot.
+        what: behind the name in the first line.
+    """
+    say(f"{values['name']}: {what}; SI units")
+    for key in ("excitations", "joints", "modes", "contacts", "deviations"):
+        if rows := values.get(key):
+            say("")
+            print_table(_shortened(rows))
     say("")
-    print_facts(_findings(checked))
+    print_facts((each["kind"], each["text"]) for each in values["findings"])
 
 
-class _Excitation(NamedTuple):
-    """A constant force, or a harmonic of a force or of a ground; ``frequency`` is in rad/s."""
+def _shortened(rows: Sequence[Mapping[str, object]]) -> TextTable:
+    """A table of values by their names; of a long one the first and the last rows."""
+    headings = tuple(rows[0])
+    cells = [tuple(_text(row.get(name)) for name in headings) for row in rows]
+    if (left_out := len(cells) - 2 * _ENDS) > 1:
+        gap = (f"... {left_out} more in --json", *[""] * (len(headings) - 1))
+        cells = [*cells[:_ENDS], gap, *cells[-_ENDS:]]
+    return TextTable(headings, cells)
 
-    name: str
-    amplitude: float
-    frequency: float
+
+def _text(value: object) -> str:
+    """A cell of a table."""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key} {_text(each)}" for key, each in value.items())
+    if isinstance(value, list):
+        return " ".join(map(_text, value))
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return "" if value is None else str(value)
 
 
-def _excitations(system: System) -> Iterator[_Excitation]:
+def _excitations(system: System) -> Iterator[dict[str, object]]:
     """All excitations: constants, harmonics of forces, then harmonics of grounds."""
     frame, forcing = system.frame, system.own_forcing
     forces = [f"force on {name}" for name in system.coordinates]
     for name, value in zip(forces, forcing.constant.tolist(), strict=True):
         if value:
-            yield _Excitation(name, value, 0.0)
+            yield {"name": name, "amplitude": value, "frequency": 0.0, "hertz": 0.0}
     moving = [(forcing, forces)]
     if frame is not None:
         moving.append((frame.grounds.motion, [f"ground {each}" for each in frame.grounds.names]))
     for motion, names in moving:
         amplitudes = np.hypot(motion.cosine, motion.sine)
         for k, i in np.argwhere(amplitudes).tolist():
-            yield _Excitation(names[i], float(amplitudes[k, i]), float(motion.frequency[k]))
-
-
-def _tables(checked: ModelCheck) -> Iterator[TextTable]:
-    """Excitations, modes, contacts, declared deviations."""
-    length = checked.system.unit if checked.system.unit in UNITS else ""
-    force, mass = (unit_of(each, length) if length else "" for each in ("N", "kg"))
-    if excitations := [
-        (
-            name,
-            f"{amplitude:.6g} {force if name.startswith('force') else length}".rstrip(),
-            *(f"{x:.6g}" if x else "" for x in (omega, omega / tau)),
-        )
-        for name, amplitude, omega in _excitations(checked.system)
-    ]:
-        yield _shortened(("excitation", "amplitude", "rad/s", "Hz"), excitations)
-    modes = [
-        (
-            str(i),
-            f"{mode.imag:.6g}",
-            f"{mode.imag / tau:.6g}",
-            f"{abs(mode.real) / abs(mode):.4g}",
-            f"{-1 / mode.real:.4g}" if mode.real else "never",
-        )
-        for i, mode in enumerate(checked.modes, start=1)
-    ]
-    modes += [
-        ("overdamped" if rate else "free", "", "", "", f"{-1 / rate:.4g}" if rate else "never")
-        for rate in reversed(checked.rates)
-    ]
-    yield _shortened(("mode", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
-    if checked.system.contacts:
-        yield _contact_table(checked, length, mass)
-    if checked.declared:
-        declared = [
-            (
-                *(each.name, f"{each.value:.6g}", f"{deviation:.3g}", each.unit),
-                *("uncertain" if deviation and is_observed(each.name) else "exact",),
-            )
-            for each, deviation in checked.declared
-        ]
-        headings = ("parameter", "value", "deviation", "unit", "an observer takes it as")
-        yield TextTable(headings, declared, words=headings[-2:])
-
-
-def _contact_table(checked: ModelCheck, length: str, mass: str) -> TextTable:
-    """The contacts: gap, restitution, effective mass, and the amplitude of the gap."""
-    system = checked.system
-    computed = np.transpose([checked.effective_mass, checked.rest, checked.swing]).tolist()
-    rows = [
-        (name, f"{gap:g}", law.text, *(f"{x:.4g}" if isfinite(x) else "" for x in of_contact))
-        for name, gap, law, of_contact in zip(
-            system.contact_names, system.q_r.tolist(), system.rebounds, computed, strict=True
-        )
-    ]
-    units = ("", length, "", mass, length, length)
-    words = ("contact", "gap", "restitution", "eff. mass", "under load", "swing")
-    pairs = zip(words, units, strict=True)
-    return _shortened([f"{word} [{unit}]" if unit else word for word, unit in pairs], rows)
-
-
-def _shortened(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> TextTable:
-    """A table; of a long one the first and the last rows."""
-    if (left_out := len(rows) - 2 * _ENDS) > 1:
-        gap = (f"... {left_out} more in --json", *[""] * (len(headings) - 1))
-        rows = [*rows[:_ENDS], gap, *rows[-_ENDS:]]
-    return TextTable(headings, rows)
+            of_harmonic = {"name": names[i], "amplitude": float(amplitudes[k, i])}
+            omega = float(motion.frequency[k])
+            yield {**of_harmonic, "frequency": omega, "hertz": omega / tau}
 
 
 def _findings(checked: ModelCheck) -> Iterator[ReportLine]:

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model of a robot is, as values for ``--json``, and as text with tables."""
+"""What a model of a robot is, as values for ``--json``."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from impact_observer.draw.reports import TextTable, counted, listed, print_facts, print_table
+from impact_observer.draw.reports import listed
 from impact_observer.model import Model
-from impact_observer.plain_text import say
 from impact_observer.robots.robot import Robot, robot_of
 from impact_observer.states import Vector
 
@@ -75,28 +74,6 @@ def _finite(value: Any) -> Any:  # noqa: ANN401 (a number or a text)
     if isinstance(value, str):
         return value
     return float(value) if math.isfinite(value) else None
-
-
-def print_robot(values: Mapping[str, Any]) -> None:
-    """Print what :func:`robot_json` has."""
-    joints, contacts = counted(values["n"], "joint"), counted(values["m"], "contact")
-    say(f"{values['name']}: a robot (urdf: {values['urdf']}), {joints}, {contacts}; SI units")
-    for name in ("joints", "contacts", "deviations"):
-        if rows := values[name]:
-            headings = tuple(rows[0])
-            say("")
-            print_table(TextTable(headings, [tuple(map(_text, row.values())) for row in rows]))
-    say("")
-    print_facts((each["kind"], each["text"]) for each in values["findings"])
-
-
-def _text(value: object) -> str:
-    """A cell of a table."""
-    if isinstance(value, list):
-        return " ".join(map(_text, value))
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else str(value)
 
 
 def _findings(robot: Robot, start: Vector | None) -> Iterator[tuple[str, str]]:

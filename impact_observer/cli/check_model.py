@@ -86,20 +86,19 @@ def run(args: argparse.Namespace) -> int:
 def _checked(read: "Model", *, as_json: bool) -> dict[str, object]:
     """The check of a model for ``--json``; otherwise it is printed."""
     from impact_observer.check.model_check import check_model
-    from impact_observer.check.model_report import for_json, print_check
-    from impact_observer.check.robot_report import print_robot, robot_json
+    from impact_observer.check.model_report import for_json, print_values
+    from impact_observer.check.robot_report import robot_json
+    from impact_observer.draw.reports import counted
 
     if read.misfit and not as_json:
         say(f"warning: {read.misfit}")
-    if read.robot is not None:
-        values = robot_json(read)
-        if not as_json:
-            print_robot(values)
-        return values
-    checked = check_model(read)
+    robot = read.robot
+    values = for_json(check_model(read)) if robot is None else robot_json(read)
     if not as_json:
-        print_check(checked)
-    return for_json(checked)
+        what = "coordinate" if robot is None else "joint"
+        sizes = f"{counted(values['n'], what)}, {counted(values['m'], 'contact')}"
+        print_values(values, sizes)
+    return values
 
 
 def _observability(

@@ -125,18 +125,6 @@ def test_parameters_of_what_turns_have_its_units() -> None:
     assert unit_of("N/m", "m or rad") == "N/m"
 
 
-def test_a_model_check_prints_units_of_rotation(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of forces and masses."""
-    file = tmp_path / "drum.yaml"
-    file.write_text(TABLES, encoding="utf-8")
-    assert main(["check-model", str(file)]) == 0
-    printed = capsys.readouterr().out
-    assert "0.3 N m" in printed
-    assert "eff. mass [kg m^2]" in printed
-
-
 @pytest.mark.long
 def test_lines_of_an_observer_have_units_of_rotation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
