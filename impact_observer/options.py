@@ -35,7 +35,7 @@ class Option:
         high: largest value allowed; only for numbers.
         choices: the values allowed; only for strings; empty for any.
         required: whether the empty default is refused.
-        flag: flag of the command line if it differs from ``name``.
+        short: a shorter flag of the command line beside that of ``name``; empty for none.
         metavar: name of the value in ``--help``.
         live: when a value acts that is set while a node runs; empty if none can be set.
     """
@@ -48,7 +48,7 @@ class Option:
     high: float | None = None
     choices: tuple[str, ...] = ()
     required: bool = False
-    flag: str = ""
+    short: str = ""
     metavar: str = ""
     live: str = ""
 
@@ -100,7 +100,7 @@ class Option:
     @property
     def long_flag(self) -> str:
         """The flag of the command line, such as ``--clock-error``."""
-        return f"--{(self.flag or self.name).replace('_', '-')}"
+        return f"--{self.name.replace('_', '-')}"
 
     def check(self, value: Value, kind: str = "parameter") -> None:
         """Check that ``value`` is of the option's type, and is allowed.
@@ -138,12 +138,12 @@ def option(
     *,
     low: float | None = None,
     high: float | None = None,
-    flag: str = "",
+    short: str = "",
     metavar: str = "",
     live: str = "",
 ) -> _Default:
     """Make a field of a dataclass of options; the arguments are those of ``Option``."""
-    row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar)
+    row = Option("", default, meaning, unit, low, high, short=short, metavar=metavar)
     return field(default=default, metadata={"option": replace(row, live=live)})
 
 
@@ -167,7 +167,7 @@ class Options:
         "zero",
         "initial state: q1,..,qn,u1,..,un, in m or rad and m/s or rad/s, also where a model has"
         " unit: deg; or random:SEED, drawn with standard deviations of 1 m and 1 m/s; or zero",
-        flag="initial",
+        short="initial",
         metavar="STATE",
         live=AT_NEXT_START,
     )
@@ -175,7 +175,6 @@ class Options:
         "1",
         "standard deviations of the initial state, in the units of initial_state: one number, or"
         " 2n numbers; check-model suggests deviations for a small rig",
-        flag="deviation",
         metavar="D",
         live=AT_NEXT_START,
     )

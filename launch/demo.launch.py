@@ -63,7 +63,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     setup = DemoSetup(
         model=given["model"],
         laws=given["laws"].split(","),
-        initial=given["initial_state"],
+        initial_state=given["initial_state"],
         duration=float(given["duration"]),
         realtime_factor=float(given["realtime_factor"]),
         rate=float(given["rate"]),

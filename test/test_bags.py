@@ -71,7 +71,7 @@ def test_a_recorded_bag_holds_a_run_of_its_model(name: str) -> None:
 
 def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Comparison, list[Verdict]]:
     """The comparison and the verdicts of an observer, run on a bag as a user does."""
-    given = ["--law", law, "--initial", "random:1", "--ensemble", "2", *options.split()]
+    given = ["--law", law, "--initial-state", "random:1", "--ensemble", "2", *options.split()]
     arguments = ["observe", str(bag), *given]
     assert main([*arguments, "-o", str(output)]) == 0
     with BagReader(output) as reader:
@@ -315,7 +315,7 @@ def test_a_node_fed_by_play_estimates_what_observe_does(
     from impact_observer.ros.qos import qos_profile
 
     bag, output = shared("bags/two_mass"), tmp_path / "out"
-    assert main(["observe", str(bag), "--initial", "random:1", "-o", str(output)]) == 0
+    assert main(["observe", str(bag), "--initial-state", "random:1", "-o", str(output)]) == 0
     with BagReader(output) as reader:
         offline = reader.observer_states("/observer/state")
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}

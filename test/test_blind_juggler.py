@@ -97,7 +97,7 @@ def as_observed(juggler: dict[str, Any], environment: dict[str, str], folder: Pa
         live = reader.observer_states("/observer/state")
         samples = reader.topics["/ground_motion"].count
     assert samples > 500
-    arguments = ["observe", str(bag), "--initial", juggler["GUESS"], "--rate", "200"]
+    arguments = ["observe", str(bag), "--initial-state", juggler["GUESS"], "--rate", "200"]
     assert main([*arguments, "-o", str(output)]) == 0
     with BagReader(output) as reader:
         again = reader.observer_states("/observer/state")

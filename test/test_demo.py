@@ -86,7 +86,16 @@ def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
 def assert_live_is_offline(bag: Path, law: str) -> None:
     """The node's estimates equal those of ``observe`` wherever it had the same events."""
     output = bag.parent / f"offline_{law}"
-    arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", "-o", str(output)]
+    arguments = [
+        "observe",
+        str(bag),
+        "--law",
+        law,
+        "--initial-state",
+        "random:1",
+        "-o",
+        str(output),
+    ]
     assert main(arguments) == 0
     with BagReader(bag) as reader:
         live = reader.observer_states(f"/observer_{law}/state")
@@ -113,7 +122,7 @@ def test_a_demonstration_that_falls_short_says_so(
     """After two seconds the goal is not reached: exit code 1, and the ratio is named."""
     run, bag = str(tmp_path / "run"), tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "2", "-o", run]) == 0
-    law = ["--law", "geometric", "--initial", "random:1"]
+    law = ["--law", "geometric", "--initial-state", "random:1"]
     assert main(["observe", run, *law, "-o", str(bag)]) == 0
     assert check_result(bag, tmp_path / "lyapunov.png") == 1
     assert "too much: the goal is 0.01" in capsys.readouterr().out

@@ -29,7 +29,7 @@ def test_observe_reads_samples_from_a_bag_and_copies_them(
     """
     recorded, once, twice = bag(tmp_path / "rig"), tmp_path / "once", tmp_path / "twice"
     for source, output in ((recorded, once), (once, twice)):
-        assert main(["observe", str(source), "--initial", INITIAL, "-o", str(output)]) == 0
+        assert main(["observe", str(source), "--initial-state", INITIAL, "-o", str(output)]) == 0
     assert "warning" not in capsys.readouterr().out
     observer = make_observer(parse_model(RIG, "rig").system, Options(initial_state=INITIAL))
     assert observer.live is not None
@@ -101,7 +101,7 @@ def test_node_estimates_what_observe_does_with_samples_that_come_late(
     from impact_observer.ros.qos import qos_profile
 
     recorded, output = bag(tmp_path / "rig"), tmp_path / "out"
-    assert main(["observe", str(recorded), "--initial", INITIAL, "-o", str(output)]) == 0
+    assert main(["observe", str(recorded), "--initial-state", INITIAL, "-o", str(output)]) == 0
     with BagReader(output) as reader:
         offline = reader.observer_states("/observer/state")
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}

@@ -41,6 +41,6 @@ def make_inputs(folder: Path) -> dict[str, str]:
     plant, bag, table = folder / "plant", folder / "bag", folder / "impacts.csv"
     simulated = ["simulate", "two_mass", "--duration", "12", "--rate", "5", "-o", str(plant)]
     assert main(simulated) == 0
-    assert main(["observe", str(plant), "--initial", "random:1", "-o", str(bag)]) == 0
+    assert main(["observe", str(plant), "--initial-state", "random:1", "-o", str(bag)]) == 0
     assert main(["export", str(plant), "--what", "events", "-o", str(table)]) == 0
     return {"bag": str(bag), "switch": str(shared("bags/switch")), "csv": str(table)}

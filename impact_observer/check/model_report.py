@@ -176,7 +176,7 @@ def _findings(checked: ModelCheck) -> Iterator[ReportLine]:
         text = "Every mode moves some contact: enough impacts determine the whole state."
         yield ReportLine("ok", text)
     if suggested := suggested_deviation(system):
-        text = f"The start of an observer of this size of rig: --deviation {suggested}."
+        text = f"The start of an observer of this size of rig: --initial-deviation {suggested}."
         yield ReportLine("note", text)
 
 

@@ -79,7 +79,7 @@ def add_option(
     shown = option.default if option.default not in ("", ()) else "none"
     allowed = f", {_limits(option)}" if option.high is not None else ""
     parser.add_argument(
-        flag,
+        *([flag, f"--{option.short}"] if option.short else [flag]),
         dest=option.name,
         metavar=metavar(option),
         type=value_of(option),

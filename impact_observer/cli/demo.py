@@ -8,12 +8,15 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import add_option, positive
+from impact_observer.options import OBSERVER_OPTIONS
 from impact_observer.plain_text import say
 
 GOAL = 1e-2
 """Largest final V/V0 of the geometric law."""
 LAWS = ("geometric", "kinematic")
+INITIAL_STATE = "random:1"
+"""Of the observers, by default."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,12 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=2.0,
         help="simulated seconds a second (default 2)",
     )
-    parser.add_argument(
-        "--initial",
-        metavar="STATE",
-        default="random:1",
-        help="of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default random:1)",
-    )
+    for each in OBSERVER_OPTIONS:
+        if each.name == "initial_state":
+            add_option(parser, each, default=INITIAL_STATE)
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, default=100.0, help="states, Hz (default 100)"
     )
@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     require_ros()
     read = read_model(args.model)
     read.initial_state()
-    initial_state(args.initial, read.system)
+    start = INITIAL_STATE if args.initial_state is None else args.initial_state
+    initial_state(start, read.system)
     from impact_observer.ros import demonstration
     from impact_observer.ros.wiring import DemoSetup
 
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     setup = DemoSetup(
         args.model,
         LAWS,
-        args.initial,
+        start,
         args.duration,
         args.realtime_factor,
         args.rate,

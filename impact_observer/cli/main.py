@@ -48,6 +48,13 @@ GONE = {
     "urdf": "a robot has a URDF of its own",
 }
 """What to use instead of the commands that went in 0.4.0."""
+GONE_OPTIONS = {
+    "--deviation": "--initial-deviation",
+    "--compression": "zstd",
+    "--flush": "nothing; a recorder writes to the disk every second",
+    "--remap": "remappings of the nodes that listen",
+}
+"""What to use instead of the options that went in 0.4.0."""
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _NEGATIVE = re.compile(r"-\.?\d")
 
@@ -69,7 +76,10 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
     def refuse(self, words: Sequence[str]) -> NoReturn:
-        """End with the unknown ``words``."""
+        """End with the unknown ``words``, or with what to use instead of an option that went."""
+        for option in (word.partition("=")[0] for word in words):
+            if option in GONE_OPTIONS:
+                self.error(f"{option} went in 0.4.0; use {GONE_OPTIONS[option]}")
         self.error(f"unrecognized arguments: {' '.join(words)}")
 
 

@@ -66,7 +66,7 @@ class DemoSetup:
     Attributes:
         model: a model file, or the name of a sample.
         laws: laws, each with an observer and a monitor.
-        initial: initial state of the observers, as on the command line.
+        initial_state: initial state of the observers, as on the command line.
         duration: simulated time, s; 0 for no end.
         realtime_factor: simulated seconds per second.
         rate: rate of true states and estimates, Hz.
@@ -75,7 +75,7 @@ class DemoSetup:
 
     model: str
     laws: Sequence[str]
-    initial: str
+    initial_state: str
     duration: float
     realtime_factor: float
     rate: float
@@ -120,7 +120,7 @@ def observers(setup: DemoSetup) -> tuple[NodeSetup, ...]:
                 "use_sim_time": True,
                 "model": setup.model,
                 "law": law,
-                "initial_state": setup.initial,
+                "initial_state": setup.initial_state,
                 "rate": setup.rate,
                 "epoch": setup.epoch,
             },

@@ -105,7 +105,7 @@ def test_undetermined_combinations_are_named(
 
 def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The JSON has results per impact; a value without meaning is null."""
-    found = impacts(capsys, decoupled, "--deviation", "0.5")
+    found = impacts(capsys, decoupled, "--initial-deviation", "0.5")
     assert found["rank"] == 2
     assert found["condition"] is found["impacts_to_full_rank"] is found["seconds_to_full_rank"]
     assert found["condition"] is None
@@ -175,7 +175,7 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["two_mass", "BAG", "--deviation", "1,2"], "expected one number"),
+        (["two_mass", "BAG", "--initial-deviation", "1,2"], "expected one number"),
         (["two_mass", "BAG", "--plot", "rank.txt"], "rank.txt"),
         (["two_mass", "--plot", "rank.png"], "plot: given without a BAG"),
         (["two_mass", "--tolerance", "0.1"], "tolerance: given without a BAG"),

@@ -57,7 +57,15 @@ def test_metrics_are_those_of_a_simulated_bag(
 ) -> None:
     """The commands simulate and compare --laws give the same numbers, to the last bit."""
     bag = str(tmp_path / "bag")
-    laws = ("--laws", "open-loop,geometric", "--initial", "random:2", "--from", "1", "--json")
+    laws = (
+        "--laws",
+        "open-loop,geometric",
+        "--initial-state",
+        "random:2",
+        "--from",
+        "1",
+        "--json",
+    )
     assert main(["simulate", "two_mass", "--duration", "3", "-o", bag]) == 0
     capsys.readouterr()
     assert main(["compare", *QUICK, *laws]) == 0
@@ -79,7 +87,7 @@ def test_what_cannot_be_simulated_is_one_line(
     wrong = {
         "initial_state: is missing": ("--figure", str(model)),
         "law 'quick'": ("--figure", "two_mass", "--laws", "quick"),
-        "initial state 'here'": ("--figure", "two_mass", "--initial", "here"),
+        "initial state 'here'": ("--figure", "two_mass", "--initial-state", "here"),
         "laws: none named": ("--figure", "two_mass", "--laws", ""),
         "hammer_arm: a robot": ("--figure", "hammer_arm"),
         "no bag named": (),

@@ -26,7 +26,7 @@ def plant_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def observed(bag: Path, output: Path, law: str) -> Path:
     """Observe ``bag`` with ``law`` into another bag."""
-    arguments = ["--law", law, "--initial", "random:1", "--ensemble", "1", "-o", str(output)]
+    arguments = ["--law", law, "--initial-state", "random:1", "--ensemble", "1", "-o", str(output)]
     assert main(["observe", str(bag), *arguments]) == 0
     return output
 
@@ -56,7 +56,7 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
             recorded = compare_bag(reader, system).comparisons["/observer"]
         assert made[bag.name].error.tobytes() == recorded.error.tobytes()
         assert made[bag.name].stamps.tobytes() == recorded.stamps.tobytes()
-    in_memory = compared(capsys, str(plant_bag), "--laws", "all", "--initial", "random:1")
+    in_memory = compared(capsys, str(plant_bag), "--laws", "all", "--initial-state", "random:1")
     assert list(in_memory) == list(BUILT_IN)
     assert in_memory == compared(capsys, *map(str, bags))
 
@@ -78,9 +78,15 @@ def test_laws_receive_the_uncertainty_that_is_declared(
     plant_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The clock error changes the estimate of minimum-variance, not that of geometric."""
-    arguments = [str(plant_bag), "--laws", "geometric,minimum-variance", "--initial", "random:1"]
+    arguments = [
+        str(plant_bag),
+        "--laws",
+        "geometric,minimum-variance",
+        "--initial-state",
+        "random:1",
+    ]
     exact = compared(capsys, *arguments)
-    careful = compared(capsys, *arguments, "--clock-error", "0.01", "--deviation", "0.5")
+    careful = compared(capsys, *arguments, "--clock-error", "0.01", "--initial-deviation", "0.5")
     assert careful["geometric"] == exact["geometric"]
     assert careful["minimum-variance"]["V_end"] != exact["minimum-variance"]["V_end"]
 
@@ -90,8 +96,8 @@ def test_laws_receive_the_uncertainty_that_is_declared(
     [
         (["--laws", "geometric,quick"], 2, "law 'quick': not installed"),
         (["--laws", ""], 2, "laws: none named"),
-        (["--initial", "random:1"], 2, "name some with --laws"),
-        (["--laws", "geometric", "--initial", "1,2"], 2, "expected 4"),
+        (["--initial-state", "random:1"], 2, "name some with --laws"),
+        (["--laws", "geometric", "--initial-state", "1,2"], 2, "expected 4"),
         (["--laws", "geometric", "--epoch", "5"], 1, "geometric: no event could be applied"),
     ],
 )

@@ -27,7 +27,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plant, estimates = str(folder / "plant"), str(folder / "estimates")
     simulated = ["simulate", "two_mass", "--duration", "6", "--rate", "250", "--delay", "0.008"]
     assert main([*simulated, "-o", plant]) == 0
-    observed = ["observe", plant, "--initial", "random:1", "--ensemble", "1"]
+    observed = ["observe", plant, "--initial-state", "random:1", "--ensemble", "1"]
     assert main([*observed, "-o", estimates]) == 0
     return Path(estimates)
 
@@ -66,7 +66,7 @@ def test_the_csv_has_every_metric_of_the_json(
     """A line an estimate; errors have a column a state."""
     path = tmp_path / "metrics.csv"
     found = metrics(
-        capsys, str(bag), "--laws", "kinematic", "--initial", "zero", "--csv", str(path)
+        capsys, str(bag), "--laws", "kinematic", "--initial-state", "zero", "--csv", str(path)
     )
     with path.open(encoding="utf-8", newline="") as file:
         rows = {row["estimate"]: row for row in csv.DictReader(file)}

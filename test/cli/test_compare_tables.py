@@ -18,7 +18,7 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("tables")
     plant, estimates = folder / "plant", folder / "estimates"
     assert main(["simulate", "two_mass", "--duration", "3", "-o", str(plant)]) == 0
-    assert main(["observe", str(plant), "--initial", "random:1", "-o", str(estimates)]) == 0
+    assert main(["observe", str(plant), "--initial-state", "random:1", "-o", str(estimates)]) == 0
     return estimates
 
 
@@ -59,7 +59,7 @@ def test_distances_that_are_rounding_are_named(
     assert main(["simulate", "bouncing_ball", "--duration", "0.3", "-o", plant]) == 0
     for start, is_named in (("1,1e-16", True), ("1,0.1", False)):
         bag = str(tmp_path / start)
-        assert main(["observe", plant, "--epoch", "1", "--initial", start, "-o", bag]) == 0
+        assert main(["observe", plant, "--epoch", "1", "--initial-state", start, "-o", bag]) == 0
         capsys.readouterr()
         assert main(["compare", bag]) == 0
         assert ("V end of geometric is rounding" in capsys.readouterr().out) is is_named

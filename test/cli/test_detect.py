@@ -166,7 +166,7 @@ def test_a_detected_bag_can_be_observed_without_naming_a_model(
         assert list(reader.raw(source.topics)) == list(source.raw())
         assert reader.topics["/imu"].quality == Quality(reliable=False)
         assert [m.log_time for m in reader.raw(["/impacts"])] == [e.stamp + 5 * MS for e in events]
-    assert main(["observe", str(bag), "--initial", "random:1", "-o", str(output)]) == 0
+    assert main(["observe", str(bag), "--initial-state", "random:1", "-o", str(output)]) == 0
     with BagReader(output) as reader:
         states = reader.observer_states("/observer/state")
         truth = reader.joint_states("/plant/joint_states")

@@ -34,7 +34,7 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plant, bag = str(folder / "plant"), str(folder / "bag")
     how = ("--duration", "5", "--rate", "200", "--jitter", "0.002", "--seed", "3")
     assert main(["simulate", "two_mass", *how, "-o", plant]) == 0
-    assert main(["observe", plant, "--initial", "random:1", "-o", bag]) == 0
+    assert main(["observe", plant, "--initial-state", "random:1", "-o", bag]) == 0
     return folder / "bag"
 
 

@@ -26,7 +26,7 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:
             plant, estimates = str(folder / f"{model}_plant"), str(folder / model)
             simulated = ["simulate", model, "--duration", "4", "--rate", "50", "-o", plant]
             assert main(simulated) == 0
-            observed = ["observe", plant, "--ensemble", "1", "--initial", "random:1"]
+            observed = ["observe", plant, "--ensemble", "1", "--initial-state", "random:1"]
             assert main([*observed, "-o", estimates]) == 0
             with BagReader(estimates) as reader:
                 for topic, info in reader.topics.items():
@@ -47,7 +47,7 @@ def test_a_namespace_selects_a_rig(
     alone = json.loads(capsys.readouterr().out)
     assert main(["compare", str(rigs), "--namespace", namespace, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == alone
-    arguments = ["--namespace", namespace, "--ensemble", "1", "--initial", "random:1"]
+    arguments = ["--namespace", namespace, "--ensemble", "1", "--initial-state", "random:1"]
     assert main(["observe", str(rigs), *arguments, "-o", str(tmp_path / "new")]) == 0
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "new"), "--json"]) == 0

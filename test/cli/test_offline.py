@@ -164,7 +164,7 @@ def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path
 @pytest.mark.parametrize("law", BUILT_IN)
 def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -> None:
     """Offline estimates are those of the same object fed by hand, bit for bit."""
-    output = observed(run_bag, f"out_{law}", "--law", law, "--initial", "random:3")
+    output = observed(run_bag, f"out_{law}", "--law", law, "--initial-state", "random:3")
     system = read_model("two_mass").system
     observer = Observer(
         system, law_named(law)(system), *initial_state("random:3", system), history=1e6
@@ -198,7 +198,9 @@ def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -
 
 def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
     """The bound is an error without coordinates, at the start and after each impact."""
-    output = observed(run_bag, "bounded", "--initial", "random:3", "--deviation", "2")
+    output = observed(
+        run_bag, "bounded", "--initial-state", "random:3", "--initial-deviation", "2"
+    )
     with BagReader(output) as reader:
         impacts = len(events_in(reader))
         bounds = [each for _, each in reader.messages("/observer/bound")]
@@ -215,7 +217,7 @@ def test_compare_orders_the_laws_and_draws_them(
 ) -> None:
     """Open loop is worst; V never rises at an impact with the other laws; the picture is a PNG."""
     bags = {
-        law: observed(run_bag, f"cmp_{law}", "--law", law, "--initial", "random:1")
+        law: observed(run_bag, f"cmp_{law}", "--law", law, "--initial-state", "random:1")
         for law in ("open-loop", "kinematic", "geometric")
     }
     picture = run_bag.parent / "v.png"
@@ -243,7 +245,7 @@ def test_equal_initial_states_leave_ratios_undefined(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Ratios to V0 = 0 are undefined."""
-    bag = observed(run_bag, "exact", "--initial", "0.1,-0.2,0.5,0")
+    bag = observed(run_bag, "exact", "--initial-state", "0.1,-0.2,0.5,0")
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0
     metrics = json.loads(capsys.readouterr().out)["geometric"]
@@ -319,7 +321,7 @@ def test_observation_that_fails_leaves_no_bag(
     model.write_text(jammed(0, 1, velocity=0), encoding="utf-8")
     plant, output = tmp_path / "plant", tmp_path / "out"
     assert main(["simulate", str(model), "--duration", "1", "-o", str(plant)]) == 0
-    assert main(["observe", str(plant), "--initial", "0,1", "-o", str(output)]) == 1
+    assert main(["observe", str(plant), "--initial-state", "0,1", "-o", str(output)]) == 1
     assert "has no solution" in capsys.readouterr().err
     assert not output.exists()
 
@@ -449,7 +451,14 @@ def test_stamps_that_are_late_by_what_nobody_declared_are_named(
     assert main(["simulate", true, "--duration", "6", "--jitter", "1e-5", "-o", bag]) == 0
     said = list[str]()
     for name in (true, wrong):
-        part = ("--start", "3", "--clock-error", "1e-5", "--deviation", "0.005,0.005,0.6,0.6")
+        part = (
+            "--start",
+            "3",
+            "--clock-error",
+            "1e-5",
+            "--initial-deviation",
+            "0.005,0.005,0.6,0.6",
+        )
         output = (
             "--law",
             "minimum-variance",

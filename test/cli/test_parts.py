@@ -58,7 +58,7 @@ def test_where_nothing_was_recorded_before_a_part_the_start_is_known(
 ) -> None:
     """The first impact is in the part, so the given initial state holds at the epoch."""
     whole, part = tmp_path / "whole", tmp_path / "part"
-    given = ["--initial", "0.1,-0.2,0.5,0"]
+    given = ["--initial-state", "0.1,-0.2,0.5,0"]
     assert main(["observe", str(run_bag), *given, "-o", str(whole)]) == 0
     assert main(["observe", str(run_bag), *given, "--start", "0.1", "-o", str(part)]) == 0
     found = []

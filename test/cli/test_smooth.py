@@ -206,7 +206,7 @@ def test_a_ball_with_uncertain_damping_that_comes_to_rest_is_smoothed(
     faults = "--jitter 0.001 --measurement-rate 50"
     assert main(f"simulate {model} --duration 0.8 {faults} {given} -o {bag}".split()) == 0
     assert "persistent" in capsys.readouterr().out
-    start = "--clock-error 0.001 --deviation 0.01 --initial 0.1,0"
+    start = "--clock-error 0.001 --initial-deviation 0.01 --initial-state 0.1,0"
     assert main(f"smooth {bag} {given} {start} -o {tmp_path / 'smoothed'}".split()) == 0
     said = capsys.readouterr().out
     *_, found = re.findall(r"damping\.ground-z \[Ns/m\] (\S+) \+- (\S+)", said)
@@ -267,7 +267,7 @@ def test_the_deviations_of_a_coarse_encoder_on_a_periodic_motion_are_widened(
     faults = "--jitter 0.001 --measurement-noise 0 --measurement-quantisation 0.02"
     made = f"simulate {model} --duration 40 {faults} --measurement-rate 50 {given} -o {bag}"
     assert main(made.split()) == 0
-    options = "--clock-error 0.001 --rate 20 --deviation 0.1,0.5"
+    options = "--clock-error 0.001 --rate 20 --initial-deviation 0.1,0.5"
     assert main(f"smooth {bag} {given} {options} -o {tmp_path / 'smoothed'}".split()) == 0
     said = capsys.readouterr().out
     (warning,) = [line for line in said.splitlines() if "errors of encoder" in line]

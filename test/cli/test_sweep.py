@@ -136,7 +136,7 @@ def test_a_row_has_the_results_of_simulate_observe_and_compare(
     words = ("--laws", "unilateral", "--runs", "1", "--seed", "4", "--jobs", "1")
     assert main(["sweep", "three_mass", *words, *how, "-o", str(path)]) == 0
     assert main(["simulate", "three_mass", *how, "--seed", "4", "-o", str(plant)]) == 0
-    law = ("--law", "unilateral", "--initial", "random:4", "--epoch", "1")
+    law = ("--law", "unilateral", "--initial-state", "random:4", "--epoch", "1")
     assert main(["observe", str(plant), *law, "-o", str(bag)]) == 0
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0

@@ -63,7 +63,8 @@ def test_bags_with_keys_that_went_are_exported_plotted_compared_and_observed(
     assert main(["observe", bag, "-o", result]) == 2
     assert "friction: dry friction" in capsys.readouterr().err
     assert (
-        main(["observe", bag, "--model", "two_mass", "--initial", "random:1", "-o", result]) == 0
+        main(["observe", bag, "--model", "two_mass", "--initial-state", "random:1", "-o", result])
+        == 0
     )
     for words in (["compare"], ["export", "-o", "a.csv"], ["plot", "-o", "a.png"]):
         command, *output = [str(tmp_path / w) if "." in w else w for w in words]

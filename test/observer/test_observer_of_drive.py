@@ -163,7 +163,9 @@ def test_observe_reads_pulses_and_the_epoch_from_a_bag(tmp_path: Path) -> None:
     """The result has the pulses, too; a bag without an epoch is read from the first pulse on."""
     one, two = tmp_path / "one", tmp_path / "two"
     for source, output in ((BAG, one), (one, two)):
-        assert main(["observe", str(source), "--initial", "random:1", "-o", str(output)]) == 0
+        assert (
+            main(["observe", str(source), "--initial-state", "random:1", "-o", str(output)]) == 0
+        )
     with BagReader(one) as reader, BagReader(two) as again:
         found = reader.observer_states("/observer/state")
         np.testing.assert_array_equal(found.q, again.observer_states("/observer/state").q)

@@ -49,7 +49,7 @@ def test_observer_node_estimates_what_observe_does_under_a_drive(
 ) -> None:
     """The states are equal to the bit if the lag is longer than a period."""
     recorded, output = shared("bags/hammer"), tmp_path / "out"
-    assert main(["observe", str(recorded), "--initial", "random:1", "-o", str(output)]) == 0
+    assert main(["observe", str(recorded), "--initial-state", "random:1", "-o", str(output)]) == 0
     with BagReader(output) as reader:
         offline = reader.observer_states("/observer/state")
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}

@@ -169,7 +169,6 @@ def test_a_signal_ends_a_node_with_exit_code_0(
     [
         ("observer", {}, "parameter model: is not set"),
         ("observer", {}, "a sample: give --ros-args -p model:=FILE"),
-        ("observer", {"modle": "two_mass"}, "give --ros-args -p model:=FILE, not modle"),
         ("observer", {"model": "nothing.yaml"}, "nothing.yaml: no such file"),
         ("observer", {"model": "two_mass", "law": "magic"}, "law 'magic': not installed"),
         ("observer", {"model": "two_mass", "rate": -1.0}, "parameter rate: expected a double"),
