@@ -1,114 +1,137 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run benchmarks: ``python -m benchmarks [NAME...]``, or ``./dev bench``."""
+"""Benchmarks: ``./dev bench``.
+
+    ./dev bench speed                     rows of a group: speed, accuracy or honesty
+    ./dev bench 'filter*' --rounds 3      rows by name or pattern
+    ./dev bench --list                    all rows
+    ./dev bench beside FOLDER NAME...     this checkout and another one take turns
+    ./dev bench walk                      which functions of the package an event calls
+    ./dev bench reliability               plant, observer, detector, monitor, recorder under attack
+
+Medians of the rounds are printed. A ratio is the figure of this checkout over that of the other
+one in the same round, so that a slow spell of the machine hits both. Times are processor time,
+but those of ``topic``.
+"""
 
 import argparse
 import json
+import statistics
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from rich import box
 from rich.console import Console
+from rich.table import Table
 
-from benchmarks import (
-    events,
-    filter_cost,
-    live_inputs,
-    observe_bag,
-    plant_run,
-    report,
-    sweep,
-    topic,
-)
-from benchmarks.fast_bags import SECONDS
-from benchmarks.harness import Benchmark, DisagreementError, Result, measure, new_file
+from benchmarks import accuracy, honesty, speed
+from benchmarks.checkout import HERE, Checkout, FailedError, Figure, Figures, Row
+
+GROUPS = {"speed": speed.ROWS, "accuracy": accuracy.ROWS, "honesty": honesty.ROWS}
+Rounds = dict[str, list[tuple[Figure, ...]]]
+"""Of each figure a tuple a round: of this checkout, and of the other one."""
 
 
-def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
-    """Returns all benchmarks; ``seconds`` is the length of the bags to observe."""
-    return (
-        plant_run.BENCHMARK,
-        plant_run.IMPACTS,
-        topic.BENCHMARK,
-        live_inputs.BENCHMARK,
-        live_inputs.SENSOR,
-        live_inputs.ROBOT,
-        *observe_bag.benchmarks(seconds),
-        *events.benchmarks(),
-        *filter_cost.benchmarks(seconds),
-        sweep.BENCHMARK,
-    )
+def chosen(names: Sequence[str]) -> list[Row]:
+    """The rows with these names, of these groups, or that match these patterns."""
+    return [
+        row
+        for group, rows in GROUPS.items()
+        for row in rows
+        if any(name == group or fnmatch(row.name, name) for name in names)
+    ]
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the benchmarks given, or all.
+def measured(row: Row, checkouts: Sequence[Checkout], rounds: int) -> Rounds:
+    """The figures of a row; the checkouts take turns.
 
-    Returns:
-        0; 1 where the contestants of a benchmark disagree in their results; 2 for wrong use.
+    Raises:
+        FailedError: a command failed.
     """
-    given = arguments(args)
-    if given.list:
-        for each in benchmarks(SECONDS):
-            print(f"{each.name:24} {each.question}")
-        return 0
-    chosen = [each for each in benchmarks(given.seconds) if each.name in given.names]
-    results, skipped, agreed = measured(chosen, given.rounds)
-    if given.json:
-        document = report.document(results, skipped)
-        given.json.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    console = Console(width=max(Console().width, 120))
-    console.print(report.table(results))
-    for result in results:
-        console.print(f"{result.benchmark.name}: {result.contest.work}", highlight=False)
-    for name, reason in skipped.items():
-        console.print(f"{name}: skipped: {reason}", highlight=False)
-    return 0 if agreed else 1
+    found: Rounds = {}
+    for k in range(rounds):
+        figures: dict[Path, Figures] = {}
+        for checkout in checkouts[:: 1 if k % 2 else -1]:
+            with TemporaryDirectory(prefix="impact_observer_") as folder:
+                figures[checkout.folder] = row.measure(checkout, Path(folder), k)
+        here, *others = (figures[checkout.folder] for checkout in checkouts)
+        for name, figure in here.items():
+            if all(name in other for other in others):
+                found.setdefault(name, []).append((figure, *(other[name] for other in others)))
+    return found
 
 
-def arguments(args: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments, checked; ``names`` are those of all benchmarks where none are given."""
-    names = [each.name for each in benchmarks(SECONDS)]
+def cells(rounds: Sequence[tuple[Figure, ...]]) -> list[str]:
+    """Medians of each checkout, then of two the median of their ratios and its range."""
+    unit = rounds[0][0].unit
+    columns = zip(*((figure.value for figure in figures) for figures in rounds), strict=True)
+    made = [str(Figure(statistics.median(column), unit)) for column in columns]
+    if len(made) > 1:
+        ratios = [a.value / b.value if b.value else float("nan") for a, b in rounds]
+        made.append(f"{statistics.median(ratios):.3g}")
+        made.append(f"{min(ratios):.3g} to {max(ratios):.3g}")
+    return made
+
+
+def arguments(words: Sequence[str]) -> argparse.Namespace:
+    """The arguments, checked; ``checkouts`` are one or two."""
+    beside = bool(words) and words[0] == "beside"
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
-    parser.add_argument("--list", action="store_true", help="list the benchmarks, and end")
-    parser.add_argument("--rounds", type=int, metavar="N", help="rounds (default: each its own)")
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=SECONDS,
-        metavar="S",
-        help=f"length of the bags to observe (default {SECONDS:g})",
-    )
-    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every metric to FILE")
-    given = parser.parse_args(args)
-    if unknown := [name for name in given.names if name not in names]:
-        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(names)}")
-    if given.rounds is not None and given.rounds < 1:
-        parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
-    if not 1 <= given.seconds <= 100_000:
-        parser.error(f"argument --seconds: {given.seconds:g}; expected 1 to 100000")
-    given.names = given.names or names
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    if beside:
+        parser.add_argument("folder", type=Path, metavar="FOLDER", help="the other checkout")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="(default: speed)")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="(default 3)")
+    parser.add_argument("--list", action="store_true", help="list the rows, and end")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
+    given = parser.parse_args(words[beside:])
+    given.rows = chosen(given.names or ["speed"])
+    if not given.rows or given.rounds < 1:
+        parser.error(f"{' '.join(given.names)}: no row found, or no round; --list lists the rows")
+    try:
+        given.checkouts = [Checkout(HERE), *([Checkout(given.folder)] if beside else [])]
+    except FailedError as error:
+        parser.error(str(error))
     return given
 
 
-def measured(
-    chosen: Iterable[Benchmark], rounds: int | None
-) -> tuple[list[Result], dict[str, str], bool]:
-    """Returns results, reasons of skipped benchmarks, and whether all contestants agreed."""
-    results: list[Result] = []
-    skipped: dict[str, str] = {}
-    agreed = True
-    with Console(stderr=True).status("") as status:
-        for each in chosen:
-            try:
-                result = measure(each, rounds, status.update)
-            except DisagreementError as error:
-                result, agreed = f"results disagree: {error}", False
-                print(f"benchmarks: {each.name}: {result}", file=sys.stderr)
-            if isinstance(result, str):
-                skipped[each.name] = result
-            else:
-                results.append(result)
-    return results, skipped, agreed
+def main(words: Sequence[str]) -> int:
+    """Measure rows and print a table.
+
+    Returns:
+        0; 1 where a command of a checkout failed; 2 for wrong use.
+    """
+    if words and words[0] in ("walk", "reliability"):
+        return int(import_module(f"benchmarks.{words[0]}").main(words[1:]))
+    given = arguments(words)
+    if given.list:
+        for row in (row for rows in GROUPS.values() for row in rows):
+            print(f"{row.name:40} {row.question}")
+        return 0
+    beside = ("there", "ratio", "of the rounds")[: 3 * (len(given.checkouts) > 1)]
+    table = Table("row", "figure", "here", *beside, box=box.SIMPLE_HEAD)
+    found: dict[str, dict[str, list[list[float]]]] = {}
+    failed = False
+    for row in given.rows:
+        try:
+            rounds = measured(row, given.checkouts, given.rounds)
+        except FailedError as error:
+            failed = True
+            table.add_row(row.name, f"failed: {error}")
+            continue
+        for name, figures in rounds.items():
+            table.add_row(row.name, name, *cells(figures))
+            values = [[figure.value for figure in each] for each in figures]
+            found.setdefault(row.name, {})[name] = values
+        print(f"{row.name}: measured", file=sys.stderr)
+    Console(width=max(Console().width, 110)).print(table)
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -2,7 +2,7 @@
 
 // A run of one contact and one harmonic by Siconos, event-driven, in a process that waits for commands.
 //
-// Compiled and started by siconos_peer.py, with the problem's file as the only argument. Prints
+// Compiled and started by speed.py, with the problem's file as the only argument. Prints
 // "ready" when a model is built; "run" simulates it and prints "done", then builds the next one;
 // "save FILE" writes what the last run found. What is timed is the simulation's loop alone.
 

@@ -21,13 +21,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.impacts import EPOCH, impacts
 from impact_observer.model import read_model
 from impact_observer.observer import make_observer
 from impact_observer.options import Options
-from impact_observer.stamps import NS_PER_S
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import NS_PER_S, from_seconds
 
 PACKAGE = Path(__file__).resolve().parents[1] / "impact_observer"
+EPOCH = NS_PER_S
 JITTER = 1e-3
 """Standard deviation of the stamps, s."""
 WHICH = 8
@@ -56,9 +57,11 @@ def walk(law: str) -> list[CodeType]:
     """The functions that the impact number ``WHICH`` of two_mass calls under a law."""
     model, rng = read_model("two_mass"), np.random.default_rng(1)
     observer = make_observer(model, Options(law=law, initial_state="random:1", epoch=EPOCH))
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    exact = simulate(plant, np.array([EPOCH + from_seconds(30.0)])).events
     events = [
         replace(each, stamp=each.stamp + round(JITTER * NS_PER_S * rng.normal()))
-        for each in impacts("two_mass", 30.0)[:WHICH]
+        for each in exact[:WHICH]
     ]
     for each in events[:-1]:
         observer.receive(each)
