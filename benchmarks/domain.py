@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.harness import SkippedError
+from benchmarks.checkout import FailedError
 
 
 @contextmanager
@@ -15,7 +15,7 @@ def free_domain() -> Iterator[dict[str, str]]:
     """Reserve a domain; yields the environment variables that select it.
 
     Raises:
-        SkippedError: all are taken.
+        FailedError: all are taken.
     """
     for domain in range(1, 102):
         path = Path(tempfile.gettempdir(), f"impact_observer_domain_{domain}.lock")
@@ -29,4 +29,4 @@ def free_domain() -> Iterator[dict[str, str]]:
                 "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             }
             return
-    raise SkippedError("all ROS domains are taken; remove impact_observer_domain_*.lock")
+    raise FailedError("all ROS domains are taken; remove impact_observer_domain_*.lock")

@@ -84,20 +84,12 @@ class Truth:
         force: in addition to the system's.
         restitution: instead of a constant one.
         contact_time: duration of an impact, s; 0 for rigid stops.
-        slip: Coulomb's coefficient between rigid stops and the first coordinate, which slides.
     """
 
     system: System
     force: Force | None = None
     restitution: Restitution | None = None
     contact_time: float = 0.0
-    slip: float = 0.0
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether the plant is its system, with rigid stops."""
-        changed = self.force or self.restitution or self.contact_time or self.slip
-        return not changed
 
 
 def kelvin_voigt(mass: float, restitution: float, duration: float) -> tuple[float, float]:
@@ -258,9 +250,6 @@ class Motion:
         if self.truth.restitution is not None:
             eps = self.truth.restitution(eps, speed, self.t, self.rng)
         impulse = (1 + eps) * speed * self.mass[i] * self.system.W[:, i]
-        if self.truth.slip:
-            most = self.truth.slip * (1 + eps) * speed * self.mass[i]
-            impulse[0] -= np.clip(self.x[n] / self.inverse[0, 0], -most, most)
         self.x[n:] += self.inverse @ impulse
 
     def release(self, i: int) -> None:

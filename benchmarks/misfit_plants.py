@@ -65,7 +65,7 @@ class Kind:
 
 
 def drawn(system: System, hidden: int, rng: np.random.Generator) -> Array:
-    """An initial state inside no stop, as in ``benchmarks.covariance``.
+    """An initial state inside no stop.
 
     Hidden bodies start with the displacement and velocity of the first body.
     """

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plant, observer, detector, monitor and recorder under attack: ``./dev bench reliability``.
 
-Again and again one of the processes gets SIGKILL or SIGTERM and is started again, is stopped
-by SIGSTOP for a second, or all get random messages. A node that is never attacked publishes the
-switch of the detector and receives everything: it is the witness. At the end every event is
-accounted for: those of the recorder in the bags, those of the observer by its verdicts, the
-pulses of the switch by the detector's events; and each monitor must have published errors. What
-had reached a process more than a second before its end must be there, and no process may end by
-itself. The processes talk over UDP, as docs/security.md says of Fast DDS after kills.
+Again and again one of the processes gets SIGKILL or SIGTERM and is started again, or is stopped
+by SIGSTOP for a second, or all get random messages. A node that is never attacked, the witness,
+publishes the switch of the detector and receives everything. What had reached a process more than
+a second before its end must be there: events in the bags of the recorder, verdicts of the
+observer, the detector's events of pulses, errors of the monitor. No process may end by itself.
+The processes talk over UDP, as docs/security.md says of Fast DDS after kills.
 """
 
 import argparse
@@ -18,13 +17,13 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import rclpy
 from builtin_interfaces.msg import Time
@@ -43,32 +42,29 @@ from impact_observer.errors import BagError
 from impact_observer.io.reader import BagReader
 from impact_observer.ros.subscribing import MessageInfo
 
-DUE = 1.0
-"""What had reached a process so long before its end is not lost, s."""
-SENT = 0.5
-"""What a process published so long before its own end has left it, for all that receive it, s."""
-UP = 2.0
-"""A process is attacked at the earliest so long after its first sign of life, s."""
-PULSE, SPACING = 0.02, 0.3
-"""Duration of a pulse of the switch, and time between two, s."""
-MESSAGES = 50
-"""Random messages of an attack."""
+DUE, SENT, UP = 1.0, 0.5, 2.0
+"""What had reached a process so long before its end is not lost; what it published so long before
+its end has left it; it is attacked so long after its first sign of life, s."""
+PULSE, SPACING, MESSAGES = 0.02, 0.3, 50
+"""Duration of a pulse and time between two, s; random messages of an attack."""
 ATTACKS = ("SIGKILL", "SIGKILL", "SIGTERM", "SIGSTOP", "messages")
-_NEAR = 120_000_000
-"""How far an event of the detector may be from its pulse, ns: a process may have to wait."""
-_PATIENCE = 120.0
+_NEAR, _PATIENCE = 120_000_000, 120.0
+"""How far an event of the detector may be from its pulse, ns; longest wait for a process, s."""
+SENSORS = "sources: [{contact: stop, topic: switch, kind: switch}]\n"
+SCRIPTS = HERE / ".venv" / "bin"
 PROCESSES = ("plant", "observer", "detector", "monitor", "recorder")
 PLANT, DETECTOR = "/impacts", "/rig/impacts"
 EventKey = tuple[str, int, int, int, int]
 """Topic, epoch, episode, sequence, stamp."""
+Account = tuple[int, list[str]]
+"""How much should be there, and what of it is lost."""
 
 
 @dataclass
 class Life:
     """One process from its start (ns) to its end, by the clock of the witness, s.
 
-    ``up`` is its first sign of life; ``stops`` are from SIGSTOP to SIGCONT. The ``folder`` has its
-    log, and the bag of a recorder.
+    ``up`` is its first sign of life; ``stops`` are from SIGSTOP to SIGCONT.
     """
 
     process: "subprocess.Popen[bytes]"
@@ -84,14 +80,6 @@ class Life:
         return self.up <= at < self.end - DUE and not stopped
 
 
-class Account(NamedTuple):
-    """How much should be there, what of it is lost, and how much else is not there."""
-
-    due: int
-    lost: list[str]
-    excused: int
-
-
 class Rig:
     """The five processes, and the witness."""
 
@@ -99,8 +87,7 @@ class Rig:
         """Start all of them."""
         self._folder, self._random = folder, random.Random(seed)
         (folder / "fast.yaml").write_text(fast(10.0, 1.0), "utf-8")
-        source = "sources: [{contact: stop, topic: switch, kind: switch}]\n"
-        (folder / "switch.yaml").write_text(source, "utf-8")
+        (folder / "switch.yaml").write_text(SENSORS, "utf-8")
         self._node, self._executor = Node("witness"), SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self.events: dict[EventKey, float] = {}
@@ -110,32 +97,25 @@ class Rig:
         self.errors: list[float] = []
         self.ended: list[str] = []
         self.lives: dict[str, list[Life]] = {name: [] for name in PROCESSES}
-        self._connect()
-        for name in self.lives:
-            self.start(name)
-
-    def _connect(self) -> None:
-        """Publish the switch, and subscribe to what the processes publish."""
         events = QoSProfile(depth=2000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         subscribe = self._node.create_subscription
-        for topic, name in ((PLANT, "plant"), (DETECTOR, "detector")):
-            subscribe(ImpactEvent, topic, self._event_taker(topic, name), events)
+        for topic in (PLANT, DETECTOR):
+            subscribe(ImpactEvent, topic, partial(self._on_event, topic), events)
         subscribe(EventVerdict, "/observer/verdicts", self._on_verdict, events)
         subscribe(EstimateError, "/monitor/error", self._on_error, 10)
         self._switch = self._node.create_publisher(Bool, "/switch", 10)
         self._attacker = self._node.create_publisher(ImpactEvent, PLANT, events)
         self._node.create_timer(SPACING, self._pulse)
+        for name in PROCESSES:
+            self.start(name)
 
-    def _event_taker(self, topic: str, name: str) -> Callable[[ImpactEvent, MessageInfo], None]:
-        def take(message: ImpactEvent, info: MessageInfo) -> None:
-            now, key = time.monotonic(), key_of(topic, message)
-            if self.events.setdefault(key, now) == now and key not in self.random:
-                self._note(name, info)
-
-        return take
+    def _on_event(self, topic: str, message: ImpactEvent, info: MessageInfo) -> None:
+        now, key = time.monotonic(), key_of(topic, message)
+        if self.events.setdefault(key, now) == now and key not in self.random:
+            self._note("plant" if topic == PLANT else "detector", info)
 
     def _on_verdict(self, message: EventVerdict, info: MessageInfo) -> None:
-        self.verdicts.add((nanoseconds(message.header.stamp), message.sequence))
+        self.verdicts.add((message.sequence, nanoseconds(message.header.stamp)))
         self._note("observer", info)
 
     def _on_error(self, _: EstimateError, info: MessageInfo) -> None:
@@ -150,24 +130,22 @@ class Rig:
 
     def _pulse(self) -> None:
         self.pulses.append((time.monotonic(), time.time_ns()))
-        self._switch.publish(Bool(data=True))
-        time.sleep(PULSE)
-        self._switch.publish(Bool(data=False))
+        for closed in (True, False):
+            self._switch.publish(Bool(data=closed))
+            time.sleep(PULSE)
 
     def start(self, name: str) -> None:
         """Start a process, a recorder with a bag of its own."""
         folder = self._folder / f"{name}_{len(self.lives[name])}"
         folder.mkdir()
-        scripts = HERE / ".venv" / "bin"
-        command = [str(scripts / name), "--ros-args"]
-        if name in ("plant", "observer", "monitor"):
-            command += ["-p", f"model:={self._folder / 'fast.yaml'}"]
+        command = [f"{SCRIPTS}/{name}", "--ros-args"]
         if name == "detector":
-            command += ["-p", f"sources:={self._folder / 'switch.yaml'}"]
-            command += ["-r", f"impacts:={DETECTOR}"]
-        if name == "recorder":
-            command = [str(scripts / "impact-observer"), "record", "--topics", PLANT, DETECTOR]
-            command += ["-o", str(folder / "bag")]
+            command += ["-p", f"sources:={self._folder}/switch.yaml", "-r", f"impacts:={DETECTOR}"]
+        elif name != "recorder":
+            command += ["-p", f"model:={self._folder / 'fast.yaml'}"]
+        else:
+            command = [f"{SCRIPTS}/impact-observer", "record", "-o", str(folder / "bag")]
+            command += ["--topics", PLANT, DETECTOR]
         began = time.time_ns()
         with (folder / "log").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
@@ -179,34 +157,31 @@ class Rig:
         while time.monotonic() < until:
             self._executor.spin_once(timeout_sec=0.05)
         life = self.lives["recorder"][-1]
-        log = (life.folder / "log").read_text(errors="replace")
-        if life.up == inf and log.count("recording /") > 1:
+        if life.up == inf and (life.folder / "log").read_text().count("recording /") > 1:
             life.up = time.monotonic()
 
     def attack(self) -> str:
-        """Attack a process that has been up for a while; what was done to which."""
+        """Attack a process when it has been up for a while; what was done to which."""
+        name, how = self._random.choice(PROCESSES), self._random.choice(ATTACKS)
         until = time.monotonic() + _PATIENCE
-        while time.monotonic() < until:
-            self.spin(self._random.uniform(0.2, 0.8))
-            now = time.monotonic()
-            ready = [name for name, lives in self.lives.items() if lives[-1].up < now - UP]
-            if not ready:
-                continue
-            name, how = self._random.choice(ready), self._random.choice(ATTACKS)
-            if how == "messages":
-                self.send_random()
-                return how
-            if how == "SIGSTOP":
-                life = self.lives[name][-1]
-                life.process.send_signal(signal.SIGSTOP)
-                self.spin(self._random.uniform(0.2, 1.5))
-                life.process.send_signal(signal.SIGCONT)
-                life.stops.append((now, time.monotonic()))
-            else:
-                self.end(name, signal.Signals[how])
-                self.start(name)
-            return f"{how} of {name}"
-        raise TimeoutError(f"nothing came up in {_PATIENCE:g} s")
+        self.spin(self._random.uniform(0.2, 0.8))
+        while not (life := self.lives[name][-1]).up < time.monotonic() - UP:
+            if time.monotonic() > until:
+                raise TimeoutError(f"{name}: not up after {_PATIENCE:g} s")
+            self.spin(0.2)
+        if how == "messages":
+            self.send_random()
+            return how
+        if how == "SIGSTOP":
+            begin = time.monotonic()
+            life.process.send_signal(signal.SIGSTOP)
+            self.spin(self._random.uniform(0.2, 1.5))
+            life.process.send_signal(signal.SIGCONT)
+            life.stops.append((begin, time.monotonic()))
+        else:
+            self.end(name, signal.Signals[how])
+            self.start(name)
+        return f"{how} of {name}"
 
     def send_random(self) -> None:
         """Send events whose numbers and names are random to all that receive impacts."""
@@ -224,8 +199,8 @@ class Rig:
         """End a process."""
         life = self.lives[name][-1]
         if (code := life.process.poll()) is not None:
-            log = (life.folder / "log").read_text(errors="replace")
-            self.ended.append(f"{name}, exit code {code}: {' '.join(log.split())[-300:]}")
+            log = " ".join((life.folder / "log").read_text(errors="replace").split())
+            self.ended.append(f"{name}, exit code {code}: {log[-300:]}")
         life.process.send_signal(how)
         life.end = time.monotonic()
         life.process.wait()
@@ -235,8 +210,7 @@ class Rig:
         now = time.monotonic()
         for name, lives in self.lives.items():
             self.end(name, signal.SIGTERM)
-            lives[-1].end = min(lives[-1].end, now)
-        self._node.destroy_node()
+            lives[-1].end = now
 
     def accounts(self) -> dict[str, Account]:
         """What became of everything."""
@@ -246,23 +220,23 @@ class Rig:
         saved = self._saved()
         recorded = [(at, key in saved, str(key)) for key, at in sent.items()]
         verdicts = [
-            (sent[key], (key[4], key[3]) in self.verdicts, str(key))
+            (sent[key], key[3:] in self.verdicts, str(key))
             for key in of_plant
             if key in sent and key not in last
         ]
-        stamps = [key[4] for key in self.events if key[0] == DETECTOR]
+        found = [key[4] for key in self.events if key[0] == DETECTOR]
         pulses = [
-            (at, any(abs(stamp - wall) < _NEAR for stamp in stamps), str(wall))
+            (at, any(abs(each - wall) < _NEAR for each in found), str(wall))
             for at, wall in self.pulses
         ]
         monitors = [life for life in self.lives["monitor"] if life.end - life.up > 2 * DUE]
-        silent = [str(e.folder) for e in monitors if not any(e.had(at) for at in self.errors)]
+        silent = [e.folder.name for e in monitors if not any(e.had(at) for at in self.errors)]
         return {
             "events recorded": self._account("recorder", recorded),
             "events with a verdict": self._account("observer", verdicts),
             "pulses detected": self._account("detector", pulses),
-            "monitors with errors": Account(len(monitors), silent, 0),
-            "processes that ended by themselves": Account(0, self.ended, 0),
+            "monitors with errors": (len(monitors), silent),
+            "processes up at their end": (sum(map(len, self.lives.values())), self.ended),
         }
 
     def _was_sent(self, key: EventKey, at: float) -> bool:
@@ -272,18 +246,14 @@ class Rig:
 
     def _account(self, name: str, found: Sequence[tuple[float, bool, str]]) -> Account:
         """What a process should have: when it came, whether it is there, and its name."""
-        lives = self.lives[name]
-        due = [each for each in found if any(life.had(each[0]) for life in lives)]
-        lost = [what for _, is_there, what in due if not is_there]
-        return Account(len(due), lost, sum(not each[1] for each in found) - len(lost))
+        due = [each for each in found if any(life.had(each[0]) for life in self.lives[name])]
+        return len(due), [what for _, is_there, what in due if not is_there]
 
     def _saved(self) -> set[EventKey]:
         """The events of all bags, killed or not."""
         saved: set[EventKey] = set()
         for life in self.lives["recorder"]:
-            bag = life.folder / "bag"
-            # A recorder may be killed before its first chunk.
-            with suppress(BagError), BagReader(bag) as reader:
+            with suppress(BagError), BagReader(life.folder / "bag") as reader:  # may be empty
                 for topic in reader.topics:
                     saved |= {key_of(topic, message) for _, message in reader.messages(topic)}
         return saved
@@ -300,19 +270,6 @@ def key_of(topic: str, event: ImpactEvent) -> EventKey:
     return topic, nanoseconds(event.epoch), event.episode, event.sequence, stamp
 
 
-def run(attacks: int, seed: int, folder: Path) -> tuple[dict[str, Account], Counter[str]]:
-    """Attack again and again; what became of everything, and what was done how often."""
-    rig, done = Rig(folder, seed), Counter[str]()
-    try:
-        for k in range(attacks):
-            done[what := rig.attack()] += 1
-            print(f"{k + 1}/{attacks}: {what}", file=sys.stderr)
-        rig.spin(3 * DUE)
-    finally:
-        rig.close()
-    return rig.accounts(), done
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print what was lost; 1 if anything was that had reached its process in time."""
     parser = argparse.ArgumentParser(prog="./dev bench reliability", description=__doc__)
@@ -324,18 +281,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with free_domain() as domain, TemporaryDirectory(prefix="reliability") as folder:
         os.environ.update(domain)
         rclpy.init(args=[])
-        accounts, done = run(given.attacks, given.seed, Path(folder))
-        rclpy.shutdown()
-    table = Table("what", "due", "lost", f"lost within {DUE:g} s of an attack")
-    for what, account in accounts.items():
-        table.add_row(what, str(account.due), str(len(account.lost)), str(account.excused))
-    console = Console(width=max(Console().width, 100))
-    console.print(table)
-    for what, account in accounts.items():
-        console.print(*(f"lost: {what}: {line}\n" for line in account.lost), end="")
-    console.print(", ".join(f"{count} {what}" for what, count in sorted(done.items())))
-    return 1 if any(account.lost for account in accounts.values()) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        rig, done = Rig(Path(folder), given.seed), Counter[str]()
+        try:
+            for k in range(given.attacks):
+                done[what := rig.attack()] += 1
+                print(f"{k + 1}/{given.attacks}: {what}", file=sys.stderr)
+            rig.spin(3 * DUE)
+        finally:
+            rig.close()
+        accounts = rig.accounts()
+    table = Table("what", "due", "lost")
+    for what, (due, lost) in accounts.items():
+        table.add_row(what, str(due), str(len(lost)))
+        print("".join(f"lost: {what}: {each}\n" for each in lost), end="")
+    Console().print(table, ", ".join(f"{count} {what}" for what, count in sorted(done.items())))
+    return 1 if any(lost for _, lost in accounts.values()) else 0

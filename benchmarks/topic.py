@@ -30,8 +30,8 @@ from benchmarks.domain import free_domain
 EVENTS = 400
 LATE = 2_000_000
 """ns"""
-PATIENCE = 10.0
-"""How long an answer, or the end of a node, may take, s."""
+PATIENCE = 60.0
+"""How long the start, an answer and the end of a node may take, s."""
 WARM = 1.0
 """Time of estimates before the first event that is measured, s."""
 PAUSES = (0.005, 0.015)

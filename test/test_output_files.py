@@ -44,7 +44,7 @@ WRITING = [
     if command == "new" or any(each.startswith(OUT) for each in arguments)
 ]
 QUICK = {"new", "simulate", "import", "sweep", "export"}
-"""Commands that write in less than a second; ./dev soak has all of them."""
+"""Commands that write in less than a second."""
 FIGURE = ["compare", "--duration", "0.1", "--figure"]
 """The beginning of a command that reads a model and writes a picture."""
 LIMIT = 60

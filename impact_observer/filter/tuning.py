@@ -2,8 +2,8 @@
 """The tuned numbers of minimum-variance: priors, gates, windows and limits of its hypotheses.
 
 Numbers of the arithmetic, such as roundings, stand in the modules that use them. Where a number
-has no source and no measurement beside it, it was chosen by hand; ``./dev bench`` with ``laws``,
-``covariance``, ``troubles``, ``chatter`` and ``honest`` shows what a change does.
+has no source and no measurement beside it, it was chosen by hand; ``./dev bench`` with
+``accuracy`` and ``honesty`` shows what a change does.
 """
 
 import math
@@ -177,7 +177,7 @@ class Tuning:
     # Settling
     unresolved_flight: float = 4.0
     """Longest flight that the clock does not resolve, in deviations of a stamp. Bounces that were
-    measured one by one left V/V0 at 3e-9 instead of 1e-11 in ``./dev bench chatter``.
+    measured one by one left V/V0 at 3e-9 instead of 1e-11 on drills that come to rest.
     """
     longest_flight: float = 100.0
     """Longest flight before such a one, in deviations of a stamp: bounces grow shorter."""

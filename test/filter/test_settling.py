@@ -6,24 +6,23 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from settling_runs import DRILL, EPOCH, nees_of_run, simulated, start_of
 
-from benchmarks.chatter import EPOCH, Job, outcome, simulated, system_of
-from benchmarks.covariance import nees_of_run
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import Kind
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.gaussian_state import GaussianState
 from impact_observer.filter.hypotheses import Hypothesis
 from impact_observer.filter.impact_filter import EventQuery, ImpactFilter
 from impact_observer.filter.settling import Rest, rest_after, settled
-from impact_observer.observer import make_observer
+from impact_observer.observer import make_observer, replay
 from impact_observer.observer.event_order import EventKey, disorder, interpret
 from impact_observer.options import Options
 from impact_observer.plant import Plant, simulate
-from impact_observer.plant.sensor import SensorModel
+from impact_observer.plant.sensor import SensorModel, simulate_sensor
 from impact_observer.stamps import from_seconds
-from impact_observer.states import Vector
+from impact_observer.states import Estimate, Vector
 
-DRILL = system_of(0)
 ROCK = 0
 LATER = 0.03
 """When the contact rests after all bounces, s."""
@@ -168,9 +167,27 @@ def test_the_disorder_of_an_event_is_how_late_its_stamp_is() -> None:
 @pytest.mark.long
 def test_the_filter_keeps_the_track_where_the_clock_does_not_resolve_the_last_bounces() -> None:
     """A drill that comes to rest on its rock again and again; stamps err by 0.1 ms."""
-    found = outcome(Job(0, 1, 15.0, SensorModel(jitter=1e-4)))
-    assert found.closes > 5
-    assert found.ratio < 1e-4
+    run = simulated(DRILL, 1, 15.0)
+    sent = simulate_sensor(
+        SensorModel(jitter=1e-4),
+        DRILL,
+        run.switchings,
+        epoch=EPOCH,
+        last=int(run.stamps[-1]),
+        seed=1,
+    )
+    events = [each.event for each in sent]
+    kinds = [switch.kind for each in events for switch in each.switches]
+    assert kinds.count(Kind.CLOSE) > 5
+    observer = make_observer(DRILL, Options(law="minimum-variance"))
+    found = [each for each in replay(observer, events, run.stamps) if isinstance(each, Estimate)]
+    errors = np.array([np.concatenate([each.q, each.u]) for each in found]) - run.states
+    V = distance(DRILL, *np.split(errors, 2, axis=1))
+    impacts = np.array([each.instant.stamp for each in run.impacts])
+    clear = np.min(np.abs(run.stamps[:, None] - impacts), axis=1) > from_seconds(5.05e-4)
+    clear &= run.stamps >= EPOCH + from_seconds(5.0)
+    start = distance(DRILL, *np.split(start_of(DRILL, 1), 2))
+    assert np.max(V[clear]) < 1e-4 * start
 
 
 def test_stamps_that_are_exact_resolve_all_bounces() -> None:

@@ -7,9 +7,57 @@ import numpy as np
 import pytest
 from systems import run, sample
 
-from benchmarks.silence import FAR, FAULTY, Judged
-from impact_observer.observer import make_observer
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, model_of
+from impact_observer.kernel._kernel import TINY
+from impact_observer.observer import make_observer, replay
 from impact_observer.options import Options
+from impact_observer.resources import shared
+from impact_observer.states import Estimate
+
+FAULTY = ("jitter", "missed", "spurious", "missed_and_spurious", "mislabelled")
+"""Sample bags of sensors with faults."""
+FAULTLESS = Options(
+    law="minimum-variance",
+    clock_error=0.0,
+    missed=0.0,
+    spurious=0.0,
+    mislabelled=0.0,
+    model_error=0.0,
+)
+FAR = 0.05
+"""Error of an estimate that is not synchronized with its plant, m or m/s."""
+
+
+class Judged:
+    """Estimates of a sample bag with true states, with every fault and error declared zero.
+
+    Attributes:
+        distances: largest error of any component of each estimate, m or m/s.
+        errors: the same in standard deviations.
+        synchronized: whether each estimate is.
+        misfit: the warning of each estimate.
+    """
+
+    def __init__(self, bag: str) -> None:
+        """Observe the sample ``bag`` at the stamps of its true states."""
+        with BagReader(shared("bags") / bag) as reader:
+            model, events = model_of(reader, None), events_in(reader)
+            topic = reader.truth_topic()
+            assert topic is not None, "true states"
+            truth = reader.joint_states(topic)
+        observer = make_observer(model, FAULTLESS)
+        states = dict(zip(truth.stamps.tolist(), np.hstack([truth.q, truth.u]), strict=True))
+        replayed = replay(observer, events, np.array(sorted(states)))
+        estimates = [each for each in replayed if isinstance(each, Estimate)]
+        size = 2 * model.system.n
+        deviations = [np.sqrt(np.diag(np.reshape(e.covariance, (size,) * 2))) for e in estimates]
+        errors = [np.abs(np.concatenate([e.q, e.u]) - states[e.stamp]) for e in estimates]
+        pairs = zip(errors, deviations, strict=True)
+        self.distances = np.array([each.max() for each in errors])
+        self.errors = np.array([np.max(e / np.maximum(d, TINY)) for e, d in pairs])
+        self.synchronized = np.array([each.synchronized for each in estimates])
+        self.misfit = [each.misfit for each in estimates]
 
 
 @pytest.mark.parametrize("bag", FAULTY)

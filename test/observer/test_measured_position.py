@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
-from benchmarks.robot_filter import encoders
+from robot_runs import encoders
+
 from impact_observer.cli.arguments import installed_laws
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError

@@ -158,7 +158,7 @@ def test_covariance_is_consistent_with_the_errors(name: str) -> None:
     """NEES and innovations for stamp errors of 1 ms and initial errors as declared.
 
     Means of 40 runs just after the 2n-th and two later impacts, as near to 1 as 40 runs can
-    show. ``benchmarks/covariance.py`` has the figures of 500 random runs.
+    show.
     """
     (model, start), events = case(name), truth(name, 30.0).events
     stamps = [after(events, k) for k in (2 * model.n, 2 * model.n + 5, 15)]

@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, run, sample, started
 
-from benchmarks.fast_bags import fast_model
-from benchmarks.filter_cost import DRILL
 from benchmarks.misfit_motion import Motion, Truth
+from benchmarks.rigs import fast
 from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.filter.contact_change import ContactChange
 from impact_observer.filter.filter_bank import FilterBank
@@ -241,7 +240,7 @@ def test_error_of_the_replica_by_a_contact_that_lasts_is_that_of_a_plant() -> No
 @pytest.mark.slow
 def test_stamps_of_a_periodic_motion_are_rounded_periodically_and_that_is_no_misfit() -> None:
     """The estimate becomes sharper than 1 ns, and its innovations depend on each other then."""
-    drill = fast_model(DRILL)
+    drill = parse_model(fast(size=1.0), "drill")
     plant = Plant(drill.system, *drill.initial_state(), epoch=EPOCH)
     hits = simulate(plant, grid(EPOCH, EPOCH + 10 * NS_PER_S, 1.0)).events
     chosen = Options(law="minimum-variance", epoch=EPOCH)

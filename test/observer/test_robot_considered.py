@@ -9,7 +9,8 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="not installed: extra robots")
 
-from benchmarks.robot_filter import EPOCH, Truth, observer_of
+from robot_runs import EPOCH, Truth, observer_of
+
 from impact_observer.cli.main import main
 from impact_observer.filter.readings import Place, RobotSensor
 from impact_observer.filter.robot_family import RobotFamily

@@ -8,19 +8,22 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from benchmarks.robot_filter import (
-    CASES,
+from robot_runs import (
     EPOCH,
     JITTER,
+    RATE,
     TORQUES,
     Recording,
     Truth,
     differences,
     encoders,
     filtered,
+    known_model,
     observer_of,
     without_contacts,
+    wrong_plant,
 )
+
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Model, read_model
@@ -33,21 +36,22 @@ from impact_observer.stamps import from_seconds
 from impact_observer.states import Vector
 
 DECLARED = Options(law="minimum-variance", clock_error=JITTER, epoch=EPOCH)
-CASE = CASES["wrong, 200 Hz"]
-"""Of hammer_arm, whose model is five percent wrong."""
+MODEL = known_model()
+"""Of hammer_arm, five percent wrong."""
 
 
 def recorded(seed: int, seconds: float) -> Recording:
     """A motion of hammer_arm."""
-    return CASE.truth(seconds).recorded(seed)
+    plant = wrong_plant(MODEL)
+    return Truth.of_plant(plant, MODEL.initial_state(), RATE, seconds).recorded(seed)
 
 
 def test_velocities_are_known_through_a_hit_with_a_model_that_is_wrong() -> None:
     """The plant's own velocities: far better than without the jump or by differences."""
     recording = recorded(seed=1, seconds=1.3)
-    observer = observer_of(CASE.model, recording)
+    observer = observer_of(MODEL, recording)
     error = recording.error(filtered(observer, recording).speeds)
-    free = observer_of(without_contacts(CASE.model, 1.0), recording)
+    free = observer_of(without_contacts(MODEL, 1.0), recording)
     assert error < 0.3
     assert error < recording.error(filtered(free, recording, hits=False).speeds) / 6
     assert error < recording.error(differences(recording, 0.005)) / 2
@@ -104,7 +108,7 @@ def test_deviations_between_efforts_do_not_depend_on_when_efforts_come() -> None
 @pytest.mark.long
 def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
     """Bounces whose stamps are out of order, a rest of half a second, and the release."""
-    model = CASE.model
+    model = MODEL
     assert model.robot is not None
     pressing = Forcing(
         constant=np.array([-7.0, -2.0]),
@@ -114,7 +118,7 @@ def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
     )
     robot = replace(model.robot, forcing=pressing)
     start = model.initial_state()
-    recording = Truth.of_plant(Robot(robot), start, CASE.rate, 1.4).recorded(seed=0)
+    recording = Truth.of_plant(Robot(robot), start, RATE, 1.4).recorded(seed=0)
     kinds = {switch.kind for event in recording.events for switch in event.switches}
     assert kinds == {Kind.IMPACT, Kind.CLOSE, Kind.OPEN}
     found = filtered(observer_of(replace(model, robot=robot), recording), recording)
@@ -125,10 +129,10 @@ def test_velocities_are_known_while_an_arm_bounces_rests_and_leaves() -> None:
 @pytest.mark.long
 def test_hits_whose_jumps_the_law_does_not_explain_are_a_misfit_within_ten() -> None:
     """The plant bounces far higher than declared: the encoders tell the velocities then."""
-    model = CASE.model
+    model = MODEL
     assert model.robot is not None
     plant = Robot(model.robot.with_parameters({"restitution.wall": 0.9}))
-    recording = Truth.of_plant(plant, model.initial_state(), CASE.rate, 12.0).recorded(seed=0)
+    recording = Truth.of_plant(plant, model.initial_state(), RATE, 12.0).recorded(seed=0)
     found = filtered(observer_of(model, recording), recording)
     assert 0 < found.warned <= 10
     free = observer_of(without_contacts(model, TORQUES), recording)
@@ -141,7 +145,7 @@ def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
 ) -> None:
     """Far from the wall a sample of all joints takes two steps of the motion, and no search."""
     recording = recorded(seed=1, seconds=0.4)
-    observer, samples, looks = observer_of(CASE.model, recording), iter(recording.samples), []
+    observer, samples, looks = observer_of(MODEL, recording), iter(recording.samples), []
     gaps = Robot.gaps_and_directions
 
     def counted(*args: object) -> object:
@@ -158,7 +162,7 @@ def test_encoders_at_200_hz_take_one_look_at_the_gaps_an_instant(
 def test_samples_in_any_order_give_the_same_estimate() -> None:
     """A late sample is put in its place, and later ones are applied again."""
     recording = recorded(seed=2, seconds=0.1)
-    in_order, late = (observer_of(CASE.model, recording) for _ in range(2))
+    in_order, late = (observer_of(MODEL, recording) for _ in range(2))
     stamp = int(recording.truth.stamps[-1])
     for samples, observer in (
         (recording.samples, in_order),
@@ -174,7 +178,7 @@ def test_samples_in_any_order_give_the_same_estimate() -> None:
 def test_turns_of_a_continuous_joint_do_not_count() -> None:
     """The encoder of the shoulder says 2 pi more: the innovation is the same."""
     recording = recorded(seed=3, seconds=0.05)
-    observer = observer_of(CASE.model, recording)
+    observer = observer_of(MODEL, recording)
     observer.measure(recording.samples[:2])
     first, second = recording.samples[2:4]
     observer.measure([first._replace(value=first.value + 2 * np.pi), second])
@@ -185,7 +189,7 @@ def test_turns_of_a_continuous_joint_do_not_count() -> None:
 def test_observer_starts_at_the_first_samples_with_their_deviations() -> None:
     """Velocities may be a tenth of the limits of the URDF."""
     observer = make_observer(
-        "hammer_arm", replace(DECLARED, epoch=0), measurements=encoders(CASE.model)
+        "hammer_arm", replace(DECLARED, epoch=0), measurements=encoders(MODEL)
     )
     observer.measure([SensorSample(0, EPOCH, -0.5)])
     assert observer.lacking == ("elbow",)
@@ -208,7 +212,7 @@ def test_observer_starts_at_the_first_samples_with_their_deviations() -> None:
 def test_a_robot_starts_at_its_encoders_after_every_restart() -> None:
     """A reset, and a new episode of the plant: at rest where the encoders are then."""
     observer = make_observer(
-        "hammer_arm", replace(DECLARED, epoch=0), measurements=encoders(CASE.model)
+        "hammer_arm", replace(DECLARED, epoch=0), measurements=encoders(MODEL)
     )
 
     def measured(stamp: int, *values: float) -> None:
@@ -244,13 +248,13 @@ def test_what_an_observer_of_a_robot_cannot_do_is_said_in_one_line(
 ) -> None:
     """Other laws, white accelerations, estimated parameters, and impact times alone."""
     with pytest.raises(UsageError, match=expected) as error:
-        make_observer("hammer_arm", options, measurements=encoders(CASE.model) if measured else ())
+        make_observer("hammer_arm", options, measurements=encoders(MODEL) if measured else ())
     assert "\n" not in str(error.value)
 
 
 def test_considered_restitution_is_named() -> None:
     """The deviation of the sample's restitution counts, as an error of the state."""
-    observer = make_observer(read_model("hammer_arm"), DECLARED, measurements=encoders(CASE.model))
+    observer = make_observer(read_model("hammer_arm"), DECLARED, measurements=encoders(MODEL))
     unknowns = observer.law.uncertainty.unknowns
     assert unknowns is not None
     assert unknowns.family.names == ("restitution.wall",)
@@ -260,7 +264,7 @@ def test_considered_restitution_is_named() -> None:
 def test_an_estimate_goes_on_without_encoders_at_a_bounded_cost() -> None:
     """The estimate is the same once the past is forgotten, and begins at the history's end."""
     options = replace(DECLARED, epoch=0, history=0.25)
-    observer = make_observer("hammer_arm", options, measurements=encoders(CASE.model))
+    observer = make_observer("hammer_arm", options, measurements=encoders(MODEL))
     observer.measure([SensorSample(i, EPOCH, 0.0) for i in range(2)])
     now = EPOCH + 4 * 10**8
     before = observer.estimate(now)
@@ -277,9 +281,9 @@ def test_a_backlog_is_worked_off_by_a_bounded_number_of_steps(
     every: int, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All encoders of a stamp share a motion; where samples are shed, efforts cost no steps."""
-    case = CASES["wrong, 1 kHz"]
-    recording = case.truth(0.5).recorded(seed=5)
-    observer = observer_of(case.model, recording)
+    start = MODEL.initial_state()
+    recording = Truth.of_plant(wrong_plant(MODEL), start, 1000.0, 0.5).recorded(seed=5)
+    observer = observer_of(MODEL, recording)
     observer.measure(recording.samples[:2])
     count, advanced = [0], Robot.advanced
 
@@ -300,7 +304,7 @@ def test_a_backlog_is_worked_off_by_a_bounded_number_of_steps(
 def test_encoders_of_a_stamp_are_used_together_whichever_comes_first() -> None:
     """One after the other, together, and with other stamps: the same in every bit."""
     recording = recorded(seed=6, seconds=0.1)
-    alone, paired, whole, swapped = (observer_of(CASE.model, recording) for _ in range(4))
+    alone, paired, whole, swapped = (observer_of(MODEL, recording) for _ in range(4))
     samples = recording.samples
     pairs = [samples[i : i + 2] for i in range(0, len(samples), 2)]
     for pair in pairs:

@@ -172,7 +172,7 @@ WORST = {
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 @pytest.mark.parametrize("fault", WORST)
 def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
-    """60 s and two seeds, with the goals of ``benchmarks/troubles.py`` for the worst of 40."""
+    """60 s and two seeds, with the goals for the worst of 40."""
     sensor, declared, bound = WORST[fault]
     assert max(left(name, 60.0, sensor, declared, seed) for seed in range(2)) < bound
 
