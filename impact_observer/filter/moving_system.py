@@ -153,10 +153,10 @@ class MovingSystem:
         """Those of the ``closed`` contacts that a load holds; the others depend on them."""
         return self.phase(closed).held
 
-    def inverse(self, x: Vector, closed: Contacts = ()) -> Matrix:
-        """``M^-1`` while contacts are ``closed``, at any state ``x``, shape (n, n)."""
+    def inverse(self, x: Vector) -> Matrix:
+        """``M^-1`` at any state ``x``, shape (n, n)."""
         del x
-        return self.phase(closed).inverse
+        return self.phase(()).inverse
 
     def root_energy(self, x: Vector) -> float:
         """The root of twice the kinetic energy of a state ``x``, shape (2n,), sqrt(J)."""

@@ -290,9 +290,9 @@ class RobotMotion(MovingSystem):
         """Those of the ``closed`` contacts that a load holds: all of them."""
         return closed
 
-    def inverse(self, x: Vector, closed: Contacts = ()) -> Matrix:
-        """``M^-1`` at a state while contacts are ``closed``, shape (n, n)."""
-        return self.system.mobility_matrix(x[: self.system.n], closed)
+    def inverse(self, x: Vector) -> Matrix:
+        """``M^-1`` at a state, shape (n, n)."""
+        return self.system.mobility_matrix(x[: self.system.n], ())
 
     def root_energy(self, x: Vector) -> float:
         """The root of twice the kinetic energy of a state ``x``, shape (2n,), sqrt(J)."""

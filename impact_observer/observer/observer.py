@@ -53,6 +53,8 @@ MOST_LIVE_SAMPLES = 100_000
 """Samples of live signals that are kept while there is no event: those of 100 s at 1 kHz."""
 MOST_NUMBERS = 100_000
 """Sequence numbers that are remembered while no event can be applied."""
+MOST_FLIGHTS = 8
+"""Flights in which sources of deviations are looked for."""
 MOST_WAITING = 1000
 """Events that are kept until their epoch is known."""
 
@@ -536,13 +538,13 @@ class Observer:
         self._follow()
         return self._run.silence(stamp)
 
-    def deviation_sources(self, most: int = 8) -> DeviationSources | None:
-        """What the deviations come from in the last flights, at ``most`` so many.
+    def deviation_sources(self) -> DeviationSources | None:
+        """What the deviations come from in the last flights, at most ``MOST_FLIGHTS``.
 
         None before two events, or for a law that has no hypotheses.
         """
         self._follow()
-        entries = self.timeline.entries[-most - 1 :] if self.timeline else []
+        entries = self.timeline.entries[-MOST_FLIGHTS - 1 :] if self.timeline else []
         pairs = [(a.since, b.since) for a, b in pairwise(entries) if a.since < b.since]
         parts = [self._run.variance_parts((a + b) // 2) for a, b in pairs]
         if not any(parts):

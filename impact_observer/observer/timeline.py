@@ -67,11 +67,6 @@ class Entry:
         return bool(self.key.switches)
 
     @property
-    def has_impact(self) -> bool:
-        """Whether it is of an event, or has inserted a missed one."""
-        return self.is_event or any(h.ledger.missed for h in self.belief.hypotheses)
-
-    @property
     def begins(self) -> int:
         """From when on estimates use it, ns: stamps of a clock that has stepped may be early."""
         return max(self.key.stamp, self.since)

@@ -118,15 +118,13 @@ class Chain:
         count: number of steps.
         step: gives the step of an index; called twice for each step.
         evidence: logarithm of the probability density of all measurements. ``states`` sets
-            ``evidence``, ``squares`` and ``rows`` when it begins.
-        squares: sum of the squares of all normalised innovations; its mean is ``rows``.
-        rows: number of normalised innovations.
+            ``evidence`` when it begins.
     """
 
     def __init__(self, first: Normal, count: int, step: Callable[[int], Step]) -> None:
         """See the attributes."""
         self.first, self.count, self.step = first, count, step
-        self.evidence, self.squares, self.rows = 0.0, 0.0, 0
+        self.evidence = 0.0
 
     def states(self) -> Iterator[tuple[int, Normal]]:
         """Index and state after each step given all measurements, the last step first.
@@ -139,14 +137,12 @@ class Chain:
         """
         size = max(1, math.isqrt(self.count))
         blocks = [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
-        kept, self.evidence, self.squares, self.rows = [self.first], 0.0, 0.0, 0
+        kept, self.evidence = [self.first], 0.0
         for block in blocks:
             state = kept[-1]
             for k in block:
-                state, white, density = _filtered(state, self.step(k))
+                state, _, density = _filtered(state, self.step(k))
                 self.evidence += density
-                self.squares += float(white.dot(white))
-                self.rows += white.size
             kept.append(state)
         d = kept[-1].mean.size
         errors = Normal(np.zeros(d), np.eye(d))

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from impact_observer.errors import DynamicsError
 from impact_observer.filter.square_root import triangular
@@ -53,7 +52,6 @@ class Smoothed(NamedTuple):
         first: the state (q, u, constants) at the start.
         known: the posterior at each node of the arc, of (e, q, u, constants) at a moment.
         evidence: logarithm of the probability density of the reported instants, 1/s each.
-        chance: that a true motion explains the events less well.
         change: that another linearisation would make, in standard deviations.
         rounds: linearisations.
     """
@@ -63,7 +61,6 @@ class Smoothed(NamedTuple):
     first: Normal
     known: "KnownStates"
     evidence: float
-    chance: float
     change: float
     rounds: int
 
@@ -168,8 +165,7 @@ def _settled(arc: Arc, path: Path, progress: Callable[[int, int], None]) -> Smoo
         worse += 1
         if best is None or change < best.change:
             evidence = chain.evidence + arc.left_out(path)
-            chance = float(special.chdtrc(max(chain.rows, 1), chain.squares))
-            best = Smoothed(arc, path, first, known, evidence, chance, change, rounds)
+            best = Smoothed(arc, path, first, known, evidence, change, rounds)
             worse = 0
         if best.change <= SETTLED or worse == _MOST_WORSE or better is None:
             break
