@@ -11,6 +11,8 @@ from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
 from impact_observer.errors import UnsetError, UsageError
 
+SETTLED = 1e-2
+"""Default of the ratio V over V at the start below which an estimate has settled."""
 _LAST_STAMP = 2**31 * 1_000_000_000 - 1
 """Equal to the whole seconds of ``stamps.MAX_STAMP``, without an import of NumPy."""
 

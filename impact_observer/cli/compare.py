@@ -29,8 +29,8 @@ from impact_observer.cli.arguments import (
     observer_options,
     positive,
 )
-from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
+from impact_observer.options import SETTLED
 from impact_observer.plain_text import printable, say
 
 if TYPE_CHECKING:

@@ -42,8 +42,6 @@ _MOST_HELD_BACK = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    from impact_observer.model.free_parameters import parameter_forms
-
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add_namespace(parser)
@@ -53,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free",
         metavar="LIST",
         default="",
-        help=f"what to identify, with commas: {', '.join(parameter_forms())}; such as gap.stop or"
-        " stiffness.ground-x1, or without the part after the dot all of a kind",
+        help="what to identify, with commas, such as gap.stop or stiffness.ground-x1, or without"
+        " the part after the dot all of a kind; docs/identify.md has all names",
     )
     parser.add_argument(
         "--clock-error",

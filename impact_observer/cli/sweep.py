@@ -29,7 +29,7 @@ from impact_observer.cli.arguments import (
 )
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
-from impact_observer.options import Option, Value
+from impact_observer.options import SETTLED, Option, Value
 from impact_observer.plain_text import say
 from impact_observer.sensor_faults import SENSOR_FAULTS
 
@@ -47,8 +47,6 @@ _SENSOR = "sensor_"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     one_matrix_thread(always=True)  # before numpy is imported
-    from impact_observer.compare.comparison import SETTLED
-
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")

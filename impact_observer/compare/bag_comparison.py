@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.compare.comparison import (
-    SETTLED,
     Comparison,
     compare_observer,
     compare_states,
@@ -24,6 +23,7 @@ from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.state_arrays import JointStates, ObserverStates, deviations_in
 from impact_observer.model import System
 from impact_observer.observer import Observer
+from impact_observer.options import SETTLED
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import from_seconds
 from impact_observer.states import Stamps

@@ -32,12 +32,11 @@ from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.observer.samples import SensorSample
+from impact_observer.options import SETTLED
 from impact_observer.robots.robot import Robot
 from impact_observer.stamps import NS_PER_S, seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector
 
-SETTLED = 1e-2
-"""Default of the ratio V over V at the start below which an estimate has settled."""
 _FLOOR = 10.0
 """V over V at the end up to which V counts as falling."""
 AFTER_HITS = (0.002, 0.05)

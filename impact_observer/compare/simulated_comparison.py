@@ -6,12 +6,12 @@ from dataclasses import replace
 from functools import partial
 
 from impact_observer.compare.bag_comparison import BagComparison
-from impact_observer.compare.comparison import SETTLED, compare_observer, impacts_in
+from impact_observer.compare.comparison import compare_observer, impacts_in
 from impact_observer.io.bag_part import TimeZero
 from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model
 from impact_observer.observer import make_observer
-from impact_observer.options import Options
+from impact_observer.options import SETTLED, Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 

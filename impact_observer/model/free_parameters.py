@@ -41,23 +41,6 @@ UNITS = {
     "contact-time": "s",
 }
 """Kinds of free parameters and their SI units, with coordinates in m; empty for a ratio."""
-_OWNERS = {
-    "stiffness-scale": "",
-    "damping-scale": "",
-    "mass-scale": "",
-    "stiffness": "A-B",
-    "damping": "A-B",
-    "mass": "BODY",
-    "forcing-amplitude": "K",
-    "forcing-phase": "K",
-    "forcing-frequency": "K",
-    "constant-force": "BODY",
-    "ground-amplitude": "GROUND.K",
-    "ground-phase": "GROUND.K",
-    "ground-frequency": "GROUND.K",
-    OFFSET: "",
-}
-"""What stands after the dot of a parameter's name; of the other kinds that is a contact."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """SI units of other learned quantities of an observer; no entry for a ratio."""
 _ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase", "ground-frequency"}
@@ -71,12 +54,6 @@ _LONGEST = 0.1
 """Largest offset of a clock, and largest duration of an impact, s."""
 _WRONG_FREQUENCY = 0.1
 """Error that makes a frequency useless, relative to the frequency."""
-
-
-def parameter_forms() -> list[str]:
-    """The forms of all names of parameters, such as ``gap.CONTACT``."""
-    owners = {kind: _OWNERS.get(kind, "CONTACT") for kind in UNITS if kind not in STAND_INS}
-    return [f"{kind}.{owner}".rstrip(".") for kind, owner in owners.items()]
 
 
 def is_observed(name: str) -> bool:

@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev
-from scipy import integrate
 
 from impact_observer.errors import DynamicsError
 from impact_observer.events import Contacts
@@ -142,7 +142,7 @@ class RobotFlight:
         knots = self._forcing.knots(t + s, math.inf) if self._forcing.sampled else np.zeros(0)
         self._last_time = float(np.nextafter(knots[0], -math.inf)) if knots.size else math.inf
         bound = float(knots[0]) - t if knots.size else math.inf
-        return integrate.DOP853(self._rates, s, x, bound, rtol=RTOL, atol=ATOL)
+        return scipy.integrate.DOP853(self._rates, s, x, bound, rtol=RTOL, atol=ATOL)
 
     def _step(self) -> None:
         solver = self._solver

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from impact_observer.compare.comparison import SETTLED, compare_observer
+from impact_observer.compare.comparison import compare_observer
 from impact_observer.compare.metrics import METRICS
 from impact_observer.errors import ImpactObserverError, ModelError, UsageError
 from impact_observer.io.pairing import samples_of
@@ -23,6 +23,7 @@ from impact_observer.model.free_parameters import parametric_family, with_unit
 from impact_observer.model.measurement import Measurement
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.samples import SensorSample
+from impact_observer.options import SETTLED
 from impact_observer.plant import (
     Plant,
     Run,

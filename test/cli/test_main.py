@@ -254,3 +254,16 @@ def test_matrices_have_one_thread_unless_the_environment_has_more(
     with pytest.raises(SystemExit):
         main(["--version"])
     assert os.environ["OPENBLAS_NUM_THREADS"] == wanted
+
+
+def test_help_of_commands_imports_no_numpy() -> None:
+    """Nor what takes longer, so that help is there at once."""
+    code = (
+        "import argparse, sys; from impact_observer.cli.main import COMMANDS, main\n"
+        "for name in COMMANDS:\n"
+        "    try: main([name, '--help'])\n"
+        "    except SystemExit: pass\n"
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"numpy", "scipy", "pandas", "matplotlib", "rclpy"} & {*done.stderr.split()}
