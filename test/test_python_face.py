@@ -129,3 +129,15 @@ def test_a_plant_of_a_model_without_initial_state_names_the_key() -> None:
     for source in (parse_model(text, "rig"), MODEL.system):
         with pytest.raises(ModelError, match="initial_state: is missing; a plant needs one"):
             Plant(source, epoch=1)
+
+
+def test_models_runs_and_observers_are_shown_in_one_line() -> None:
+    """With what tells one from another, and without their arrays."""
+    plant = Plant(MODEL.system, *MODEL.initial_state(), epoch=EPOCH)
+    run, observer = simulate(plant, STAMPS), make_observer(MODEL.system, Options())
+    assert repr(MODEL) == "<Model two_mass: contacts stop>"
+    assert repr(run).startswith(f"<Run: epoch {EPOCH} ns, {len(STAMPS)} states, ")
+    assert repr(observer).startswith("<Observer of two_mass: law geometric, 10 replicas, ")
+    assert "hammer" in repr(read_model("hammer"))
+    for each in (run, observer, read_model("hammer")):
+        assert len(repr(each).splitlines()) == 1

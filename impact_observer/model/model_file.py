@@ -86,6 +86,11 @@ class Model:
     uncertainty: ParameterUncertainty | None = None
     robot: RobotDescription | None = None
 
+    def __repr__(self) -> str:
+        about = self.linear if self.robot is None else self.robot
+        name, contacts = ("", ()) if about is None else (about.name, about.contact_names)
+        return f"<Model {name}: contacts {', '.join(contacts) or 'none'}>"
+
     @property
     def system(self) -> System:
         """The linear system.

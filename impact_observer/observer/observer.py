@@ -168,6 +168,12 @@ class Observer:
         self._notices: list[str] = []
         self.restart()
 
+    def __repr__(self) -> str:
+        return (
+            f"<Observer of {self.system.name}: law {self.law.name}, {self.ensemble} replicas,"
+            f" last event {self.last_event} ns>"
+        )
+
     def restart(self, reason: str = "") -> None:
         """Forget all events and samples; the next verdict names the ``reason``, if any."""
         if reason:

@@ -36,6 +36,12 @@ class Run:
     switchings: tuple[Switching, ...]
     events: tuple[ImpactEvent, ...]
 
+    def __repr__(self) -> str:
+        return (
+            f"<Run: epoch {self.epoch} ns, {len(self.stamps)} states,"
+            f" {len(self.switchings)} switchings>"
+        )
+
     def sampled_at(self, stamps: Stamps) -> "Run":
         """The run with only the states at ``stamps``, a part of the stamps of the run."""
         which = np.searchsorted(self.stamps, stamps)
