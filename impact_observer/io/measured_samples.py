@@ -17,10 +17,8 @@ from impact_observer.observer.samples import SensorSample
 from impact_observer.plain_text import part_left_out
 from impact_observer.stamps import NS_PER_S, from_seconds
 
-MOST_CLOCK_ERROR = 60.0
-"""Largest difference between the clock of a sensor and that of the impacts, s."""
-_COMPARED = 1000
-"""Messages of a topic by which clocks are compared."""
+_MOST_DELAY = 60.0
+"""Largest difference of the delay of a sample from the median delay of its sensor, s."""
 SENSOR_STATUS = "sensor "
 """Prefix of a sensor's name in the name of its diagnostic status."""
 SILENT_RATE = 50.0
@@ -162,7 +160,6 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
         BagError: the bag is damaged.
     """
     received, problems = list[tuple[int, SensorSample]](), list[str]()
-    clock = _clock_of_impacts(reader)
     for topic, readers in _by_topic(reader, measurements, problems).items():
         own = [*reader.messages(topic)]
         for each in readers:
@@ -173,9 +170,6 @@ def samples_in(reader: BagReader, measurements: Sequence[Measurement]) -> Record
                 first = f"joints in its first message: {joints}"
                 remedy = f"; {given.quantity} says which coordinate the joint measures"
                 raise given.wrong("joint", f"{problem}; {first}{remedy}")
-            if problem := _clock_problem(each.measurement, made, clock):
-                problems.append(problem)
-                continue
             kept = _of_clock(made)
             lost["stamped far from all others"] = len(made) - len(kept)
             lost["no finite number"] = sum(not abs(s.value) <= LARGEST_STATE for _, s in kept)
@@ -238,42 +232,10 @@ def received_topics(reader: BagReader, measurements: Sequence[Measurement]) -> l
     return [topic for topic in topics if topic is not None]
 
 
-def _clock_of_impacts(reader: BagReader) -> float | None:
-    """Median delay of the recording of impacts after their stamps, s; None without impacts."""
-    topic = reader.find(interfaces.IMPACTS)
-    if topic is None:
-        return None
-    late = list[float]()
-    for log_time, message in reader.messages(topic):
-        stamp = header_stamp(message)
-        if stamp is not None:
-            late.append((log_time - stamp) / NS_PER_S)
-        if len(late) == _COMPARED:
-            break
-    return statistics.median(late) if late else None
-
-
 def _of_clock(samples: list[tuple[int, SensorSample]]) -> list[tuple[int, SensorSample]]:
     """The samples whose delay from stamp to reception is within a minute of the median delay."""
     if not samples:
         return samples
     usual = statistics.median(at - sample.stamp for at, sample in samples)
-    most = MOST_CLOCK_ERROR * NS_PER_S
+    most = _MOST_DELAY * NS_PER_S
     return [each for each in samples if abs(each[0] - each[1].stamp - usual) <= most]
-
-
-def _clock_problem(
-    measurement: Measurement, samples: Sequence[tuple[int, SensorSample]], clock: float | None
-) -> str:
-    """A problem if the stamps of a sensor are of another clock than the impacts; else empty."""
-    if not samples or clock is None:
-        return ""
-    late = [(at - sample.stamp) / NS_PER_S for at, sample in samples[:_COMPARED]]
-    off = statistics.median(late) - clock
-    if abs(off) <= MOST_CLOCK_ERROR:
-        return ""
-    return (
-        f"{measurement.name}: its clock is {abs(off):.0f} s"
-        f" {'behind' if off > 0 else 'ahead of'} that of the impacts; all {len(samples)} samples"
-        " are left out: correct its stamps, or use stamp: receive"
-    )
