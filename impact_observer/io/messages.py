@@ -411,22 +411,6 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     return verdict, float(message.latency)
 
 
-def read_smoothed_impact(message: AnyMessage) -> SmoothedImpact:
-    """The smoothed impact in a message.
-
-    Raises:
-        MessageError: its stamp is not after 0, or the ruling is unknown.
-    """
-    return SmoothedImpact(
-        stamp=read_stamp("SmoothedImpact.header.stamp", message.header.stamp),
-        reported=read_stamp("SmoothedImpact.reported", message.reported, earliest=0),
-        sequence=int(message.sequence),
-        contact=message.contact,
-        ruling=_member(Ruling, "SmoothedImpact.verdict", message.verdict),
-        deviation=float(message.deviation),
-    )
-
-
 def read_impact_estimate(message: AnyMessage) -> ImpactEstimate:
     """The estimate of an impact in a message.
 
@@ -505,23 +489,6 @@ def read_joint_state(message: AnyMessage) -> JointState:
         names=tuple(message.name),
         q=frozen(_numbers("JointState.position", message.position, n)),
         u=frozen(_numbers("JointState.velocity", message.velocity, n)),
-    )
-
-
-def read_estimate_error(message: AnyMessage) -> EstimateError:
-    """The error in a message.
-
-    Raises:
-        MessageError: its stamp is not after 0, a number is not finite, or lengths do not fit.
-    """
-    n = len(message.name)
-    return EstimateError(
-        stamp=read_stamp("EstimateError.header.stamp", message.header.stamp),
-        law=message.law,
-        v=_number("EstimateError.v", message.v),
-        names=tuple(message.name),
-        q=frozen(_numbers("EstimateError.position_error", message.position_error, n)),
-        u=frozen(_numbers("EstimateError.velocity_error", message.velocity_error, n)),
     )
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple, TypeVar, cast, final
 import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
@@ -147,17 +146,14 @@ class BagReader:
         self.low = 0
         self._limits: tuple[int, int] | None = None
         self._received: frozenset[str] = frozenset()
-        self.message_count = self._reader.message_count
-        self.start = self._reader.start_time if self.message_count else 0
-        self.end = int(self._reader.end_time) - 1 if self.message_count else 0
 
     def _file_with_end(self) -> Path:
         """The bag, or a file with the messages of MCAP files without an end."""
         files = [each for each in bag_files(self.path) if each.suffix == ".mcap"]
-        self._has_metadata = (self.path / "metadata.yaml").is_file()
-        if not files or ((self._has_metadata or len(files) == 1) and all(map(has_end, files))):
-            return self.path if self._has_metadata or not files else files[0]
-        self._has_metadata = self.is_whole = False
+        is_known = (self.path / "metadata.yaml").is_file()
+        if not files or ((is_known or len(files) == 1) and all(map(has_end, files))):
+            return self.path if is_known or not files else files[0]
+        self.is_whole = False
         folder = self._open.enter_context(TemporaryDirectory(prefix="impact_observer_"))
         file = Path(folder) / files[0].name
         if not write_whole(files, file):
@@ -186,9 +182,7 @@ class BagReader:
                 load_yaml(text)
 
     def _read_topics(self) -> None:
-        """Read the topics of the bag that is open, and check its metadata."""
-        if self._has_metadata:
-            self._check_kinds()
+        """Read the topics and the extent of the bag that is open."""
         self._connections: dict[str, list[Connection]] = {}
         for topic in sorted(self._reader.topics, key=interfaces.absolute):
             own = self._connections.setdefault(interfaces.absolute(topic), [])
@@ -201,41 +195,9 @@ class BagReader:
         # takes such a topic for another one unless it is given as the files have it, too.
         files = getattr(self._reader.storage, "storages", ())
         self._stored: list[Connection] = [each for file in files for each in file.connections]
-        if self._has_metadata:
-            self._check_counts()
-
-    def _check_counts(self) -> None:
-        """Check that metadata.yaml has the topics of the files, and no impossible count."""
-        in_files = {(each.topic, each.msgtype) for each in self._stored}
-        for each in self._reader.connections:
-            if each.msgcount < 0:
-                fault = f"{each.msgcount} messages on {each.topic}; expected 0 or more"
-            elif each.msgcount and (each.topic, each.msgtype) not in in_files:
-                fault = f"{each.topic} ({each.msgtype}), which its files do not have"
-            else:
-                continue
-            raise BagError(f"{self.path}: its metadata.yaml has {fault}; {self._reindex}")
-
-    def _check_kinds(self) -> None:
-        """Check that metadata.yaml has a list of files, and whole numbers of ns and messages."""
-        storage = cast("DirectoryReader", self._reader.storage)
-        found = dict[str, object](storage.metadata._asdict())
-        faults = [
-            f"{key}: {found[key]!r}; expected a whole number"
-            for key in ("message_count", "start_time", "duration")
-            if type(found[key]) is not int
-        ]
-        counts = (each.msgcount for each in self._reader.connections)
-        faults += [
-            f"message_count: {each!r}; expected a whole number"
-            for each in counts
-            if type(each) is not int
-        ]
-        if not isinstance(cast("object", storage.files), list):
-            faults.append(f"files: {storage.files!r}; expected a list")
-            storage.files = []  # which is cleared at the end
-        if faults:
-            raise BagError(f"{self.path}: its metadata.yaml has {faults[0]}; {self._reindex}")
+        self.message_count = self._reader.message_count
+        self.start = int(self._reader.start_time) if self.message_count > 0 else 0
+        self.end = int(self._reader.end_time) - 1 if self.message_count > 0 else 0
 
     def __enter__(self) -> "BagReader":
         return self
